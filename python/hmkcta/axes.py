@@ -1,0 +1,128 @@
+"""Axes of the source array and their organisation into the modes of the tensor.
+
+A mode is one axis or several merged ones; an index of a merged mode is the C-order flattening of its axes in the
+listed order (`docs/format.md`, section 2). The paper folds colour into the light mode: ``light+rgb, view, y, x``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import prod
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import invalid
+
+ROLES = ("space", "view", "light", "time", "channel", "other")
+
+_ROLE_OF_NAME = {
+    **dict.fromkeys(("x", "y", "z", "u", "v", "texel", "pixel", "space"), "space"),
+    **dict.fromkeys(("view", "camera", "row", "column", "s"), "view"),
+    **dict.fromkeys(("light", "illumination"), "light"),
+    **dict.fromkeys(("time", "t", "frame"), "time"),
+    **dict.fromkeys(("rgb", "channel", "colour", "color", "c"), "channel"),
+}
+
+Organisation = tuple[tuple[str, ...], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Axis:
+    """One axis of the source array: name, size, role in `ROLES`, coordinates of its indices (or None), their unit."""
+
+    name: str
+    size: int
+    role: str = "other"
+    coords: NDArray[Any] | None = None
+    unit: str = ""
+
+    def __post_init__(self) -> None:
+        if self.role not in ROLES:
+            raise invalid("unknown-role", f"role of axis {self.name!r}", self.role, ", ".join(ROLES))
+        if not self.name or any(c in self.name for c in "+, /=") or not self.name.isprintable():
+            raise invalid("bad-axis-name", "axis name", repr(self.name), "a word without + , / = or space")
+
+
+def name_axes(shape: Sequence[int], names: Sequence[str] | None = None) -> tuple[Axis, ...]:
+    """Axes of an array of the given shape; roles follow from well-known names, ``name:role`` says another one.
+
+    >>> [(axis.name, axis.role) for axis in name_axes((6, 8, 3), ["light", "gloss:space", "rgb"])]
+    [('light', 'light'), ('gloss', 'space'), ('rgb', 'channel')]
+
+    Raises:
+        HmkctaError: the number of names is not the number of axes, a name comes twice, or a role is unknown.
+    """
+    if names is None:
+        names = [f"axis{n}" for n in range(len(shape))]
+    if len(names) != len(shape):
+        shown = " x ".join(map(str, shape))
+        raise invalid("axis-count", "axes", f"{len(names)} names ({', '.join(names)})",
+                      f"{len(shape)}, one for each axis of the {shown} array", "give one name an axis, in array order")
+    axes = []
+    for text, size in zip(names, shape, strict=True):
+        name, _, role = text.strip().partition(":")
+        axes.append(Axis(name, int(size), role or _ROLE_OF_NAME.get(name.lower(), "other")))
+    if len({axis.name for axis in axes}) != len(axes):
+        raise invalid("axis-twice", "axes", ", ".join(axis.name for axis in axes), "names that differ")
+    return tuple(axes)
+
+
+def separate(axes: Sequence[Axis]) -> Organisation:
+    """The organisation with a mode for each axis."""
+    return tuple((axis.name,) for axis in axes)
+
+
+def parse_organisation(text: str, axes: Sequence[Axis]) -> Organisation:
+    """Read ``"light+rgb, view, y+x"``; every axis must come exactly once.
+
+    >>> parse_organisation("light+rgb, y+x", name_axes((6, 8, 8, 3), ["light", "y", "x", "rgb"]))
+    (('light', 'rgb'), ('y', 'x'))
+    """
+    return check_organisation(tuple(tuple(a.strip() for a in mode.split("+")) for mode in text.split(",")), axes)
+
+
+def check_organisation(organisation: Organisation, axes: Sequence[Axis]) -> Organisation:
+    """Return the organisation, or say which axis is missing, repeated or unknown."""
+    listed = [name for mode in organisation for name in mode]
+    known = [axis.name for axis in axes]
+    if sorted(listed) != sorted(known):
+        raise invalid("organisation", "organisation", format_organisation(organisation),
+                      f"each of {', '.join(known)} exactly once", "merge axes with +, part modes with commas")
+    return organisation
+
+
+def format_organisation(organisation: Organisation) -> str:
+    """The text `parse_organisation` reads."""
+    return ", ".join("+".join(mode) for mode in organisation)
+
+
+def axis_order(axes: Sequence[Axis], organisation: Organisation) -> tuple[int, ...]:
+    """Source axis numbers in the order in which the organisation lists them."""
+    number = {axis.name: n for n, axis in enumerate(axes)}
+    return tuple(number[name] for mode in organisation for name in mode)
+
+
+def mode_sizes(axes: Sequence[Axis], organisation: Organisation) -> tuple[int, ...]:
+    """The mode sizes I_1..I_N."""
+    size = {axis.name: axis.size for axis in axes}
+    return tuple(prod(size[name] for name in mode) for mode in organisation)
+
+
+def organise(array: NDArray[Any], axes: Sequence[Axis], organisation: Organisation) -> NDArray[Any]:
+    """View or copy of the source array as the tensor of the organisation's modes.
+
+    >>> organise(np.zeros((6, 8, 8, 3)), name_axes((6, 8, 8, 3), ["light", "y", "x", "rgb"]),
+    ...          (("light", "rgb"), ("y", "x"))).shape
+    (18, 64)
+    """
+    return array.transpose(axis_order(axes, organisation)).reshape(mode_sizes(axes, organisation))
+
+
+def deorganise(tensor: NDArray[Any], axes: Sequence[Axis], organisation: Organisation) -> NDArray[Any]:
+    """The inverse of `organise`: the tensor's elements in the source array's axes."""
+    order = axis_order(axes, organisation)
+    split = tensor.reshape([axes[n].size for n in order])
+    return split.transpose(np.argsort(order))

@@ -1,0 +1,104 @@
+"""The cells of one node at one level while it is being fitted: memberships, bases and cores in float32.
+
+A cell is a cluster c = (c_1..c_N) of the paper's equation 2. The layout is the file's (`docs/format.md`, section 3), so
+that packing only rounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import prod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .plan import LevelSpec
+
+F32 = NDArray[np.float32]
+U16 = NDArray[np.uint16]
+
+
+@dataclass(eq=False)
+class Cells:
+    """Memberships, bases and cores of one node.
+
+    Attributes:
+        sizes: the node's mode sizes.
+        spec: R, C, K, clamped to the node.
+        members: for each mode `[I_n, K_n]`, the distinct cluster subsets S_n(i) of each row, ascending.
+        bases: for each mode `[I_n, K_n, PC_-n, R_n]`; empty for an undecomposed mode.
+        cores: `[PC, R_1, .., R_N]`.
+    """
+
+    sizes: tuple[int, ...]
+    spec: LevelSpec
+    members: list[U16]
+    bases: list[F32]
+    cores: F32
+
+    @property
+    def ranks(self) -> tuple[int, ...]:
+        """R_n, an undecomposed mode's being its size."""
+        return tuple(i if r is None else r for r, i in zip(self.spec.ranks, self.sizes, strict=True))
+
+    @property
+    def undecomposed(self) -> tuple[bool, ...]:
+        """Which modes keep their identity basis."""
+        return tuple(r is None for r in self.spec.ranks)
+
+    def rounded(self) -> Cells:
+        """The cells as they will be stored: float16 numbers, cores with a float32 factor a cell."""
+        cores, scale = round_cores(self.cores)
+        wide = cores.astype(np.float32) * scale.reshape(-1, *[1] * len(self.sizes))
+        bases = [basis.astype(np.float16).astype(np.float32) for basis in self.bases]
+        return Cells(self.sizes, self.spec, self.members, bases, wide)
+
+
+def round_cores(cores: F32) -> tuple[NDArray[np.float16], F32]:
+    """Cores `[PC, ..]` as float16 with the largest number of each near 1, and the float32 factors `[PC]`.
+
+    >>> stored, scale = round_cores(np.array([[3e6, 1e6], [0, 0]], np.float32))
+    >>> [float(x) for x in scale], [float(x) for x in stored[1]]
+    ([2097152.0, 1.0], [0.0, 0.0])
+    """
+    peak = np.abs(cores).reshape(len(cores), -1).max(axis=1)
+    # A power of two, so that scaling rounds nothing.
+    scale = np.exp2(np.floor(np.log2(np.where(peak > 0, peak, 1.0)))).astype(np.float32)
+    return (cores / scale.reshape(-1, *[1] * (cores.ndim - 1))).astype(np.float16), scale
+
+
+def empty_cells(sizes: Sequence[int], spec: LevelSpec, members: Sequence[U16], rng: np.random.Generator) -> Cells:
+    """Cells with zero cores and random orthonormal-ish bases: where subspace iteration starts from."""
+    spec = spec.clamped(sizes)
+    ranks = [i if r is None else r for r, i in zip(spec.ranks, sizes, strict=True)]
+    bases = [
+        np.zeros(0, np.float32) if spec.ranks[n] is None else
+        rng.standard_normal((sizes[n], spec.mixture[n], spec.cells // spec.clusters[n], ranks[n]), np.float32)
+        for n in range(len(sizes))
+    ]
+    return Cells(tuple(sizes), spec, list(members), bases, np.zeros((spec.cells, *ranks), np.float32))
+
+
+def dense_basis(cells: Cells, n: int) -> F32:
+    """U_n of all cells with its zero rows written out: `[PC, I_n, R_n]`."""
+    clusters = cells.spec.clusters
+    before, after = prod(clusters[:n]), prod(clusters[n + 1:])
+    size, rank = cells.sizes[n], cells.ranks[n]
+    stored = cells.bases[n].reshape(size, -1, before, after, rank)
+    dense = np.zeros((before, clusters[n], after, size, rank), np.float32)
+    for k in range(stored.shape[1]):
+        rows = np.arange(size)
+        dense[:, cells.members[n][:, k], :, rows] = stored[:, k]
+    return dense.reshape(cells.spec.cells, size, rank)
+
+
+def store_basis(cells: Cells, n: int, dense: NDArray[np.floating]) -> None:
+    """Keep the member rows of a dense basis `[PC, I_n, R_n]`."""
+    clusters = cells.spec.clusters
+    before, after = prod(clusters[:n]), prod(clusters[n + 1:])
+    size, rank = cells.sizes[n], cells.ranks[n]
+    view = dense.reshape(before, clusters[n], after, size, rank)
+    rows = np.arange(size)
+    slots = [view[:, cells.members[n][:, k], :, rows] for k in range(cells.members[n].shape[1])]
+    cells.bases[n] = np.ascontiguousarray(np.stack(slots, axis=1).reshape(size, len(slots), before * after, rank), np.float32)

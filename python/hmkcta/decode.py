@@ -1,0 +1,135 @@
+"""The reference decoder in NumPy: elements of the tensor (indices of modes, not of source axes) from packed levels.
+
+`decode_elements` follows `docs/format.md`, section 4, for scattered elements, and the WGSL decoder mirrors it function
+by function; `decode_block` decodes an outer product of index lists at a small part of the cost an element. Both read
+the float16 numbers as they are stored and compute in float32 (float64 on request: quality is measured with it).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import prod
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from .decode_dense import add_block
+from .decode_scattered import Real, decode_batches
+from .errors import invalid
+from .packed import PackedLevel
+
+
+def decode_elements(
+    levels: Sequence[PackedLevel],
+    sizes: Sequence[int],
+    coords: NDArray[np.integer[Any]],
+    upto: int | None = None,
+    dtype: DTypeLike = np.float32,
+) -> Real:
+    """Decode scattered elements.
+
+    Args:
+        levels: the model's levels.
+        sizes: mode sizes I_1..I_N.
+        coords: mode indices of each element, [B, N], from 0.
+        upto: how many levels to add up, all by default.
+        dtype: float32 or float64, of the arithmetic and of the result.
+
+    Returns:
+        The values, [B], in the domain of the value transform.
+
+    Raises:
+        HmkctaError: coordinates that are no integers, of another order or outside the tensor; `upto` outside 1..L.
+
+    >>> from hmkcta._example import example_level
+    >>> decode_elements([example_level()], (2, 3), np.array([[1, 2], [0, 2]]))
+    array([6., 3.], dtype=float32)
+    """
+    coords = np.asarray(coords)
+    if coords.ndim != 2 or coords.shape[1] != len(sizes):
+        raise invalid("coords-shape", "coords", f"shape {coords.shape}", f"[elements, {len(sizes)}]")
+    for n, size in enumerate(sizes):
+        check_indices(coords[:, n], size, f"coords of mode {n + 1}")
+    out = np.zeros(len(coords), _float_type(dtype))
+    with np.errstate(over="ignore", invalid="ignore"):  # Model looks for these, and decodes them again in float64
+        decode_batches(first_levels(levels, upto), coords.astype(np.intp, copy=False), out)
+    return out
+
+
+def decode_block(
+    levels: Sequence[PackedLevel],
+    sizes: Sequence[int],
+    rows: Sequence[NDArray[np.integer[Any]]],
+    upto: int | None = None,
+    out: Real | None = None,
+    dtype: DTypeLike = np.float32,
+) -> Real:
+    """Decode the dense block of an outer product, like ``tensor[np.ix_(*rows)]``.
+
+    Args:
+        levels: the model's levels.
+        sizes: mode sizes I_1..I_N.
+        rows: N one-dimensional index arrays from 0, in any order and with repeats.
+        upto: how many levels to add up, all by default.
+        out: where to put the block (float32 or float64), instead of a new array.
+        dtype: float32 or float64, of the arithmetic and of the result, where `out` does not say it.
+
+    Returns:
+        The block, [len(rows[0]), .., len(rows[N-1])], in the domain of the value transform.
+
+    Raises:
+        HmkctaError: rows that are no integers, not one array a mode, or outside it; `upto` outside 1..L; an
+            unsuitable `out`.
+
+    >>> from hmkcta._example import example_level
+    >>> decode_block([example_level()], (2, 3), [np.array([1, 0]), np.array([2, 2])])
+    array([[6., 6.],
+           [3., 3.]], dtype=float32)
+    """
+    if len(rows) != len(sizes):
+        raise invalid("rows-count", "rows", f"{len(rows)} arrays", f"{len(sizes)}, one a mode")
+    for n, (index, size) in enumerate(zip(rows, sizes, strict=True)):
+        if np.ndim(index) != 1:
+            raise invalid("rows-shape", f"rows of mode {n + 1}", f"shape {np.shape(index)}", "one dimension")
+        check_indices(np.asarray(index), size, f"rows of mode {n + 1}")
+    shape = tuple(len(index) for index in rows)
+    if out is not None and out.shape != shape:
+        raise invalid("out-shape", "out", f"shape {out.shape}", f"{shape}, one number for each requested row")
+    kind = _float_type(dtype if out is None else out.dtype)
+    block = out if out is not None and out.flags.c_contiguous else np.empty(shape, kind)
+    block[...] = 0
+    if prod(shape):
+        with np.errstate(over="ignore", invalid="ignore"):  # as in `decode_elements`
+            add_block(first_levels(levels, upto), [np.asarray(index, np.intp) for index in rows], block)
+    if out is not None and block is not out:
+        out[...] = block
+        return out
+    return block
+
+
+def first_levels(levels: Sequence[PackedLevel], upto: int | None) -> Sequence[PackedLevel]:
+    """The first `upto` levels; all of them for None."""
+    if upto is None:
+        return levels
+    if not 1 <= upto <= len(levels):
+        raise invalid("level-out-of-range", "upto", upto, f"1 to {len(levels)}")
+    return levels[:upto]
+
+
+def check_indices(index: NDArray[Any], size: int, where: str) -> None:
+    """Refuse anything but integers from 0 to size - 1: a wrong index would silently decode another element."""
+    if index.dtype.kind not in "iu":
+        raise invalid("index-type", where, f"numbers of type {index.dtype}", "integers")
+    if index.size and (int(index.min()) < 0 or int(index.max()) >= size):
+        bad = (index < 0) | (index >= size)
+        found = f"{index[bad][0]} ({np.count_nonzero(bad)} such)"
+        raise invalid("index-out-of-range", where, found, f"0 to {size - 1}")
+
+
+def _float_type(dtype: DTypeLike) -> np.dtype[Any]:
+    kind = np.dtype(dtype)
+    if kind not in (np.dtype(np.float32), np.dtype(np.float64)):
+        raise invalid("dtype", "dtype", kind, "float32 or float64", "convert the result, or pass another out")
+    return kind
+

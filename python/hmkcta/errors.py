@@ -1,0 +1,59 @@
+"""One exception, sorted by a fixed kind and a stable reason code.
+
+Programs compare `kind` and `reason`; people read the sentence, which names the field, the value found,
+what is allowed and what to do next. The TypeScript reader uses the same codes.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class Kind(Enum):
+    """What went wrong, with the exit code the command line ends with."""
+
+    INVALID_ARGUMENT = ("InvalidArgument", 2)
+    IO = ("Io", 3)
+    CORRUPTION = ("Corruption", 4)
+    INSUFFICIENT_DATA = ("InsufficientData", 4)
+    COMPATIBILITY = ("Compatibility", 5)
+    RESOURCE_LIMIT = ("ResourceLimit", 6)
+
+    def __init__(self, label: str, exit_code: int) -> None:
+        self.label = label
+        self.exit_code = exit_code
+
+
+class HmkctaError(Exception):
+    """Any failure that hmkcta foresees.
+
+    Attributes:
+        kind: one of `Kind`.
+        reason: stable reason code in kebab case, e.g. ``"rank-too-large"``.
+        where: the argument, array or JSON path at fault, e.g. ``"level/2/core"``.
+
+    >>> error = HmkctaError(Kind.INVALID_ARGUMENT, "rank-too-large", "R of mode 2",
+    ...                     found="9", allowed="1 to 8", hint="lower R or write R=*")
+    >>> print(error)
+    R of mode 2: found 9, allowed 1 to 8. Next: lower R or write R=*. [InvalidArgument/rank-too-large]
+    """
+
+    def __init__(
+        self, kind: Kind, reason: str, where: str, *, found: object = None, allowed: object = None, hint: str = ""
+    ) -> None:
+        self.kind = kind
+        self.reason = reason
+        self.where = where
+        self.found = found
+        self.allowed = allowed
+        self.hint = hint
+        parts = [] if found is None else [f"found {found}"]
+        parts += [] if allowed is None else [f"allowed {allowed}"]
+        sentence = f"{where}: {', '.join(parts)}" if parts else where
+        advice = f". Next: {hint}." if hint else "."
+        super().__init__(f"{sentence}{advice} [{kind.label}/{reason}]")
+
+
+def invalid(reason: str, where: str, found: object = None, allowed: object = None, hint: str = "") -> HmkctaError:
+    """An `InvalidArgument` error: what the caller asked for cannot be."""
+    return HmkctaError(Kind.INVALID_ARGUMENT, reason, where, found=found, allowed=allowed, hint=hint)

@@ -1,0 +1,14 @@
+"""The `.hmk` file: reading, writing, limits and reason codes (`docs/format.md`)."""
+
+from .limits import DEFAULT_LIMITS as DEFAULT_LIMITS
+from .limits import Limits as Limits
+from .metadata import INLINE_COORDS as INLINE_COORDS
+from .metadata import VERSION as VERSION
+from .read import load as load
+from .read import loads as loads
+from .reasons import REASONS as REASONS
+from .reasons import WRITER_REASONS as WRITER_REASONS
+from .reasons import Reason as Reason
+from .write import encode as encode
+from .write import encoded_size as encoded_size
+from .write import save as save

@@ -1,0 +1,47 @@
+"""Limits on what a file may declare, checked before anything of that size is allocated (`docs/format.md`, section 7).
+
+Standard library only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from .reasons import fault
+
+
+@dataclass(frozen=True)
+class Limits:
+    """The largest values a reader takes; raise one by passing ``Limits(rank=2048)``.
+
+    `rank` and `level_cost` bound decomposed modes only: an undecomposed mode is indexed, not summed over, and its
+    rank is bounded by its size.
+
+    >>> Limits(rank=2048).rank
+    2048
+    """
+
+    order: int = 8  # modes of the tensor
+    axes: int = 32  # axes of the source array
+    elements: int = 2**48  # of the source array
+    levels: int = 16
+    nodes: int = 1_000_000  # of all levels together
+    clusters: int = 65_535  # C_n
+    mixture: int = 8  # K_n
+    rank: int = 1024  # R_n of a decomposed mode
+    level_cost: int = 2**20  # prod K_n R_n over the decomposed modes, for the largest values of a level
+    json_bytes: int = 16 * 2**20  # the safetensors header, in which the metadata is
+    json_depth: int = 16
+    json_string: int = 4096  # characters of any string but the metadata text itself
+
+
+DEFAULT_LIMITS = Limits()
+
+
+def check_limit(reason: str, where: str, found: int, allowed: int) -> None:
+    """Refuse a number above its limit.
+
+    >>> check_limit("order-limit", "hmkcta.organisation", 4, 8)
+    """
+    if found > allowed:
+        raise fault(reason, where, found, f"at most {allowed}", "raise the limit if you trust the file")

@@ -1,0 +1,156 @@
+"""Which arrays a file holds, their number types and, where the tables do not decide them, their shapes.
+
+The names are those of `docs/format.md`, section 3, with ``level/<l>/`` before them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..packed import Metadata, PackedLevel
+from .limits import Limits, check_limit
+from .reasons import fault
+
+NUMPY_TYPES = {"F16": "<f2", "F32": "<f4", "F64": "<f8", "U16": "<u2", "U32": "<u4"}
+TYPE_NAMES = {np.dtype(code): name for name, code in NUMPY_TYPES.items()}
+
+MAX_COORD_DIMENSIONS = 16  # numbers that an axis's coordinates may have for one index
+
+_RAGGED = -1  # a length that the tables decide
+
+
+class ArrayInfo(NamedTuple):
+    """Number type and shape of an array."""
+
+    dtype: str
+    shape: tuple[int, ...]
+
+
+def prefix(level: int) -> str:
+    """The start of the names of a level's arrays; levels count from 1.
+
+    >>> prefix(2)
+    'level/2/'
+    """
+    return f"level/{level}/"
+
+
+def level_schema(order: int, undecomposed: Sequence[int], nodes: int, last: bool) -> Iterator[tuple[str, ArrayInfo]]:
+    """Names (without prefix) and infos of the arrays of a level with S = `nodes`; -1 for a ragged length.
+
+    >>> sum(1 for _ in level_schema(4, (), 12, last=False)), sum(1 for _ in level_schema(4, (3,), 12, last=True))
+    (34, 21)
+    """
+    offsets, indices, ragged = ArrayInfo("U32", (nodes + 1,)), ArrayInfo("U16", (_RAGGED,)), (_RAGGED,)
+    yield "shape", ArrayInfo("U32", (nodes, 3, order))
+    if not last:
+        yield "child", offsets
+    yield from (("core", ArrayInfo("F16", ragged)), ("core_offset", offsets))
+    yield from (("core_scale", ArrayInfo("F32", ragged)), ("cell_offset", offsets))
+    for n in range(order):
+        yield f"row_offset/{n}", offsets
+        if n in undecomposed:
+            continue
+        yield from ((f"cluster/{n}", indices), (f"cluster_offset/{n}", offsets))
+        yield from ((f"basis/{n}", ArrayInfo("F16", ragged)), (f"basis_offset/{n}", offsets))
+        if not last:
+            yield from ((f"part/{n}", indices), (f"local/{n}", ArrayInfo("U32", ragged)))
+
+
+#: The number type of each array of a level, by its name without level and mode.
+LEVEL_TYPES = {name.split("/")[0]: info.dtype for name, info in level_schema(1, (), 0, last=False)}
+
+
+def check_schema(metadata: Metadata, coords: Mapping[int, str], arrays: Mapping[str, ArrayInfo], limits: Limits
+                 ) -> None:
+    """The arrays must be exactly those that the metadata calls for; `coords` names coordinate arrays by axis number."""
+    expected: dict[str, ArrayInfo] = {}
+    order, depth, nodes = len(metadata.organisation), len(metadata.levels), 0
+    for level in range(1, depth + 1):
+        name = prefix(level) + "shape"
+        _require(name, arrays)
+        count = arrays[name].shape[0] if arrays[name].shape else 0
+        nodes += count
+        check_limit("nodes-limit", name, nodes, limits.nodes)
+        schema = level_schema(order, metadata.undecomposed, count, level == depth)
+        expected.update((prefix(level) + part, info) for part, info in schema)
+    for name, info in expected.items():
+        _require(name, arrays)
+        _check_info(name, arrays[name], (info.dtype,), info.shape)
+    for n, name in coords.items():
+        _require(name, arrays)
+        size = metadata.axes[n].size
+        width = arrays[name].shape[1:2]
+        _check_info(name, arrays[name], ("F32", "F64"), (size, *width))
+        if width and not 1 <= width[0] <= MAX_COORD_DIMENSIONS:
+            raise fault("array-shape", name, list(arrays[name].shape), f"1 to {MAX_COORD_DIMENSIONS} numbers an index")
+    _check_names(arrays, {*expected, *coords.values()})
+
+
+def _require(name: str, arrays: Mapping[str, ArrayInfo]) -> None:
+    if name not in arrays:
+        raise fault("array-missing", name, "no such array", "an array")
+
+
+def _check_names(arrays: Mapping[str, ArrayInfo], expected: set[str]) -> None:
+    for name in arrays:
+        if name not in expected:
+            raise fault("array-unexpected", name, "an array", "no such array")
+
+
+def _check_info(name: str, found: ArrayInfo, dtypes: tuple[str, ...], shape: tuple[int, ...]) -> None:
+    if found.dtype not in dtypes:
+        raise fault("array-dtype", name, found.dtype, " or ".join(dtypes))
+    same = len(found.shape) == len(shape) and all(
+        allowed in (size, _RAGGED) for size, allowed in zip(found.shape, shape, strict=True))
+    if not same:
+        shown = ["any length" if size == _RAGGED else size for size in shape]
+        raise fault("array-shape", name, list(found.shape), shown)
+
+
+def arrays_of(levels: Sequence[PackedLevel], coords: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Names and arrays in the order of the file: 8-byte, 4-byte and 2-byte tables, coordinates first, then F16 arrays.
+
+    Each kind goes level by level. Longer items first keeps every array aligned without padding.
+    """
+    tables = [(prefix(level) + name, array) for level, packed in enumerate(levels, 1)
+              for name, array in packed.tables()]
+    numbers = [(prefix(level) + name, array) for level, packed in enumerate(levels, 1)
+               for name, array in packed.coefficients()]
+    return dict(sorted([*coords.items(), *tables], key=lambda item: -item[1].dtype.itemsize) + numbers)
+
+
+def level_of(arrays: Mapping[str, NDArray[Any]], level: int, order: int) -> PackedLevel:
+    """The packed level made of a file's arrays, which `check_schema` has let through."""
+    def get(name: str) -> NDArray[Any]:
+        return arrays[prefix(level) + name]
+
+    def find(name: str) -> NDArray[Any] | None:
+        return arrays.get(prefix(level) + name)
+
+    def modes(name: str) -> tuple[NDArray[Any] | None, ...]:
+        return tuple(find(f"{name}/{n}") for n in range(order))
+
+    return PackedLevel(
+        shape=get("shape"), child=find("child"), row_offset=tuple(get(f"row_offset/{n}") for n in range(order)),
+        core=get("core"), core_offset=get("core_offset"), core_scale=get("core_scale"), cell_offset=get("cell_offset"),
+        cluster=modes("cluster"), cluster_offset=modes("cluster_offset"), basis=modes("basis"),
+        basis_offset=modes("basis_offset"), part=modes("part"), local=modes("local"),
+    )
+
+
+def check_order(names: Sequence[str], infos: Mapping[str, ArrayInfo]) -> None:
+    """In file order, all tables come before the F16 arrays, which go level by level."""
+    level = 0
+    for name in names:
+        if 0 in infos[name].shape:
+            continue  # an empty array stands nowhere in particular
+        this = int(name.split("/")[1]) if infos[name].dtype == "F16" else 0
+        if this < level:
+            raise fault("array-order", name, f"after an F16 array of level {level}",
+                        "tables first, then F16 arrays level by level")
+        level = max(level, this)

@@ -1,0 +1,155 @@
+"""Write a packed model: the same bytes for the same model, and never half a file at the target path."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import os
+import secrets
+import zlib
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import HmkctaError, Kind, invalid
+from ..packed import Metadata, PackedLevel
+from .header import TEXT_KEY, format_header, format_json
+from .limits import DEFAULT_LIMITS, Limits
+from .metadata import ArrayRecord, coords_array, coords_name, to_json
+from .read import loads
+from .reasons import fault
+from .schema import LEVEL_TYPES, NUMPY_TYPES, TYPE_NAMES, ArrayInfo, arrays_of
+
+Piece: TypeAlias = bytes | memoryview
+
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+def encode(metadata: Metadata, levels: Sequence[PackedLevel]) -> list[Piece]:
+    """The bytes of the file, in pieces that share the memory of the model's arrays. `save` also checks the model.
+
+    Raises:
+        HmkctaError: `InvalidArgument` where the model holds something that has no place in a file at all.
+    """
+    with _as_invalid_argument():
+        coords = {name: coords_array(axis) for axis in metadata.axes if (name := coords_name(axis)) is not None}
+        arrays = arrays_of(levels, coords)
+        infos = {name: _info(name, array) for name, array in arrays.items()}
+        pieces = [_bytes_of(array, infos[name].dtype) for name, array in arrays.items()]
+        records = {name: ArrayRecord(*infos[name], zlib.crc32(piece))
+                   for name, piece in zip(arrays, pieces, strict=True)}
+        text = _metadata_text(metadata, records)
+        header = format_header(infos, text, hashlib.sha256(text.encode()).hexdigest())
+    return [header, *pieces]
+
+
+def encoded_size(metadata: Metadata, levels: Sequence[PackedLevel]) -> int:
+    """Exact number of bytes of the file that `save` writes."""
+    return sum(len(piece) for piece in encode(metadata, levels))
+
+
+def save(path: str | os.PathLike[str], metadata: Metadata, levels: Sequence[PackedLevel], *, overwrite: bool = False,
+         limits: Limits = DEFAULT_LIMITS) -> int:
+    """Check the model and write it, atomically; return the number of bytes.
+
+    Raises:
+        HmkctaError: `InvalidArgument` with a reader's reason code if the model is not valid, `ResourceLimit` if it is
+            beyond the limits, `Io` if the output is there already (``output-exists``), the disk is full
+            (``disk-full``) or the folder cannot be written to (``unwritable``). The target is then as it was.
+    """
+    with _as_io(str(path)):
+        target = Path(os.path.realpath(path))  # a link keeps pointing to what it points to
+        _check_target(target, overwrite)
+    data = b"".join(encode(metadata, levels))
+    with _as_invalid_argument():
+        loads(data, verify=False, limits=limits)  # no file is written that the reader would refuse
+    with _as_io(str(path)):
+        _publish(target, data, overwrite)
+    return len(data)
+
+
+def _check_target(target: Path, overwrite: bool) -> None:
+    if target.exists() and not (overwrite and target.is_file()):
+        allowed = "a new file" if not overwrite else "a file, or nothing"
+        raise fault("output-exists", str(target), "a file" if target.is_file() else "no regular file", allowed,
+                    "choose another name or overwrite it" if not overwrite else "choose another name")
+
+
+def _publish(target: Path, data: bytes, overwrite: bool) -> None:
+    """Write a temporary file beside the target, force it to the disk, and give it the target's name."""
+    temporary = target.with_name(f".{target.name[:40]}.{secrets.token_hex(8)}.tmp")
+    try:
+        with open(temporary, "xb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        _check_target(target, overwrite)  # another writer may have been faster
+        os.replace(temporary, target)
+    except BaseException:  # an interrupted writer leaves nothing behind either
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        raise
+    _sync_folder(target.parent)
+
+
+def _sync_folder(folder: Path) -> None:
+    """Force the new name to the disk; only POSIX lets a folder be opened for that."""
+    if os.name != "posix":
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+@contextmanager
+def _as_io(path: str) -> Generator[None]:
+    """Turn what the operating system says into an `Io` error."""
+    try:
+        yield
+    except (OSError, ValueError) as error:
+        full = isinstance(error, OSError) and error.errno in _FULL
+        found = getattr(error, "strerror", None) or error
+        raise fault("disk-full" if full else "unwritable", path, found, "a folder with room for the file",
+                    "free some space" if full else "check the folder and its permissions") from error
+
+
+@contextmanager
+def _as_invalid_argument() -> Generator[None]:
+    """Turn a reader's verdict on the file into one on the writer's arguments; limits stay limits."""
+    try:
+        yield
+    except HmkctaError as error:
+        if error.kind is Kind.RESOURCE_LIMIT:
+            raise
+        raise invalid(error.reason, error.where, error.found, error.allowed, error.hint) from error
+
+
+def _metadata_text(metadata: Metadata, records: dict[str, ArrayRecord]) -> str:
+    try:
+        text = format_json(to_json(metadata, records))
+        text.encode()
+        return text
+    except (TypeError, ValueError, RecursionError) as error:
+        raise fault("field-type", TEXT_KEY, error, "strings, finite numbers, lists and objects") from error
+
+
+def _info(name: str, array: NDArray[Any]) -> ArrayInfo:
+    """Number type and shape; a wrong type is refused here, as it would also spoil the order in the file."""
+    found = TYPE_NAMES.get(array.dtype.newbyteorder("<"))
+    allowed = (LEVEL_TYPES[name.split("/")[2]],) if name.startswith("level/") else ("F32", "F64")
+    if found is None or found not in allowed:
+        raise fault("array-dtype", name, array.dtype, " or ".join(NUMPY_TYPES[dtype] for dtype in allowed))
+    return ArrayInfo(found, array.shape)
+
+
+def _bytes_of(array: NDArray[Any], dtype: str) -> Piece:
+    """The array's little-endian bytes in C order, without a copy where it has them."""
+    if not array.size:
+        return b""
+    return np.ascontiguousarray(array, NUMPY_TYPES[dtype]).reshape(-1).view(np.uint8).data

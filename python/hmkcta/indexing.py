@@ -1,0 +1,166 @@
+"""NumPy indexing without an array: which element of the source each element of the result is.
+
+A key becomes, for every source axis, an array of indices that broadcasts to the shape of the result, as `numpy.ix_`
+makes them. So nothing is larger than the key itself, and products of independent indices stay recognisable.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import EllipsisType
+from typing import Any, TypeAlias, TypeGuard, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import HmkctaError, Kind
+
+Index: TypeAlias = NDArray[np.intp]
+_ALLOWED = "integers, slices, ..., None, integer or boolean arrays"
+#: Stands for every index beyond the range of `Index`.
+_FAR = 1 << 62
+Array: TypeAlias = NDArray[Any]
+Item: TypeAlias = int | slice | EllipsisType | Array | None
+
+
+class IndexingError(HmkctaError, IndexError):
+    """A key that does not fit the shape: an `HmkctaError` that code written for NumPy catches as `IndexError`."""
+
+    def __init__(self, reason: str, where: str, found: object, allowed: object, hint: str = "") -> None:
+        super().__init__(Kind.INVALID_ARGUMENT, reason, where, found=found, allowed=allowed, hint=hint)
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """The shape of the result, and of each source axis the indices, broadcastable to that shape (of equal order)."""
+
+    shape: tuple[int, ...]
+    axes: tuple[Index, ...]
+
+
+def select(key: Any, shape: Sequence[int]) -> Selection:
+    """Resolve a NumPy key: integers, slices, ellipsis, None, index arrays and boolean masks.
+
+    >>> chosen = select((slice(None, None, -2), [0, 2]), (4, 3))
+    >>> chosen.shape, [axis.tolist() for axis in chosen.axes]
+    ((2, 2), [[[3], [1]], [[0, 2]]])
+
+    Raises:
+        IndexingError: what NumPy would raise an IndexError for; also for a single True or False.
+    """
+    parts = cast("tuple[Any, ...]", key) if isinstance(key, tuple) else (key,)
+    items = _split_masks(_fill([_parse(part) for part in parts], len(shape)), shape)
+    if any(isinstance(item, np.ndarray) for item in items):  # then integers are index arrays of no dimension
+        items = [np.asarray(item, np.intp) if isinstance(item, int) else item for item in items]
+    arrays = [(i, item) for i, item in enumerate(items) if isinstance(item, np.ndarray)]
+    together = _broadcast([array for _, array in arrays])
+    # Index arrays side by side leave their dimensions in place, parted ones put them first.
+    adjacent = bool(arrays) and arrays[-1][0] - arrays[0][0] == len(arrays) - 1
+    first = sum(1 for item in items[: arrays[0][0]] if item is None or isinstance(item, slice)) if adjacent else 0
+    result: list[int] = []
+    found: list[tuple[int, Index]] = []  # per source axis: first dimension of the result it goes along, and indices
+    for item in items:
+        axis = len(found)
+        if item is None:
+            result.append(1)
+        elif isinstance(item, slice):
+            index = np.arange(shape[axis])[item]
+            found.append((len(result), index))
+            result.append(len(index))
+        elif isinstance(item, np.ndarray):
+            found.append((-1, _in_range(item, axis, shape[axis])))
+        elif isinstance(item, int):
+            found.append((0, _in_range(np.asarray(item), axis, shape[axis])))
+    return _spread(result, found, first, together)
+
+
+def _spread(result: list[int], found: list[tuple[int, Index]], first: int, together: tuple[int, ...]) -> Selection:
+    """Give every axis's indices the order of the result; the index arrays' dimensions begin at dimension `first`."""
+    full = (*result[:first], *together, *result[first:])
+    axes: list[Index] = []
+    for dimension, index in found:
+        if dimension < 0:  # an index array: its last dimension is the last of `together`
+            trailing = len(full) - first - len(together)
+            dimension = len(full) - trailing - index.ndim
+        elif dimension >= first:
+            dimension += len(together)
+        shape = [1] * len(full)
+        shape[dimension : dimension + index.ndim] = index.shape
+        axes.append(index.reshape(shape))
+    return Selection(full, tuple(axes))
+
+
+def _parse(part: Any) -> Item:
+    """One part of the key as an integer, slice, ellipsis, None, or array of integers or booleans."""
+    if part is None or part is Ellipsis or isinstance(part, slice):
+        return cast("Item", part)
+    if isinstance(part, bool | np.bool_):
+        raise IndexingError("index-type", "index", "one boolean", _ALLOWED)
+    if not isinstance(part, np.ndarray | list | tuple):
+        try:
+            return max(-_FAR, min(_FAR, operator.index(part)))
+        except TypeError:
+            pass
+    try:
+        array: Array = np.asarray(cast("Any", part))
+    except ValueError:
+        raise IndexingError("index-type", "index", "a ragged list", "an array of integers or booleans") from None
+    if not array.size and not isinstance(part, np.ndarray):
+        return array.astype(np.intp)  # an empty list
+    if array.dtype.kind not in "iub" or (array.dtype.kind == "b" and array.ndim == 0):
+        raise IndexingError("index-type", "index", f"numbers of type {array.dtype}", _ALLOWED)
+    if array.dtype.kind == "u":
+        array = np.minimum(array, _FAR).astype(np.intp)
+    return int(array) if array.ndim == 0 else array
+
+
+def _is_mask(item: Item) -> TypeGuard[Array]:
+    return isinstance(item, np.ndarray) and item.dtype.kind == "b"
+
+
+def _fill(items: list[Item], order: int) -> list[Item]:
+    """Replace the ellipsis, written or implied, by slices."""
+    taken = sum(item.ndim if _is_mask(item) else 1 for item in items if item is not None and item is not Ellipsis)
+    written = [i for i, item in enumerate(items) if item is Ellipsis]
+    if len(written) > 1:
+        raise IndexingError("index-ellipsis", "index", f"{len(written)} ellipses", "one")
+    if taken > order:
+        raise IndexingError("index-count", "index", f"{taken} indices", f"up to {order}, one an axis")
+    at = written[0] if written else len(items)
+    missing = [slice(None)] * (order - taken)
+    # The ellipsis itself stays: even an empty one parts index arrays.
+    return [*items[:at], Ellipsis, *missing, *items[at + 1 :]]
+
+
+def _split_masks(items: list[Item], shape: Sequence[int]) -> list[Item]:
+    """Replace every boolean mask by the index arrays of its true elements, one for each of its axes."""
+    split: list[Item] = []
+    for item in items:
+        if _is_mask(item):
+            axis = sum(1 for done in split if done is not None and done is not Ellipsis)
+            expected = tuple(shape[axis : axis + item.ndim])
+            if item.shape != expected:
+                raise IndexingError("mask-shape", f"mask of axis {axis}", f"shape {item.shape}", f"shape {expected}")
+            split.extend(np.nonzero(item))
+        else:
+            split.append(item.astype(np.intp) if isinstance(item, np.ndarray) else item)
+    return split
+
+
+def _broadcast(arrays: list[Array]) -> tuple[int, ...]:
+    try:
+        return np.broadcast_shapes(*(array.shape for array in arrays))
+    except ValueError:
+        shapes = ", ".join(str(array.shape) for array in arrays)
+        raise IndexingError("index-broadcast", "index arrays", f"shapes {shapes}", "shapes that broadcast",
+                            "use numpy.ix_ for an outer product") from None
+
+
+def _in_range(index: Array, axis: int, size: int) -> Index:
+    """Count negative indices from the end, and refuse those outside."""
+    bad = (index < -size) | (index >= size)
+    if bad.any():
+        raise IndexingError("index-out-of-range", f"index of axis {axis}", int(index[bad][0]), f"{-size} to {size - 1}")
+    return np.where(index < 0, index + size, index)

@@ -1,0 +1,99 @@
+"""Soft cluster memberships of a mode: features of its rows, balanced k-means, uniform blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+#: Columns of the row features, and elements looked at to find them; more of either changed nothing (algorithm notes).
+FEATURES, SAMPLE = 12, 2_000_000
+#: Row normalisations f <- f |f|^(p-1) and size caps (times I/C) of the candidate starts.
+POWERS, CAPS = (1.0, 0.5, 0.2), (None, 1.5, 1.2, 1.05)
+
+
+def uniform_blocks(size: int, clusters: int) -> NDArray[np.intp]:
+    """Block number of each row, the first blocks longer by one (paper, footnote 1).
+
+    >>> np.bincount(uniform_blocks(10, 4)).tolist()
+    [3, 3, 2, 2]
+    """
+    short, longer = divmod(size, clusters)
+    return np.repeat(np.arange(clusters), [short + (c < longer) for c in range(clusters)])
+
+
+def row_features(tensor: NDArray[Any], n: int) -> F64:
+    """Principal coordinates of the rows of mode n, `[I_n, <= 12]`, from a strided sample of the other modes."""
+    rows = np.moveaxis(tensor, n, 0)
+    step = max(1, round((tensor.size / SAMPLE) ** (1 / max(1, tensor.ndim - 1))))
+    rows = rows[(slice(None), *[slice(None, None, min(step, max(1, i // 2))) for i in rows.shape[1:]])]
+    unfolded = rows.reshape(len(rows), -1).astype(np.float64)
+    if len(rows) <= unfolded.shape[1]:
+        values, vectors = np.linalg.eigh(unfolded @ unfolded.T)
+        return vectors[:, :-FEATURES - 1:-1] * np.sqrt(np.maximum(values[:-FEATURES - 1:-1], 0))
+    values, vectors = np.linalg.eigh(unfolded.T @ unfolded)
+    return unfolded @ vectors[:, :-FEATURES - 1:-1]
+
+
+def balanced_clusters(features: F64, clusters: int, cap: float | None, rng: np.random.Generator, restarts: int = 3) -> NDArray[np.intp]:
+    """K-means++ labels of the rows, no cluster larger than cap I/C (None: any size); best of several restarts."""
+    most = len(features) if cap is None else int(np.ceil(cap * len(features) / clusters))
+    best, best_cost = uniform_blocks(len(features), clusters), np.inf
+    for _ in range(restarts):
+        centres = _spread_centres(features, clusters, rng)
+        for _ in range(8):
+            distance = ((features[:, None] - centres[None]) ** 2).sum(-1)
+            labels = _assign(distance, most)
+            for c in range(clusters):
+                if (labels == c).any():
+                    centres[c] = features[labels == c].mean(0)
+        cost = float(((features - centres[labels]) ** 2).sum())
+        if cost < best_cost and len(np.unique(labels)) == clusters:
+            best, best_cost = labels, cost
+    return best
+
+
+def _spread_centres(features: F64, clusters: int, rng: np.random.Generator) -> F64:
+    centres = [features[rng.integers(len(features))]]
+    for _ in range(clusters - 1):
+        distance = np.min([((features - c) ** 2).sum(1) for c in centres], axis=0)
+        total = distance.sum()
+        weights = distance / total if total > 0 else None
+        centres.append(features[rng.choice(len(features), p=weights)])
+    return np.array(centres)
+
+
+def _assign(distance: F64, most: int) -> NDArray[np.intp]:
+    """Nearest centre with room, rows with the widest margin first."""
+    if most >= len(distance):
+        return distance.argmin(1)
+    ordered = np.sort(distance, axis=1)
+    margin = ordered[:, 1] - ordered[:, 0] if distance.shape[1] > 1 else ordered[:, 0]
+    room = np.full(distance.shape[1], most)
+    labels = np.zeros(len(distance), np.intp)
+    for i in np.argsort(-margin, kind="stable"):
+        labels[i] = np.where(room > 0, distance[i], np.inf).argmin()
+        room[labels[i]] -= 1
+    return labels
+
+
+def start_candidates(tensor: NDArray[Any], clusters: tuple[int, ...], rng: np.random.Generator) -> Iterator[list[NDArray[np.intp]]]:
+    """Disjoint memberships to choose among: uniform blocks, then every power with every size cap."""
+    yield [uniform_blocks(i, c) for i, c in zip(tensor.shape, clusters, strict=True)]
+    features = [row_features(tensor, n) if c > 1 else None for n, c in enumerate(clusters)]
+    for power in POWERS:
+        for cap in CAPS:
+            labels: list[NDArray[np.intp]] = []
+            for n, (f, c) in enumerate(zip(features, clusters, strict=True)):
+                if f is None:
+                    labels.append(np.zeros(tensor.shape[n], np.intp))
+                    continue
+                norm = np.sqrt((f**2).sum(1, keepdims=True))
+                scaled = f * np.where(norm > 0, norm, 1.0) ** (power - 1)
+                labels.append(balanced_clusters(scaled, c, cap, rng))
+            yield labels

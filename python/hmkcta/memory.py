@@ -1,0 +1,50 @@
+"""How much memory is free, to refuse with a sentence what would otherwise end the process."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from .errors import HmkctaError, Kind
+
+_MEMINFO = Path("/proc/meminfo")
+_LIMIT, _USED = Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory.current")
+
+
+def available_memory() -> int | None:
+    """Bytes that can be allocated now, within the limits of a container; None where the system does not say."""
+    free: list[int] = []
+    try:
+        fields = dict(line.split(":", 1) for line in _MEMINFO.read_text().splitlines())
+        free.append(int(fields["MemAvailable"].split()[0]) * 1024)
+        free.append(int(_LIMIT.read_text()) - int(_USED.read_text()))
+    except (OSError, ValueError, KeyError):  # another system, or no limit ("max")
+        pass
+    return max(0, min(free)) if free else None
+
+
+def check_memory(needed: int, what: str, hint: str, limit: int | None = None) -> None:
+    """Refuse to allocate more than `limit` bytes, or than is available.
+
+    >>> check_memory(10, "a row", "ask for less", limit=9)
+    Traceback (most recent call last):
+        ...
+    hmkcta.errors.HmkctaError: memory for a row: found 10 B, allowed 9 B. Next: ask for less. [ResourceLimit/memory]
+    """
+    allowed = available_memory() if limit is None else limit
+    if allowed is not None and needed > allowed:
+        raise HmkctaError(Kind.RESOURCE_LIMIT, "memory", f"memory for {what}", found=format_bytes(needed),
+                          allowed=format_bytes(allowed), hint=hint)
+
+
+def format_bytes(count: int) -> str:
+    """Bytes for people, in units of 2^10.
+
+    >>> format_bytes(800), format_bytes(23_373_000)
+    ('800 B', '22.29 MiB')
+    """
+    size, unit = float(count), "B"
+    for larger in ("KiB", "MiB", "GiB", "TiB"):
+        if size < 1024:
+            break
+        size, unit = size / 1024, larger
+    return f"{size:.2f} {unit}" if unit != "B" else f"{count} B"

@@ -1,0 +1,333 @@
+"""The fitted model: an array of the source's shape that is decoded where it is looked at."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import cached_property
+from itertools import product
+from math import nan, prod
+from typing import Any, Final, final
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from .axes import axis_order, mode_sizes
+from .decode import decode_block, decode_elements
+from .errors import invalid
+from .hmkfile import encoded_size, load, save
+from .indexing import Index, Selection, select
+from .memory import available_memory, check_memory, format_bytes
+from .packed import LevelBounds, LevelQuality, Metadata, PackedLevel
+from .transform import from_json
+
+Floats = NDArray[np.float32]
+
+#: Elements of an array decoded at once: bounds memory beside the result to some 100 MB.
+_SLAB = 1 << 24
+#: Elements decoded together where each needs its coordinates.
+_SCATTERED = 1 << 18
+#: Walking the tree for one more block costs about as much as this many scattered elements.
+_BLOCK_WORTH = 512
+
+
+@final
+class Model:
+    """A compressed array of float32 values with the shape and the axes of its source.
+
+    Indexing follows NumPy and decodes only what is asked for. NumPy functions work on a model by decoding all of it.
+
+    Args:
+        metadata: axes, organisation, value transform, quality.
+        levels: the packed levels, one for each in `metadata.levels`.
+
+    Attributes:
+        metadata: as given.
+        levels: as given.
+
+    >>> from hmkcta._example import example_level, example_metadata
+    >>> m = Model(example_metadata(), [example_level()])
+    >>> m[1, ::-1]
+    array([6., 4., 2.], dtype=float32)
+    >>> float(m.sample([0.5, 1.0]))
+    3.0
+    """
+
+    def __init__(self, metadata: Metadata, levels: tuple[PackedLevel, ...] | list[PackedLevel]) -> None:
+        if not levels or len(levels) != len(metadata.levels):
+            raise invalid("level-count", "levels", len(levels), f"{max(1, len(metadata.levels))}, as the metadata say")
+        self.metadata: Final = metadata
+        self.levels: Final = tuple(levels)
+        self.shape: Final = tuple(axis.size for axis in metadata.axes)
+        self._transform: Final = from_json(metadata.transform)
+        self._sizes: Final = mode_sizes(metadata.axes, metadata.organisation)
+        order = iter(axis_order(metadata.axes, metadata.organisation))
+        self._axes_of_mode: Final = [[next(order) for _ in mode] for mode in metadata.organisation]
+
+    # What it is
+
+    @property
+    def ndim(self) -> int:
+        """Number of source axes."""
+        return len(self.shape)
+
+    @property
+    def size(self) -> int:
+        """Number of elements."""
+        return prod(self.shape)
+
+    @property
+    def dtype(self) -> np.dtype[np.float32]:
+        """Type of the decoded values; the source's is `metadata.source_dtype`."""
+        return np.dtype(np.float32)
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    @property
+    def quality(self) -> tuple[LevelQuality, ...]:
+        """SNR and errors up to each level, measured against the source when the model was made."""
+        return self.metadata.quality
+
+    @property
+    def snr(self) -> float:
+        """SNR in dB of all levels together; NaN where it was not measured."""
+        return self.quality[-1].snr_db if self.quality else nan
+
+    @cached_property
+    def nbytes(self) -> int:
+        """Exact size of the model's file in bytes."""
+        return encoded_size(self.metadata, self.levels)
+
+    @property
+    def bounds(self) -> tuple[LevelBounds, ...]:
+        """The largest C, K, R of any node, a level."""
+        return self.metadata.levels
+
+    @property
+    def decode_cost(self) -> int:
+        """Multiply-adds for one scattered element: the sum over levels of the largest node's prod R_n K_n."""
+        kept = [n for n in range(len(self._sizes)) if n not in self.metadata.undecomposed]
+        shapes = (level.shape[:, :, kept].astype(np.int64) for level in self.levels)
+        return sum(int((shape[:, 1] * shape[:, 2]).prod(axis=1).max(initial=0)) for shape in shapes)
+
+    def __repr__(self) -> str:
+        axes = " ".join(f"{axis.name}={axis.size}" for axis in self.metadata.axes)
+        levels = "1 level" if len(self.levels) == 1 else f"{len(self.levels)} levels"
+        return (f"<hmkcta.Model {axes}: {levels}, {self.snr:.2f} dB, {format_bytes(self.nbytes)}, "
+                f"{self.decode_cost} multiply-adds an element>")
+
+    def save(self, path: str | os.PathLike[str], overwrite: bool = False) -> None:
+        """Write the file, atomically.
+
+        Raises:
+            HmkctaError: there is a file already and `overwrite` is false; it cannot be written.
+        """
+        save(path, self.metadata, self.levels, overwrite=overwrite)
+
+    def at_level(self, level: int) -> Model:
+        """The model of the first `level` levels, sharing this one's arrays; it can be saved as well.
+
+        Raises:
+            HmkctaError: not 1..L.
+        """
+        if not 1 <= level <= len(self.levels):
+            raise invalid("level-out-of-range", "level", level, f"1 to {len(self.levels)}")
+        if level == len(self.levels):
+            return self
+        absent = (None,) * len(self._sizes)
+        last = replace(self.levels[level - 1], child=None, part=absent, local=absent)
+        metadata = replace(self.metadata, levels=self.metadata.levels[:level], quality=self.quality[:level])
+        return Model(metadata, (*self.levels[: level - 1], last))
+
+    # Its elements
+
+    def __getitem__(self, key: Any) -> Any:
+        """Decode the elements that NumPy would return for this key, as float32 (a scalar for a single element).
+
+        Raises:
+            IndexingError: a key that does not fit; it is an IndexError too.
+            HmkctaError: the result does not fit into memory.
+        """
+        chosen = select(key, self.shape)
+        check_memory(4 * prod(chosen.shape), f"{' x '.join(map(str, chosen.shape))} elements",
+                     "index a smaller part, or reconstruct into a numpy.memmap")
+        values = np.empty(chosen.shape, np.float32)
+        self._decode(chosen, values)
+        return values if values.ndim else values[()]
+
+    def __iter__(self) -> Iterator[Any]:
+        return (self[i] for i in range(len(self)))
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
+        """All elements; what NumPy calls to use the model as an array."""
+        if copy is False:
+            raise ValueError("a model is decoded into a new array: copy=False cannot be")
+        values = self.reconstruct()
+        return values if dtype is None else values.astype(dtype, copy=False)
+
+    def sample(self, coords: Any) -> Any:
+        """Multilinear interpolation between the elements.
+
+        Args:
+            coords: positions in units of indices, [.., ndim], each from 0 to the axis's size - 1.
+
+        Returns:
+            Values, [..], float32.
+
+        Raises:
+            HmkctaError: a position outside or NaN, or not `ndim` numbers each.
+        """
+        points = np.asarray(coords, np.float64)
+        if not points.ndim or points.shape[-1] != self.ndim:
+            raise invalid("coords-shape", "coords", f"shape {points.shape}", f"[.., {self.ndim}], one number an axis")
+        flat = points.reshape(-1, self.ndim)
+        last = np.array(self.shape) - 1
+        outside = ~((flat >= 0) & (flat <= last))
+        if outside.any():
+            row, axis = (int(i) for i in np.argwhere(outside)[0])
+            raise invalid("coords-out-of-range", f"coords of axis {self.metadata.axes[axis].name}",
+                          f"{flat[row, axis]} ({int(outside.any(axis=1).sum())} such positions)", f"0 to {last[axis]}")
+        values = np.empty(len(flat), np.float32)
+        step = max(1, _SCATTERED >> self.ndim)
+        for start in range(0, len(flat), step):
+            values[start : start + step] = self._interpolate(flat[start : start + step])
+        return values.reshape(points.shape[:-1])[()]
+
+    def reconstruct(self, out: NDArray[Any] | None = None, max_memory: int | None = None) -> NDArray[Any]:
+        """Decode all elements, slab by slab along the first axis.
+
+        Args:
+            out: array of float32 or float64 to fill, of the source's shape, for instance a `numpy.memmap`; a new
+                float32 array by default.
+            max_memory: bytes to allocate at most; what is available by default.
+
+        Returns:
+            `out`, or the new array.
+
+        Raises:
+            HmkctaError: `out` has another shape or no floats; the memory does not suffice.
+        """
+        if out is not None and (out.shape != self.shape or out.dtype.kind != "f" or out.itemsize < 4):
+            raise invalid("out-shape", "out", f"{out.dtype} of shape {out.shape}",
+                          f"float32 or float64 of shape {self.shape}")
+        limit = available_memory() if max_memory is None else max_memory
+        own = 0 if out is not None else 4 * self.size
+        # A slab and the decoder's working arrays take up to four times its elements.
+        slab = _SLAB if limit is None else min(_SLAB, (limit - own) // 16)
+        check_memory(own + 16 * min(1 << 16, self.size), f"all {self.size} elements",
+                     "give a numpy.memmap as out, or index a part", limit)
+        result = np.empty(self.shape, np.float32) if out is None else out
+        self._decode(select((), self.shape), result, slab)
+        return result
+
+    def _decode(self, chosen: Selection, out: NDArray[Any], slab: int = _SLAB) -> None:
+        """Decode a selection into `out`, slab by slab."""
+        for part in _slabs(chosen.shape, slab) if out.size else ():
+            cut = [index[tuple(span if length > 1 else slice(None)
+                               for span, length in zip(part, index.shape, strict=False))] for index in chosen.axes]
+            out[part] = self._decode_slab(self._in_modes(cut), out[part].shape)
+
+    def _in_modes(self, axes: Sequence[Index]) -> list[Index]:
+        """Indices of the modes from those of the source axes: C-order flattening of the mode's axes."""
+        modes: list[Index] = []
+        for members in self._axes_of_mode:
+            index = axes[members[0]]
+            for axis in members[1:]:
+                index = index * self.shape[axis] + axes[axis]
+            modes.append(index)
+        return modes
+
+    def _decode_slab(self, modes: list[Index], shape: tuple[int, ...]) -> Floats:
+        """Decode by blocks where the modes vary independently, else element by element.
+
+        Args:
+            modes: indices of each mode, broadcastable to `shape`.
+            shape: of the result.
+        """
+        along = [{d for d, length in enumerate(index.shape) if length > 1} for index in modes]
+        shared = sorted({d for n, dims in enumerate(along) for other in along[:n] for d in dims & other})
+        out = np.empty(shape, np.float32)
+        if shared and prod(length for d, length in enumerate(shape) if d not in shared) < _BLOCK_WORTH:
+            flat, spread = out.reshape(-1), [np.broadcast_to(index, shape).flat for index in modes]
+            for start in range(0, out.size, _SCATTERED):
+                part = slice(start, min(start + _SCATTERED, out.size))
+                flat[part] = self._elements(np.stack([index[part] for index in spread], axis=1))
+            return out
+        # A block for each combination of the indices that several modes share; one, where they share none.
+        for point in product(*(range(shape[d]) for d in shared)):
+            at = {d: slice(i, i + 1) for d, i in zip(shared, point, strict=True)}
+            rows = [index[tuple(at.get(d, slice(None)) if length > 1 else slice(None)
+                                for d, length in enumerate(index.shape))] for index in modes]
+            part = tuple(at.get(d, slice(None)) for d in range(len(shape)))
+            out[part] = self._block(rows).reshape(out[part].shape)
+        return out
+
+    def _block(self, modes: list[Index]) -> Floats:
+        """Decode the outer product of the modes' indices; its dimensions longer than 1, in ascending order."""
+        rows = [index.reshape(-1) for index in modes]
+        block = self._source_values(lambda dtype: decode_block(self.levels, self._sizes, rows, dtype=dtype))
+        split = [(d, length) for index in modes for d, length in enumerate(index.shape) if length > 1]
+        in_order = sorted(range(len(split)), key=lambda i: split[i][0])
+        return block.reshape([length for _, length in split]).transpose(in_order)
+
+    def _elements(self, coords: Index) -> Floats:
+        """Decode elements by their mode indices, [B, N]."""
+        return self._source_values(lambda dtype: decode_elements(self.levels, self._sizes, coords, dtype=dtype))
+
+    def _source_values(self, decode: Callable[[DTypeLike], NDArray[Any]]) -> Floats:
+        """Decode and undo the value transform; numbers too large for float32 become its largest."""
+        values = self._transform.inverse(decode(np.float32))
+        if np.isfinite(values).all():
+            return values
+        largest = np.finfo(np.float32).max
+        return np.clip(self._transform.inverse(decode(np.float64)), -largest, largest).astype(np.float32)
+
+    def _interpolate(self, points: NDArray[np.float64]) -> Floats:
+        """`sample` for valid points [B, ndim]: the weighted sum of the 2^d elements around each."""
+        low = np.minimum(points.astype(np.intp), np.maximum(np.array(self.shape) - 2, 0))
+        fraction = (points - low).astype(np.float32)
+        between = np.flatnonzero(fraction.any(axis=0)).tolist()  # axes along which any point is off the grid
+        corners, weights = [low], [np.ones(len(points), np.float32)]
+        for axis in between:
+            step = np.zeros(self.ndim, np.intp)
+            step[axis] = 1
+            weights = [w * f for f in (1 - fraction[:, axis], fraction[:, axis]) for w in weights]
+            corners = [*corners, *(corner + step for corner in corners)]
+        indices = np.concatenate(corners)
+        modes = self._in_modes([indices[:, axis] for axis in range(self.ndim)])
+        values = self._elements(np.stack(modes, axis=1)).reshape(len(corners), -1)
+        return np.einsum("cb,cb->b", np.stack(weights), values)
+
+
+def open(path: str | os.PathLike[str], verify: bool = True) -> Model:
+    """Open a file; its arrays are mapped, not read, until they are needed.
+
+    Args:
+        path: the file.
+        verify: compare its checksums.
+
+    Raises:
+        HmkctaError: it is missing, damaged, or of a later version.
+    """
+    metadata, levels = load(path, verify=verify)
+    return Model(metadata, levels)
+
+
+def _slabs(shape: tuple[int, ...], limit: int) -> Iterator[tuple[slice, ...]]:
+    """Cut an array into slabs of up to `limit` elements along the first axis, along the next where one is too large.
+
+    >>> list(_slabs((2, 3), 3))
+    [(slice(0, 1, None),), (slice(1, 2, None),)]
+    """
+    if not shape:  # a single element
+        yield ()
+        return
+    axis = 0
+    while axis < len(shape) - 1 and prod(shape[axis + 1 :]) > limit:
+        axis += 1
+    length = max(1, limit // max(1, prod(shape[axis + 1 :])))
+    for lead in np.ndindex(*shape[:axis]):
+        for start in range(0, shape[axis], length):
+            yield (*(slice(i, i + 1) for i in lead), slice(start, min(start + length, shape[axis])))

@@ -1,0 +1,115 @@
+"""A fitted model as the file stores it: flat arrays a level, and the metadata (`docs/format.md`, sections 3 and 5).
+
+Every decoder works on exactly these arrays, so that there is one layout to understand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .axes import Axis, Organisation
+
+U16 = NDArray[np.uint16]
+U32 = NDArray[np.uint32]
+F16 = NDArray[np.float16]
+F32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class PackedLevel:
+    """The arrays of one level with S nodes of a tensor with N modes; None where the format leaves an array out.
+
+    Tuples are indexed by mode. The part of node ``s`` in a ragged array ``X`` is ``X[X_offset[s] : X_offset[s + 1]]``.
+    """
+
+    shape: U32  # [S, 3, N]: C, K, R of each node
+    child: U32 | None  # [S + 1]; None at the last level
+    row_offset: tuple[U32, ...]  # N x [S + 1]
+    core: F16  # per node [PC, R_1, .., R_N]
+    core_offset: U32
+    core_scale: F32  # per node [PC]
+    cell_offset: U32
+    cluster: tuple[U16 | None, ...]  # per node [m, K_n]
+    cluster_offset: tuple[U32 | None, ...]
+    basis: tuple[F16 | None, ...]  # per node [m, K_n, PC_-n, R_n]
+    basis_offset: tuple[U32 | None, ...]
+    part: tuple[U16 | None, ...]  # [rows]; None at the last level and for undecomposed modes
+    local: tuple[U32 | None, ...]  # [rows]; likewise
+
+    @property
+    def nodes(self) -> int:
+        """S, the number of nodes of the level."""
+        return self.shape.shape[0]
+
+    @property
+    def order(self) -> int:
+        """N, the number of modes."""
+        return self.shape.shape[2]
+
+    def numbers(self) -> int:
+        """Core and basis numbers stored, what the paper counts (2 bytes each)."""
+        return self.core.size + sum(basis.size for basis in self.basis if basis is not None)
+
+    def tables(self) -> Iterator[tuple[str, NDArray[Any]]]:
+        """Names (without ``level/<l>/``) and arrays of the small integer and scale tables."""
+        yield "shape", self.shape
+        if self.child is not None:
+            yield "child", self.child
+        yield "core_offset", self.core_offset
+        yield "cell_offset", self.cell_offset
+        yield "core_scale", self.core_scale
+        for n in range(self.order):
+            yield f"row_offset/{n}", self.row_offset[n]
+            per_mode = (("cluster", self.cluster[n]), ("cluster_offset", self.cluster_offset[n]),
+                        ("basis_offset", self.basis_offset[n]), ("part", self.part[n]), ("local", self.local[n]))
+            yield from ((f"{name}/{n}", array) for name, array in per_mode if array is not None)
+
+    def coefficients(self) -> Iterator[tuple[str, F16]]:
+        """Names (without ``level/<l>/``) and arrays of the float16 numbers."""
+        yield "core", self.core
+        yield from ((f"basis/{n}", basis) for n, basis in enumerate(self.basis) if basis is not None)
+
+
+@dataclass(frozen=True)
+class LevelQuality:
+    """Quality up to a level, measured on the stored numbers in float64 against the source."""
+
+    snr_db: float
+    rmse: float
+    max_abs_error: float
+
+
+@dataclass(frozen=True)
+class LevelBounds:
+    """The largest C, K, R of any node of a level, and its subdivision scheme: what a shader is built for."""
+
+    clusters: tuple[int, ...]
+    mixture: tuple[int, ...]
+    ranks: tuple[int, ...]
+    scheme: str
+
+
+@dataclass(frozen=True, eq=False)
+class Metadata:
+    """What a decoder and a person need to know about a file (`docs/format.md`, section 5).
+
+    `transform` is the value transform as stored, ``{"name": "identity"}`` or a name with its constants;
+    `quality` is in the domain of the source values.
+    """
+
+    source_dtype: str
+    axes: tuple[Axis, ...]
+    organisation: Organisation
+    levels: tuple[LevelBounds, ...]
+    undecomposed: tuple[int, ...] = ()
+    kind: str = "generic"
+    transform: dict[str, Any] = field(default_factory=lambda: {"name": "identity"})
+    quality: tuple[LevelQuality, ...] = ()
+    source: dict[str, Any] = field(default_factory=dict[str, Any])
+    writer: str = ""
+    seed: int = 0

@@ -1,0 +1,163 @@
+"""What to fit: organisation, levels, ranks, clusters, mixtures; printable and priced before hours are spent.
+
+``R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2 / R=2,2,3,3 C=3,3,4,4 K=2`` is WH4 of the paper's table 2: one level a part,
+one number stands for all modes, ``R=*`` leaves a mode undecomposed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from math import comb, prod
+
+from .axes import Organisation
+from .errors import invalid
+
+SCHEMES = ("most", "least", "uniform")
+UNDECOMPOSED = None  # a rank of None: the mode keeps its identity basis
+
+#: Beyond this many cluster subsets in a mode the optimal search gives way to the greedy one (docs/design-notes.md).
+OPTIMAL_SUBSETS = 64
+
+
+@dataclass(frozen=True)
+class LevelSpec:
+    """R_n (None: undecomposed), C_n and K_n of one level, and how its residual is subdivided for the next.
+
+    >>> LevelSpec((2, 2, None), (4, 3, 1), (2, 2, 1)).search
+    'optimal'
+    """
+
+    ranks: tuple[int | None, ...]
+    clusters: tuple[int, ...]
+    mixture: tuple[int, ...]
+    scheme: str = "most"
+
+    def __post_init__(self) -> None:
+        if self.scheme not in SCHEMES:
+            raise invalid("unknown-scheme", "scheme", self.scheme, ", ".join(SCHEMES))
+        for n, (rank, clusters, mixture) in enumerate(zip(self.ranks, self.clusters, self.mixture, strict=True)):
+            mode = f"mode {n + 1}"
+            if rank is not None and rank < 1:
+                raise invalid("rank-too-small", f"R of {mode}", rank, "1 or more, or * for an undecomposed mode")
+            if clusters < 1:
+                raise invalid("clusters-too-small", f"C of {mode}", clusters, "1 or more")
+            if not 1 <= mixture <= min(clusters, 8):
+                raise invalid("mixture-out-of-range", f"K of {mode}", mixture, f"1 to {min(clusters, 8)} (C is {clusters})")
+            if rank is None and clusters > 1:
+                raise invalid("undecomposed-clustered", f"C of {mode}", clusters, "1, as R=* leaves the mode undecomposed")
+
+    @property
+    def order(self) -> int:
+        """N, the number of modes."""
+        return len(self.ranks)
+
+    @property
+    def search(self) -> str:
+        """How cluster subsets are found: over all binom(C, K) of them, or greedily where they explode."""
+        subsets = max(comb(c, k) for c, k in zip(self.clusters, self.mixture, strict=True))
+        return "optimal" if subsets <= OPTIMAL_SUBSETS else "greedy"
+
+    @property
+    def cells(self) -> int:
+        """PC, the number of clusters c = (c_1..c_N) of a node."""
+        return prod(self.clusters)
+
+    def decode_cost(self) -> int:
+        """Multiply-adds for one scattered element, prod R_n K_n; an undecomposed mode is only indexed.
+
+        >>> LevelSpec((2, 2, 3, 3), (4, 3, 4, 4), (2, 2, 2, 2)).decode_cost()
+        576
+        """
+        return prod(r * k for r, k in zip(self.ranks, self.mixture, strict=True) if r is not None)
+
+    def clamped(self, sizes: Sequence[int]) -> LevelSpec:
+        """The spec for a node of these sizes: C <= I, K <= C, R <= I."""
+        clusters = tuple(min(c, max(i, 1)) for c, i in zip(self.clusters, sizes, strict=True))
+        return LevelSpec(
+            tuple(None if r is None else min(r, i) for r, i in zip(self.ranks, sizes, strict=True)),
+            clusters, tuple(min(k, c) for k, c in zip(self.mixture, clusters, strict=True)), self.scheme,
+        )
+
+    def numbers(self, sizes: Sequence[int]) -> int:
+        """Core and basis numbers of one node of the given mode sizes (`docs/format.md`, section 4)."""
+        ranks = [i if r is None else r for r, i in zip(self.ranks, sizes, strict=True)]
+        basis = sum(i * k * self.cells // c * r for i, k, c, r, spec in
+                    zip(sizes, self.mixture, self.clusters, ranks, self.ranks, strict=True) if spec is not None)
+        return self.cells * prod(ranks) + basis
+
+    def __str__(self) -> str:
+        def joined(values: Iterable[int | None]) -> str:
+            texts = ["*" if value is None else str(value) for value in values]
+            return texts[0] if len(set(texts)) == 1 else ",".join(texts)
+
+        text = "R=" + ",".join("*" if r is None else str(r) for r in self.ranks)
+        if self.cells > 1:
+            text += f" C={','.join(map(str, self.clusters))}"
+        if max(self.mixture) > 1:
+            text += f" K={joined(self.mixture)}"
+        return text
+
+
+def parse_level(text: str, order: int, scheme: str = "most") -> LevelSpec:
+    """Read one level, e.g. ``R=2,2,3,* C=4,3,4,1 K=2``.
+
+    One number stands for all modes; K is clamped to C, so that ``K=2`` leaves unclustered modes alone.
+
+    >>> parse_level("R=2,2,3,* C=4,3,4,1 K=2", 4)
+    LevelSpec(ranks=(2, 2, 3, None), clusters=(4, 3, 4, 1), mixture=(2, 2, 2, 1), scheme='most')
+    """
+    fields: dict[str, tuple[int | None, ...]] = {"C": (1,) * order, "K": (1,) * order}
+    for word in text.split():
+        key, equals, values = word.partition("=")
+        if not equals or key not in ("R", "C", "K"):
+            raise invalid("plan-syntax", "plan", repr(word), "R=.. C=.. K=.. for each level, levels parted by /")
+        fields[key] = _values(key, values, order)
+    if "R" not in fields:
+        raise invalid("plan-syntax", "plan", repr(text.strip()), "R=.. in each level")
+    clusters = tuple(c or 1 for c in fields["C"])
+    mixture = tuple(min(k or 1, c) if len(set(fields["K"])) == 1 else (k or 1)
+                    for k, c in zip(fields["K"], clusters, strict=True))
+    return LevelSpec(fields["R"], clusters, mixture, scheme)
+
+
+def _values(key: str, text: str, order: int) -> tuple[int | None, ...]:
+    words = text.split(",")
+    if len(words) == 1:
+        words *= order
+    if len(words) != order:
+        raise invalid("plan-modes", f"{key} of the plan", f"{len(words)} values ({text})", f"1 or {order}, one a mode")
+    values: list[int | None] = []
+    for word in words:
+        if word == "*" and key == "R":
+            values.append(UNDECOMPOSED)
+        elif word.isascii() and word.isdigit():
+            values.append(int(word))
+        else:
+            raise invalid("plan-number", f"{key} of the plan", repr(word), "whole numbers" + (" or *" if key == "R" else ""))
+    return tuple(values)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Levels and the organisation of axes into modes; goals that the levels with node shapes of their own are cut to.
+
+    `size` bounds the bytes of the whole file, `snr` is met and not much exceeded; both None: fit exactly the levels.
+    """
+
+    organisation: Organisation
+    levels: tuple[LevelSpec, ...]
+    snr: float | None = None
+    size: int | None = None
+
+    def __str__(self) -> str:
+        return " / ".join(str(level) for level in self.levels)
+
+    def decode_cost(self) -> int:
+        """Multiply-adds for one scattered element: sum over levels of prod R_n K_n (paper, section 4.3)."""
+        return sum(level.decode_cost() for level in self.levels)
+
+
+def parse_plan(text: str, organisation: Organisation, scheme: str = "most") -> Plan:
+    """Read levels parted by ``/``; see `parse_level`."""
+    return Plan(organisation, tuple(parse_level(part, len(organisation), scheme) for part in text.split("/")))

@@ -1,0 +1,157 @@
+"""Value transforms for data of high dynamic range: what is fitted is f(x), and every decoded value goes back.
+
+| name | f(x) | values allowed |
+| --- | --- | --- |
+| `identity` | x | any |
+| `log1p` | log(1 + x / scale) | above -scale |
+| `asinh` | arcsinh(x / scale): linear near 0, logarithmic beyond the scale, for signed data | finite |
+| `sqrt` | square root of x | 0 or more |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import invalid
+
+Values = NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True)
+class _Rule:
+    """f and its inverse at scale 1, the values f takes at scale 1, and whether a scale has a meaning."""
+
+    forward: Callable[[Values], Values]
+    inverse: Callable[[Values], Values]
+    allowed: Callable[[Values], NDArray[np.bool_]]
+    domain: str  # in words; {scale} stands for the scale
+    scaled: bool
+
+
+def _finite(x: Values) -> NDArray[np.bool_]:
+    return np.isfinite(x)
+
+
+_RULES = {
+    "identity": _Rule(lambda x: x, lambda y: y, lambda x: np.ones(x.shape, np.bool_), "any number", False),
+    "log1p": _Rule(np.log1p, np.expm1, lambda x: _finite(x) & (x > -1), "finite numbers above -{scale:g}", True),
+    "asinh": _Rule(np.arcsinh, np.sinh, _finite, "finite numbers", True),
+    # A decoded root a little below zero stands for zero, not for the square of the error.
+    "sqrt": _Rule(np.sqrt, lambda y: np.square(np.maximum(y, 0)), lambda x: _finite(x) & (x >= 0), "0 or more", False),
+}
+
+
+@dataclass(frozen=True)
+class Transform:
+    """A value transform and its scale, in the unit of the source values.
+
+    >>> Transform("log1p", 0.5).forward(np.array([0.0, 0.5]))
+    array([0.        , 0.69314718])
+
+    Raises:
+        HmkctaError: the name is unknown; the scale is not a positive number, or given where it means nothing.
+    """
+
+    name: str = "identity"
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.name not in _RULES:
+            raise invalid("unknown-transform", "transform", self.name, ", ".join(_RULES))
+        if not (isfinite(self.scale) and self.scale > 0):
+            raise invalid("transform-scale", f"scale of {self.name}", self.scale, "a positive number")
+        if self.scale != 1 and not _RULES[self.name].scaled:
+            raise invalid("transform-scale", f"scale of {self.name}", self.scale, "none", f"write {self.name}")
+
+    def forward(self, values: NDArray[Any]) -> Values:
+        """f of the values, of their shape; float32 stays float32, integers of 32 bits or more become float64.
+
+        Raises:
+            HmkctaError: values outside the domain; says how many and where the first is. `identity` looks at none.
+        """
+        x = values.astype(np.result_type(values.dtype, np.float32), copy=False)
+        rule = _RULES[self.name]
+        if rule.scaled:
+            x = x / x.dtype.type(self.scale)
+        allowed = rule.allowed(x)
+        if not allowed.all():
+            bad = np.flatnonzero(~allowed)
+            index = tuple(int(i) for i in np.unravel_index(int(bad[0]), values.shape))
+            found = f"{len(bad)} outside, the first {values[index]} at index {index}"
+            raise invalid(
+                "transform-domain", f"values for {self}", found,
+                rule.domain.format(scale=self.scale), "choose asinh for signed data, or clean the values")
+        return rule.forward(x)
+
+    def inverse(self, values: Values) -> Values:
+        """The x with f(x) = value, of the same shape and type.
+
+        What is too large for the type becomes its largest number: a decoder never makes infinity.
+
+        >>> Transform("sqrt").inverse(np.array([2.0, -0.1]))
+        array([4., 0.])
+        """
+        if self.name == "identity":
+            return values
+        with np.errstate(over="ignore"):
+            x = _RULES[self.name].inverse(values) * values.dtype.type(self.scale)
+        largest = np.finfo(values.dtype).max
+        return np.clip(x, -largest, largest)
+
+    def to_json(self) -> dict[str, Any]:
+        """What the file stores.
+
+        >>> Transform("asinh", 2.0).to_json()
+        {'name': 'asinh', 'scale': 2.0}
+        """
+        return {"name": self.name, "scale": self.scale} if _RULES[self.name].scaled else {"name": self.name}
+
+    def __str__(self) -> str:
+        """The text `parse` reads."""
+        return f"{self.name}:{self.scale!r}" if self.scale != 1 else self.name
+
+
+def from_json(stored: Mapping[str, Any]) -> Transform:
+    """The transform a file stores.
+
+    >>> from_json({"name": "log1p", "scale": 0.5})
+    Transform(name='log1p', scale=0.5)
+
+    Raises:
+        HmkctaError: unknown name, missing, unknown or bad constants.
+    """
+    name = stored.get("name")
+    if not isinstance(name, str) or name not in _RULES:
+        raise invalid("unknown-transform", "transform.name", repr(name), ", ".join(_RULES))
+    expected = {"name", "scale"} if _RULES[name].scaled else {"name"}
+    if set(stored) != expected:
+        raise invalid("transform-fields", "transform", ", ".join(sorted(stored)), ", ".join(sorted(expected)))
+    scale = stored.get("scale", 1.0)
+    if isinstance(scale, bool) or not isinstance(scale, int | float):
+        raise invalid("transform-scale", "transform.scale", repr(cast("object", scale)), "a positive number")
+    return Transform(name, float(scale))
+
+
+def parse(text: str) -> Transform:
+    """Read ``name`` or ``name:scale``.
+
+    >>> parse("log1p:0.5")
+    Transform(name='log1p', scale=0.5)
+
+    Raises:
+        HmkctaError: unknown name or bad scale.
+    """
+    name, colon, scale = text.strip().partition(":")
+    if not colon:
+        return Transform(name)
+    try:
+        number = float(scale)
+    except ValueError:
+        raise invalid("transform-scale", f"scale of {name}", repr(scale), "a positive number") from None
+    return Transform(name, number)

@@ -1,0 +1,68 @@
+"""Write the committed fixtures of the current format version; files that are there are never written again.
+
+Run as ``python tests/make_fixture.py`` after a new version is released. Later code must decode them to the values
+that were written down beside them, so they are evidence only as long as nobody regenerates them.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hmkcta.axes import Axis, mode_sizes
+from hmkcta.hmkfile import VERSION, save
+from hmkcta.packed import LevelQuality, Metadata, PackedLevel
+from literal_decode import element
+from random_models import Shapes, random_model
+
+FIXTURES = Path(__file__).parent / "fixtures"
+
+
+def small_model() -> tuple[Metadata, tuple[PackedLevel, ...]]:
+    """Two modes, one of them undecomposed, two levels, names and units beyond ASCII."""
+    axes = (Axis("höhe", 4, "space", np.array([0.0, 0.5, 1.0, 2.5]), "µm"), Axis("t", 3, "time"))
+    metadata, levels = random_model(np.random.default_rng(342), (4, 3), 2, (1,), axes=axes,
+                                    organisation=(("höhe",), ("t",)), shapes=Shapes(max_rank=2, zero=0.3, leaf=0.0))
+    exact = LevelQuality(float("inf"), 0.0, 0.0)
+    return replace(metadata, kind="volume", seed=7, quality=(metadata.quality[0], exact)), levels
+
+
+def merged_model() -> tuple[Metadata, tuple[PackedLevel, ...]]:
+    """Four axes in three modes, colour folded into light, time undecomposed, three levels, coordinates as arrays."""
+    directions = np.random.default_rng(3).normal(size=(24, 3)).astype(np.float32)
+    axes = (Axis("light", 24, "light", directions, "unit vectors"), Axis("texel", 6, "space"),
+            Axis("frame", 2, "time", np.array([0.0, 0.04]), "s"), Axis("rgb", 3, "channel"))
+    organisation = (("light", "rgb"), ("texel",), ("frame",))
+    metadata, levels = random_model(np.random.default_rng(302), mode_sizes(axes, organisation), 3, (2,), axes=axes,
+                                    organisation=organisation, shapes=Shapes(2, 2, 2, 4, 0.15, 0.25))
+    return replace(metadata, kind="svbrdf", source_dtype="float16"), levels
+
+
+def expectations(metadata: Metadata, levels: tuple[PackedLevel, ...]) -> dict[str, Any]:
+    """What a reader of any language must find: some elements up to each level, by section 4 of the specification."""
+    sizes = mode_sizes(metadata.axes, metadata.organisation)
+    rng = np.random.default_rng(0)
+    indices = [[int(rng.integers(size)) for size in sizes] for _ in range(24)]
+    values = [[element(levels, index, upto) for upto in range(1, len(levels) + 1)] for index in indices]
+    return {"mode_sizes": list(sizes), "nodes": [level.nodes for level in levels],
+            "numbers": [level.numbers() for level in levels], "indices": indices, "values": values}
+
+
+def write_fixtures(folder: Path) -> None:
+    """Write both fixtures with their expectations.
+
+    Raises:
+        HmkctaError: ``output-exists``, as a fixture once written stays as it is.
+    """
+    for name, model in (("small", small_model()), ("merged", merged_model())):
+        path = folder / f"v{VERSION}-{name}.hmk"
+        save(path, *model)
+        path.with_suffix(".json").write_text(json.dumps(expectations(*model)) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    write_fixtures(FIXTURES)

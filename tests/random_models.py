@@ -1,0 +1,166 @@
+"""Random valid packed models, made without any fitting: what tests of the file and of the decoders work on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import prod
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hmkcta.axes import Axis, Organisation, name_axes, separate
+from hmkcta.packed import F16, U16, U32, LevelBounds, LevelQuality, Metadata, PackedLevel
+
+Sizes = tuple[int, ...]
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """How large the nodes of a random model get, and how often a node adds nothing or has no children."""
+
+    max_clusters: int = 3
+    max_mixture: int = 2
+    max_rank: int = 3
+    max_cells: int = 12  # PC of a node, which bounds the number of its children
+    zero: float = 0.15  # chance that a node below level 1 has shape zero
+    leaf: float = 0.15  # chance that a node above the last level has no children
+
+
+@dataclass(frozen=True, eq=False)
+class Node:
+    """One node before packing: rows, C, K and R a mode, and the arrays of its rows."""
+
+    rows: Sizes
+    clusters: Sizes
+    mixture: Sizes
+    ranks: Sizes
+    core: F16  # [PC, R_1, .., R_N]
+    scale: NDArray[np.float32]  # [PC]
+    cluster: tuple[U16 | None, ...]  # [m, K_n]
+    basis: tuple[F16 | None, ...]  # [m, K_n, PC_-n, R_n]
+    part: tuple[U16 | None, ...]  # [m]
+    local: tuple[U32 | None, ...]  # [m]
+    children: tuple[Sizes, ...]  # rows of each child
+
+
+def random_model(rng: np.random.Generator, sizes: Sequence[int], levels: int = 2, undecomposed: Sequence[int] = (), *,
+                 shapes: Shapes = Shapes(), axes: tuple[Axis, ...] | None = None,
+                 organisation: Organisation | None = None) -> tuple[Metadata, tuple[PackedLevel, ...]]:
+    """A random model of a tensor with these mode sizes; every choice the format leaves open is drawn from `rng`.
+
+    The quality in the metadata is made up. With `axes` and `organisation` modes can be merged axes, of these sizes.
+    """
+    axes = axes if axes is not None else name_axes(sizes)
+    packed: list[PackedLevel] = []
+    rows = [tuple(sizes)]
+    for level in range(1, levels + 1):
+        nodes = [_random_node(rng, owned, undecomposed, shapes, root=level == 1, last=level == levels)
+                 for owned in rows]
+        packed.append(_pack(nodes, len(sizes), undecomposed, last=level == levels))
+        rows = [child for node in nodes for child in node.children]
+    quality = tuple(LevelQuality(float(snr), float(1 / snr), float(2 / snr)) for snr in 10.0 + 8.0 * np.arange(levels))
+    metadata = Metadata("float32", axes, organisation or separate(axes), tuple(map(bounds_of, packed)),
+                        tuple(undecomposed), quality=quality, source={"sha256": "0" * 64}, writer="random_models")
+    return metadata, tuple(packed)
+
+
+def bounds_of(level: PackedLevel) -> LevelBounds:
+    """The largest C, K and R of a level's nodes."""
+    clusters, mixture, ranks = (tuple(map(int, row)) for row in level.shape.max(axis=0, initial=0))
+    return LevelBounds(clusters, mixture, ranks, "most")
+
+
+def _random_node(rng: np.random.Generator, rows: Sizes, undecomposed: Sequence[int], shapes: Shapes, *, root: bool,
+                 last: bool) -> Node:
+    order = len(rows)
+    zero = 0 in rows or (not root and rng.random() < shapes.zero)
+    clusters, mixture, ranks = _random_shape(rng, rows, undecomposed, shapes) if not zero else ((0,) * order,) * 3
+    inner = not zero and not last and rng.random() >= shapes.leaf
+
+    def decomposed(make: Callable[[int], NDArray[Scalar]]) -> tuple[NDArray[Scalar] | None, ...]:
+        return tuple(None if n in undecomposed else make(n) for n in range(order))
+
+    def subsets(n: int) -> U16:
+        chosen = [np.sort(rng.permutation(clusters[n])[:mixture[n]]) for _ in range(rows[n])]
+        return np.array(chosen, np.uint16).reshape(rows[n], mixture[n])
+
+    def basis(n: int) -> F16:
+        others = prod(clusters[:n] + clusters[n + 1:])
+        return rng.uniform(-1, 1, (rows[n], mixture[n], others, ranks[n])).astype(np.float16)
+
+    def parts(n: int) -> U16:
+        return rng.integers(clusters[n], size=rows[n]).astype(np.uint16) if inner else np.zeros(rows[n], np.uint16)
+
+    part = decomposed(parts)
+    keep = not inner or prod(clusters) == 1
+    local = tuple(None if p is None else _random_places(rng, p, keep, inner) for p in part)
+    core = rng.normal(size=(prod(clusters), *ranks)).astype(np.float16)
+    scale = rng.uniform(0.25, 2.0, prod(clusters)).astype(np.float32)
+    children = _child_rows(rows, clusters, part) if inner else ()
+    return Node(rows, clusters, mixture, ranks, core, scale, decomposed(subsets), decomposed(basis), part, local,
+                children)
+
+
+def _random_shape(rng: np.random.Generator, rows: Sizes, undecomposed: Sequence[int], shapes: Shapes
+                  ) -> tuple[Sizes, Sizes, Sizes]:
+    """C, K and R of a node; where there would be too many cells, the most clustered modes lose their clusters."""
+    clusters = [1 if n in undecomposed else int(rng.integers(1, shapes.max_clusters + 1)) for n in range(len(rows))]
+    while prod(clusters) > shapes.max_cells:
+        clusters[int(np.argmax(clusters))] = 1
+    mixture = tuple(int(rng.integers(1, min(c, shapes.max_mixture) + 1)) for c in clusters)
+    ranks = tuple(m if n in undecomposed else int(rng.integers(1, shapes.max_rank + 1)) for n, m in enumerate(rows))
+    return tuple(clusters), mixture, ranks
+
+
+def _random_places(rng: np.random.Generator, part: U16, keep: bool, inner: bool) -> U32:
+    """Positions in the children: any order within a part, unless an only child has to keep it; 0 in a leaf."""
+    local = np.zeros(part.size, np.uint32)
+    if inner:
+        for p in np.unique(part):
+            count = int((part == p).sum())
+            local[part == p] = np.arange(count) if keep else rng.permutation(count)
+    return local
+
+
+def _child_rows(rows: Sizes, clusters: Sizes, part: tuple[U16 | None, ...]) -> tuple[Sizes, ...]:
+    """Rows of the PC children, in the order of their flattened part numbers."""
+    counts = [np.array([m]) if p is None else np.bincount(p, minlength=c)
+              for m, c, p in zip(rows, clusters, part, strict=True)]
+    return tuple(tuple(int(count[i]) for count, i in zip(counts, index, strict=True))
+                 for index in np.ndindex(*clusters))
+
+
+def _pack(nodes: Sequence[Node], order: int, undecomposed: Sequence[int], *, last: bool) -> PackedLevel:
+    def ragged(get: Callable[[Node], NDArray[Any] | None], dtype: type[Scalar]) -> tuple[NDArray[Scalar], U32]:
+        parts = [part.reshape(-1) for node in nodes if (part := get(node)) is not None]
+        joined = np.concatenate([np.empty(0, dtype), *parts]).astype(dtype)
+        return joined, offsets([part.size for part in parts])
+
+    def modes(get: Callable[[Node], Sequence[NDArray[Any] | None]], dtype: type[Scalar]
+              ) -> tuple[tuple[NDArray[Scalar] | None, ...], tuple[U32 | None, ...]]:
+        packed = [None if n in undecomposed else ragged(lambda node, n=n: get(node)[n], dtype) for n in range(order)]
+        return tuple(p and p[0] for p in packed), tuple(p and p[1] for p in packed)
+
+    core, core_offset = ragged(lambda node: node.core, np.float16)
+    scale, cell_offset = ragged(lambda node: node.scale, np.float32)
+    cluster, cluster_offset = modes(lambda node: node.cluster, np.uint16)
+    basis, basis_offset = modes(lambda node: node.basis, np.float16)
+    absent = (None,) * order
+    shape = np.array([(node.clusters, node.mixture, node.ranks) for node in nodes], np.uint32)
+    return PackedLevel(
+        shape=shape.reshape(len(nodes), 3, order),
+        child=None if last else offsets([len(node.children) for node in nodes]),
+        row_offset=tuple(offsets([node.rows[n] for node in nodes]) for n in range(order)),
+        core=core, core_offset=core_offset, core_scale=scale, cell_offset=cell_offset,
+        cluster=cluster, cluster_offset=cluster_offset, basis=basis, basis_offset=basis_offset,
+        part=absent if last else modes(lambda node: node.part, np.uint16)[0],
+        local=absent if last else modes(lambda node: node.local, np.uint32)[0],
+    )
+
+
+def offsets(counts: Sequence[int]) -> U32:
+    """0 and the running sums of the counts."""
+    return np.concatenate([[0], np.cumsum(counts, dtype=np.int64)]).astype(np.uint32)

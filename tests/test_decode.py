@@ -1,0 +1,236 @@
+"""The reference decoder against a plain loop over the elements, written from docs/format.md, section 4, alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
+from math import prod
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from hmkcta import decode_dense, decode_scattered
+from hmkcta.decode import decode_block, decode_elements
+from hmkcta.errors import HmkctaError
+from hmkcta.packed import PackedLevel
+from random_models import Shapes, random_model
+
+Levels = Sequence[PackedLevel]
+
+#: Mode sizes, levels, undecomposed modes, node shapes: the paper's family from PCA to hierarchies, and odd corners.
+MODELS: dict[str, tuple[tuple[int, ...], int, tuple[int, ...], Shapes]] = {
+    "three levels": ((7, 6, 5, 8), 3, (), Shapes(max_clusters=3)),
+    "dense tree": ((9, 8, 7), 3, (), Shapes(max_clusters=3, max_cells=18, zero=0.0, leaf=0.0)),
+    "pca": ((20, 6), 1, (1,), Shapes(max_clusters=1)),
+    "clustered pca": ((6, 30), 2, (0,), Shapes(max_clusters=6, max_mixture=3)),
+    "time in the middle": ((6, 4, 7), 3, (1,), Shapes()),
+    "two undecomposed": ((3, 7, 4), 2, (0, 2), Shapes()),
+    "nothing decomposed": ((3, 4), 2, (0, 1), Shapes()),
+    "one mode": ((23,), 3, (), Shapes(max_clusters=4)),
+    "sizes of one": ((1, 5, 1), 2, (), Shapes()),
+    "hosvd": ((9, 8, 7), 1, (), Shapes(max_clusters=1, max_rank=7)),
+    "flat, many clusters": ((16, 12, 10), 1, (), Shapes(max_clusters=8, max_mixture=3, max_cells=200)),
+    "many clusters in the last mode": ((5, 60), 1, (), Shapes(max_clusters=40, max_cells=80)),
+}
+
+
+def slow_value(levels: Levels, index: Sequence[int], upto: int) -> float:
+    """format.md, section 4, line by line, in float64."""
+    s, pos, value = 0, list(index), 0.0
+    for number, level in enumerate(levels[:upto], start=1):
+        clusters, mixture, ranks = level.shape[s].tolist()
+        if not any(clusters):
+            break
+        rows = [int(offset[s + 1]) - int(offset[s]) for offset in level.row_offset]
+        core = part_of(level.core, level.core_offset, s, (*clusters, *ranks))
+        scale = part_of(level.core_scale, level.cell_offset, s, clusters)
+        for k in product(*map(range, mixture)):
+            c = [0 if level.cluster[n] is None else
+                 int(part_of(level.cluster[n], level.cluster_offset[n], s, (rows[n], mixture[n]))[pos[n], k[n]])
+                 for n in range(len(index))]
+            term = core[tuple(c)].astype(np.float64)
+            for n in range(len(index)):
+                others = [c[m] for m in range(len(index)) if m != n]
+                shape = (rows[n], mixture[n], *(clusters[m] for m in range(len(index)) if m != n), ranks[n])
+                u = np.eye(ranks[n])[pos[n]] if level.basis[n] is None else \
+                    part_of(level.basis[n], level.basis_offset[n], s, shape)[(pos[n], k[n], *others)]
+                term = np.tensordot(u.astype(np.float64), term, axes=(0, 0))
+            value += float(scale[tuple(c)]) * float(term)
+        if number < upto:
+            assert level.child is not None
+            if level.child[s] == level.child[s + 1]:
+                break
+            flat = 0
+            for n in range(len(index)):
+                part, local = level.part[n], level.local[n]
+                if part is not None and local is not None:
+                    row = int(level.row_offset[n][s]) + pos[n]
+                    flat, pos[n] = flat * clusters[n] + int(part[row]), int(local[row])
+            s = int(level.child[s]) + flat
+    return value
+
+
+def part_of(array: NDArray[Any] | None, offset: NDArray[Any] | None, s: int, shape: Sequence[int]) -> NDArray[Any]:
+    assert array is not None
+    assert offset is not None
+    return array[offset[s] : offset[s + 1]].reshape(shape)
+
+
+def slow_tensor(levels: Levels, sizes: Sequence[int], upto: int) -> NDArray[np.float64]:
+    return np.array([slow_value(levels, index, upto) for index in np.ndindex(*sizes)]).reshape(sizes)
+
+
+def every_index(sizes: Sequence[int]) -> NDArray[np.intp]:
+    return np.stack(np.unravel_index(np.arange(prod(sizes)), sizes), axis=1)
+
+
+def assert_close(found: NDArray[Any], expected: NDArray[Any], relative: float = 1e-5) -> None:
+    assert found.shape == expected.shape
+    largest = max(1e-30, float(np.abs(expected).max(initial=0)))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=relative * largest)
+
+
+def some_model(name: str, seed: int = 0) -> tuple[tuple[int, ...], Levels]:
+    sizes, depth, undecomposed, shapes = MODELS[name]
+    _, levels = random_model(np.random.default_rng([seed, *map(ord, name)]), sizes, depth, undecomposed, shapes=shapes)
+    return sizes, levels
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_elements_and_block_equal_the_plain_loop_at_every_level(name: str) -> None:
+    for seed in range(2):
+        sizes, levels = some_model(name, seed)
+        for upto in range(1, len(levels) + 1):
+            expected = slow_tensor(levels, sizes, upto)
+            assert np.abs(expected).max() > 0
+            elements = decode_elements(levels, sizes, every_index(sizes), upto)
+            assert elements.dtype == np.float32
+            assert_close(elements.reshape(sizes), expected)
+            assert_close(decode_block(levels, sizes, [np.arange(size) for size in sizes], upto), expected)
+            exact = decode_elements(levels, sizes, every_index(sizes), upto, dtype=np.float64)
+            assert_close(exact.reshape(sizes), expected, 1e-12)
+
+
+@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("way", ["nodes one by one", "elements", "small tiles"])
+def test_every_way_to_decode_a_block_gives_the_same(name: str, way: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    if way == "elements":
+        monkeypatch.setattr(decode_dense, "_PLAIN_NS", np.inf)
+        monkeypatch.setattr(decode_dense, "_CELL_NS", np.inf)
+    else:
+        monkeypatch.setattr(decode_dense, "_PLAIN_NS", 0.0)
+        monkeypatch.setattr(decode_dense, "_CELL_NS", 0.0)
+    if way == "small tiles":
+        monkeypatch.setattr(decode_dense, "TILE", 40)
+        monkeypatch.setattr(decode_dense, "BATCH", 50)
+        monkeypatch.setattr("hmkcta.decode_cells.STEP", 1)
+        monkeypatch.setattr("hmkcta.decode_cells.DENSE", 0)
+    sizes, levels = some_model(name, 5)
+    rng = np.random.default_rng(3)
+    rows = [rng.integers(0, size, size + 2) for size in sizes]
+    expected = decode_elements(levels, sizes, every_index(sizes), dtype=np.float64).reshape(sizes)[np.ix_(*rows)]
+    assert_close(decode_block(levels, sizes, rows), expected)
+
+
+@pytest.mark.parametrize("name", ["dense tree", "hosvd", "time in the middle", "flat, many clusters"])
+@pytest.mark.parametrize("way", ["gathered", "shared", "few"])
+def test_every_way_to_contract_a_core_gives_the_same(name: str, way: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    sizes, levels = some_model(name, 1)
+    coords = np.random.default_rng(4).permutation(every_index(sizes))
+    expected = decode_elements(levels, sizes, coords, dtype=np.float64)
+    monkeypatch.setattr(decode_scattered, "FEW", 10**9 if way == "few" else 0)
+    monkeypatch.setattr(decode_scattered, "PRODUCT_COST", -(10**9) if way == "shared" else 10**12)
+    monkeypatch.setattr(decode_scattered, "SORT_WORTH", 1 if way == "shared" else 10**9)
+    monkeypatch.setattr(decode_scattered, "BATCH", 100)
+    monkeypatch.setattr(decode_scattered, "CHUNK_NUMBERS", 500)
+    assert_close(decode_elements(levels, sizes, coords), expected)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), data=st.data())
+def test_blocks_of_any_rows_equal_the_elements(seed: int, data: st.DataObject) -> None:
+    rng = np.random.default_rng(seed)
+    sizes = tuple(data.draw(st.lists(st.integers(1, 9), min_size=1, max_size=4)))
+    undecomposed = [n for n in range(len(sizes)) if rng.random() < 0.2]
+    _, levels = random_model(rng, sizes, data.draw(st.integers(1, 3)), undecomposed)
+    rows = [np.array(data.draw(st.lists(st.integers(0, size - 1), max_size=6)), np.int16) for size in sizes]
+    coords = np.stack([axis.reshape(-1) for axis in np.meshgrid(*rows, indexing="ij")], axis=1)
+    expected = decode_elements(levels, sizes, coords, dtype=np.float64).reshape([len(index) for index in rows])
+    assert_close(decode_block(levels, sizes, rows), expected)
+
+
+def test_a_few_of_many_small_nodes() -> None:
+    """Thousands of nodes with one cluster each: batched where equal, element by element where not."""
+    shapes = Shapes(max_clusters=6, max_cells=1296, max_mixture=1, max_rank=2, zero=0.1, leaf=0.0)
+    rng = np.random.default_rng(12)
+    sizes = (40, 12, 24)
+    _, upper = random_model(rng, sizes, 3, shapes=shapes)
+    assert upper[2].nodes > 500
+    rows = [np.arange(size) for size in sizes]
+    expected = decode_elements(upper, sizes, every_index(sizes), dtype=np.float64).reshape(sizes)
+    assert_close(decode_block(upper, sizes, rows), expected)
+    assert_close(decode_block(upper, sizes, [rows[0][5:6], rows[1], rows[2][::-3]]), expected[5:6, :, ::-3])
+
+
+def test_out_is_overwritten_and_returned() -> None:
+    sizes, levels = some_model("dense tree")
+    rows = [np.arange(size) for size in sizes]
+    expected = decode_block(levels, sizes, rows)
+    for out in (np.full(sizes, 9, np.float32), np.full(sizes[::-1], 9, np.float64).T):
+        assert decode_block(levels, sizes, rows, out=out) is out
+        assert_close(out, expected)
+
+
+def test_nothing_asked_nothing_given() -> None:
+    sizes, levels = some_model("dense tree")
+    assert decode_elements(levels, sizes, np.empty((0, 3), np.intp)).shape == (0,)
+    assert decode_block(levels, sizes, [np.arange(2), np.empty(0, np.intp), np.arange(1)]).shape == (2, 0, 1)
+
+
+def test_large_numbers_overflow_to_what_a_caller_can_see() -> None:
+    """Cores at the end of float16 times scales at the end of float32: infinite in float32, finite in float64."""
+    sizes, levels = some_model("hosvd")
+    level = replace(levels[0], core_scale=np.full_like(levels[0].core_scale, 3e38),
+                    core=np.full_like(levels[0].core, 65504))
+    assert not np.isfinite(decode_elements([level], sizes, every_index(sizes))).all()
+    assert np.isfinite(decode_elements([level], sizes, every_index(sizes), dtype=np.float64)).all()
+
+
+BAD_COORDS: list[tuple[Any, str]] = [
+    (np.zeros((2, 2), np.intp), "coords-shape"), (np.zeros(3, np.intp), "coords-shape"),
+    (np.zeros((2, 3)), "index-type"), (np.zeros((2, 3), np.bool_), "index-type"),
+    (np.array([[0, 0, 7]]), "index-out-of-range"), (np.array([[0, -1, 0]]), "index-out-of-range"),
+]
+
+
+@pytest.mark.parametrize(("coords", "reason"), BAD_COORDS)
+def test_bad_coords_are_refused(coords: NDArray[Any], reason: str) -> None:
+    sizes, levels = some_model("dense tree")
+    with pytest.raises(HmkctaError) as caught:
+        decode_elements(levels, sizes, coords)
+    assert caught.value.reason == reason
+
+
+BAD_ROWS: list[tuple[Any, dict[str, Any], str]] = [
+    ([np.arange(3)], {}, "rows-count"),
+    ([np.arange(3), np.arange(4).reshape(2, 2), np.arange(2)], {}, "rows-shape"),
+    ([np.arange(3), np.array([8]), np.arange(2)], {}, "index-out-of-range"),
+    ([np.arange(3), np.array([0.5]), np.arange(2)], {}, "index-type"),
+    ([np.arange(3)] * 3, {"out": np.empty((3, 3, 2), np.float32)}, "out-shape"),
+    ([np.arange(3)] * 3, {"out": np.empty((3, 3, 3), np.int32)}, "dtype"),
+    ([np.arange(3)] * 3, {"upto": 4}, "level-out-of-range"),
+    ([np.arange(3)] * 3, {"upto": 0}, "level-out-of-range"),
+]
+
+
+@pytest.mark.parametrize(("rows", "options", "reason"), BAD_ROWS)
+def test_bad_rows_are_refused(rows: Any, options: dict[str, Any], reason: str) -> None:
+    sizes, levels = some_model("dense tree")
+    with pytest.raises(HmkctaError) as caught:
+        decode_block(levels, sizes, rows, **options)
+    assert caught.value.reason == reason

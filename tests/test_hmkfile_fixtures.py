@@ -1,0 +1,64 @@
+"""Files of released versions decode to what was written down when they were made, for ever."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hmk_corpus import FIXTURES
+from hmkcta.axes import mode_sizes
+from hmkcta.errors import HmkctaError
+from hmkcta.hmkfile import load
+from literal_decode import element
+from make_fixture import write_fixtures
+
+#: SHA-256 of every committed fixture: a fixture that changes is no evidence any more.
+DIGESTS = {
+    "v1.0-merged.hmk": "33f8c3adaf1f4db36abf82b8d01b72814f4bfd7a0340271bd06f2ad132dd3fd9",
+    "v1.0-small.hmk": "d69c92e8e0f00e017123e3b499e2df2e28ade57a25853e8db7b25f2e4e4a2d56",
+}
+
+
+def test_fixtures_are_there_and_unchanged() -> None:
+    found = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(FIXTURES.glob("v*.hmk"))}
+    assert found == DIGESTS
+    assert all(path.stat().st_size < 20_000 for path in FIXTURES.glob("v*.hmk"))
+
+
+@pytest.mark.parametrize("name", DIGESTS)
+def test_fixture_decodes_to_its_expectations(name: str) -> None:
+    metadata, levels = load(FIXTURES / name)
+    expected: dict[str, Any] = json.loads((FIXTURES / name).with_suffix(".json").read_text(encoding="utf-8"))
+    assert list(mode_sizes(metadata.axes, metadata.organisation)) == expected["mode_sizes"]
+    assert [level.nodes for level in levels] == expected["nodes"]
+    assert [level.numbers() for level in levels] == expected["numbers"]
+    found = [[element(levels, index, upto) for upto in range(1, len(levels) + 1)] for index in expected["indices"]]
+    np.testing.assert_allclose(found, expected["values"], rtol=1e-12, atol=1e-13)
+
+
+def test_merged_fixture_has_every_kind_of_node() -> None:
+    _, levels = load(FIXTURES / "v1.0-merged.hmk")
+    kinds: set[str] = set()
+    for level in levels:
+        rows = np.stack([np.diff(offsets.astype(np.int64)) for offsets in level.row_offset], axis=1)
+        zero, empty = (level.shape == 0).all(axis=(1, 2)), (rows == 0).any(axis=1)
+        children = np.zeros(level.nodes) if level.child is None else np.diff(level.child.astype(np.int64))
+        found = {"empty": empty, "zero": zero & ~empty, "mixture": (level.shape[:, 1] > 1).any(axis=1),
+                 "early leaf": (children == 0) & ~zero & (level.child is not None),
+                 "only child": children == 1, "children": children > 1}
+        kinds |= {kind for kind, nodes in found.items() if nodes.any()}
+    assert kinds == {"empty", "zero", "mixture", "early leaf", "only child", "children"}
+
+
+def test_generator_refuses_to_overwrite(tmp_path: Path) -> None:
+    write_fixtures(tmp_path)
+    with pytest.raises(HmkctaError) as caught:
+        write_fixtures(tmp_path)
+    assert caught.value.reason == "output-exists"
+    assert sorted(os.listdir(tmp_path)) == sorted(path.name for path in FIXTURES.glob("v1.0-*"))

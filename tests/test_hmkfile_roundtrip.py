@@ -1,0 +1,170 @@
+"""What is written is read back: any valid model, always the same bytes, and a file that safetensors itself opens."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields, replace
+from math import inf, prod
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from safetensors import safe_open
+from safetensors.numpy import load as safetensors_load
+
+from hmkcta.axes import Axis
+from hmkcta.hmkfile import INLINE_COORDS, encode, encoded_size, load, loads, save
+from hmkcta.hmkfile.metadata import to_json
+from hmkcta.hmkfile.schema import arrays_of
+from hmkcta.packed import LevelQuality, Metadata, PackedLevel
+from make_fixture import merged_model, small_model
+from random_models import Shapes, random_model
+
+Model = tuple[Metadata, tuple[PackedLevel, ...]]
+
+
+@st.composite
+def models(draw: st.DrawFn) -> Model:
+    """Any model of order 2 to 6, with modes of size 1 and undecomposed ones, of one to three levels."""
+    sizes = draw(st.lists(st.integers(1, 6), min_size=2, max_size=6))
+    undecomposed = tuple(n for n in range(len(sizes)) if draw(st.integers(0, 4)) == 0)
+    shapes = draw(st.builds(Shapes, st.integers(1, 3), st.integers(1, 3), st.integers(1, 3), st.just(8),
+                            st.sampled_from([0.0, 0.3]), st.sampled_from([0.0, 0.3])))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    return random_model(rng, sizes, draw(st.integers(1, 3)), undecomposed, shapes=shapes)
+
+
+def encoded(model: Model) -> bytes:
+    """The bytes of a model's file."""
+    return b"".join(encode(*model))
+
+
+def assert_same(found: Model, expected: Model) -> None:
+    """Metadata and every array are equal, number types included."""
+    assert to_json(found[0], {}) == to_json(expected[0], {})
+    for axis, other in zip(found[0].axes, expected[0].axes, strict=True):
+        assert (axis.coords is None) == (other.coords is None)
+        if axis.coords is not None and other.coords is not None:
+            np.testing.assert_array_equal(axis.coords, other.coords)
+    assert len(found[1]) == len(expected[1])
+    for level, other in zip(found[1], expected[1], strict=True):
+        for item in fields(PackedLevel):
+            assert_equal(getattr(level, item.name), getattr(other, item.name))
+
+
+def assert_equal(found: Any, expected: Any) -> None:
+    """Arrays, or tuples of arrays and None, are the same to the bit."""
+    if isinstance(expected, tuple):
+        for one, other in zip(found, cast("tuple[Any, ...]", expected), strict=True):
+            assert_equal(one, other)
+    elif expected is None:
+        assert found is None
+    else:
+        assert (found.dtype, found.shape) == (expected.dtype, expected.shape)
+        assert found.tobytes() == expected.tobytes()
+
+
+@settings(max_examples=150, deadline=None)
+@given(models())
+def test_round_trip(model: Model) -> None:
+    data = encoded(model)
+    assert_same(loads(data), model)
+    assert encoded(loads(data)) == data
+    assert encoded_size(*model) == len(data)
+
+
+def test_order_1_and_one_element() -> None:
+    for sizes, undecomposed in (((5,), ()), ((1,), ()), ((1, 1), (0, 1)), ((4, 5), (0, 1))):
+        model = random_model(np.random.default_rng(0), sizes, 2, undecomposed)
+        assert_same(loads(encoded(model)), model)
+
+
+def test_level_without_nodes() -> None:
+    model = random_model(np.random.default_rng(0), (4, 3), 3, shapes=Shapes(leaf=1.0))
+    assert [level.nodes for level in model[1]] == [1, 0, 0]
+    assert_same(loads(encoded(model)), model)
+
+
+def test_save_and_load(tmp_path: Path) -> None:
+    model = merged_model()
+    size = save(tmp_path / "a.hmk", *model)
+    assert size == (tmp_path / "a.hmk").stat().st_size == encoded_size(*model)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.hmk"]
+    assert_same(load(tmp_path / "a.hmk"), model)
+    assert_same(load(str(tmp_path / "a.hmk"), verify=False), model)
+
+
+def test_same_model_same_bytes() -> None:
+    assert encoded(merged_model()) == encoded(merged_model())
+    strided = small_model()
+    core = np.repeat(strided[1][0].core, 2)[::2].astype(">f2")
+    assert encoded((strided[0], (replace(strided[1][0], core=core), *strided[1][1:]))) == encoded(small_model())
+
+
+def test_loaded_arrays_are_read_only(tmp_path: Path) -> None:
+    save(tmp_path / "a.hmk", *small_model())
+    _, levels = load(tmp_path / "a.hmk")
+    with pytest.raises(ValueError, match="read-only"):
+        levels[0].core[0] = 0
+
+
+def test_safetensors_opens_it(tmp_path: Path) -> None:
+    metadata, levels = merged_model()
+    save(tmp_path / "a.hmk", metadata, levels)
+    coords = metadata.axes[0].coords
+    assert coords is not None
+    expected = arrays_of(levels, {"coords/light": coords})
+    with cast("Any", safe_open)(str(tmp_path / "a.hmk"), "np") as file:  # the library's types are incomplete
+        assert set(file.metadata()) == {"hmkcta", "hmkcta_sha256"}
+    found: dict[str, NDArray[Any]] = safetensors_load((tmp_path / "a.hmk").read_bytes())
+    assert set(found) == set(expected)
+    for name, array in expected.items():
+        assert_equal(found[name], array)
+
+
+def header_of(data: bytes) -> tuple[int, dict[str, Any]]:
+    """Length and parsed JSON of a file's header."""
+    length = int.from_bytes(data[:8], "little")
+    return length, json.loads(data[8:8 + length])
+
+
+def test_order_on_disk() -> None:
+    data = encoded(merged_model())
+    length, header = header_of(data)
+    del header["__metadata__"]
+    names = list(header)
+    kinds = ["tables 4" if header[name]["dtype"] in ("U32", "F32") else header[name]["dtype"] for name in names]
+    assert kinds == sorted(kinds, key=["tables 4", "U16", "F16"].index)
+    numbers = [name for name in names if header[name]["dtype"] == "F16"]
+    assert [name.split("/")[1] for name in numbers] == sorted(name.split("/")[1] for name in numbers)
+    assert length % 8 == 0
+    for entry in header.values():
+        item = (entry["data_offsets"][1] - entry["data_offsets"][0]) // max(prod(entry["shape"]), 1)
+        assert item == 0 or (8 + length + entry["data_offsets"][0]) % item == 0
+
+
+def test_exact_reconstruction_is_null() -> None:
+    metadata, levels = small_model()
+    data = encoded((replace(metadata, quality=(LevelQuality(inf, 0.0, 0.0),) * 2), levels))
+    text = json.loads(header_of(data)[1]["__metadata__"]["hmkcta"])
+    assert text["quality"][0] == {"snr_db": None, "rmse": 0.0, "max_abs_error": 0.0}
+    assert loads(data)[0].quality[0].snr_db == inf
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64", "int64", "float16"])
+@pytest.mark.parametrize("shape", [(INLINE_COORDS,), (INLINE_COORDS + 1,), (33, 2), (2, 2)])
+def test_coordinates(dtype: str, shape: tuple[int, ...]) -> None:
+    coords = np.arange(prod(shape)).reshape(shape).astype(dtype)
+    axes = (Axis("x", shape[0], "space", coords, "mm"), Axis("t", 2))
+    model = random_model(np.random.default_rng(0), (shape[0], 2), 1, axes=axes)
+    data = encoded(model)
+    stored = "coords/x" in header_of(data)[1]
+    found = loads(data)[0].axes[0].coords
+    assert found is not None
+    assert stored == (coords.size > INLINE_COORDS)
+    assert found.dtype == (np.float32 if stored and dtype == "float32" else np.float64)
+    np.testing.assert_array_equal(found, coords)

@@ -1,0 +1,191 @@
+"""Writing refuses what no reader would take, and leaves the target as it was whenever it fails."""
+
+from __future__ import annotations
+
+import errno
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hmkcta.axes import Axis
+from hmkcta.errors import HmkctaError, Kind
+from hmkcta.hmkfile import Limits, encode, load, save
+from hmkcta.packed import LevelQuality, Metadata, PackedLevel
+from make_fixture import merged_model, small_model
+
+TESTS = Path(__file__).parent
+
+
+def refusal(path: Path, metadata: Metadata, levels: tuple[PackedLevel, ...], **options: Any) -> HmkctaError:
+    """The error with which `save` refuses; the folder must be as it was."""
+    before = sorted(path.parent.iterdir()) if path.parent.is_dir() else []
+    with pytest.raises(HmkctaError) as caught:
+        save(path, metadata, levels, **options)
+    assert (sorted(path.parent.iterdir()) if path.parent.is_dir() else []) == before
+    return caught.value
+
+
+def test_existing_output_is_refused_unless_told(tmp_path: Path) -> None:
+    path = tmp_path / "a.hmk"
+    path.write_text("precious")
+    error = refusal(path, *small_model())
+    assert (error.kind, error.reason) == (Kind.IO, "output-exists")
+    assert path.read_text() == "precious"
+    save(path, *small_model(), overwrite=True)
+    load(path)
+
+
+def test_overwriting_keeps_open_files_readable(tmp_path: Path) -> None:
+    path = tmp_path / "a.hmk"
+    save(path, *merged_model())
+    _, levels = load(path)
+    save(path, *small_model(), overwrite=True)
+    assert levels[0].core.tobytes() == merged_model()[1][0].core.tobytes()
+
+
+def test_overwriting_follows_a_link(tmp_path: Path) -> None:
+    (tmp_path / "real.hmk").write_text("old")
+    (tmp_path / "link.hmk").symlink_to("real.hmk")
+    save(tmp_path / "link.hmk", *small_model(), overwrite=True)
+    assert (tmp_path / "link.hmk").is_symlink()
+    load(tmp_path / "real.hmk")
+
+
+def test_folder_as_output(tmp_path: Path) -> None:
+    (tmp_path / "a.hmk").mkdir()
+    assert refusal(tmp_path / "a.hmk", *small_model(), overwrite=True).reason == "output-exists"
+
+
+@pytest.mark.parametrize("name", ["missing/a.hmk", "n" * 300 + ".hmk", "nul\0.hmk"])
+def test_unwritable_output(tmp_path: Path, name: str) -> None:
+    error = refusal(tmp_path / name, *small_model())
+    assert (error.kind, error.reason) == (Kind.IO, "unwritable")
+
+
+@pytest.mark.parametrize("name", [".", "missing.hmk", "n" * 300, "nul\0.hmk"])
+def test_unreadable_input(tmp_path: Path, name: str) -> None:
+    with pytest.raises(HmkctaError) as caught:
+        load(tmp_path / name)
+    assert (caught.value.kind, caught.value.reason) == (Kind.IO, "unreadable")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+def test_pipe_as_input_does_not_block(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(HmkctaError) as caught:
+        load(tmp_path / "pipe")
+    assert caught.value.reason == "unreadable"
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EIO])
+def test_failing_disk_leaves_nothing(tmp_path: Path, number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(descriptor: int) -> None:
+        raise OSError(number, os.strerror(number), descriptor)
+
+    (tmp_path / "a.hmk").write_text("old")
+    monkeypatch.setattr(os, "fsync", fail)
+    error = refusal(tmp_path / "a.hmk", *small_model(), overwrite=True)
+    assert (error.kind, error.reason) == (Kind.IO, "unwritable" if number == errno.EIO else "disk-full")
+    assert (tmp_path / "a.hmk").read_text() == "old"
+
+
+def test_interrupt_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(source: object, target: object) -> None:
+        raise KeyboardInterrupt(source, target)
+
+    monkeypatch.setattr(os, "replace", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        save(tmp_path / "a.hmk", *small_model())
+    assert not list(tmp_path.iterdir())
+
+
+FULL = """
+import resource, sys
+sys.path[:0] = sys.argv[1:3]
+from make_fixture import merged_model
+from hmkcta.errors import HmkctaError
+from hmkcta.hmkfile import save
+resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+try:
+    save(sys.argv[3], *merged_model())
+except HmkctaError as error:
+    sys.stdout.write(error.reason)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs a limit on the file size")
+def test_file_size_limit_leaves_nothing(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", FULL, str(TESTS.parent / "python"), str(TESTS), str(tmp_path / "a.hmk")]
+    result = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert (result.stderr, result.stdout) == ("", "disk-full")
+    assert not list(tmp_path.iterdir())
+
+
+def with_level(index: int, **arrays: Any) -> tuple[Metadata, tuple[PackedLevel, ...]]:
+    """The small model with some arrays of one level replaced."""
+    metadata, levels = small_model()
+    return metadata, tuple(replace(level, **arrays) if n == index else level for n, level in enumerate(levels))
+
+
+def with_metadata(**values: Any) -> tuple[Metadata, tuple[PackedLevel, ...]]:
+    """The small model with some metadata replaced."""
+    metadata, levels = small_model()
+    return replace(metadata, **values), levels
+
+
+def without_last(metadata: Metadata, levels: tuple[PackedLevel, ...]) -> tuple[Metadata, tuple[PackedLevel, ...]]:
+    """The model without the arrays of its last level."""
+    return metadata, levels[:-1]
+
+
+INVALID: dict[str, tuple[Callable[[], tuple[Metadata, tuple[PackedLevel, ...]]], str]] = {
+    "core is float32": (lambda: with_level(0, core=np.zeros(18, np.float32)), "array-dtype"),
+    "core is int64": (lambda: with_level(0, core=np.zeros(18, np.int64)), "array-dtype"),
+    "core too short": (lambda: with_level(0, core=np.zeros(17, np.float16)), "offset-end"),
+    "core of two dimensions": (lambda: with_level(0, core=np.zeros((3, 6), np.float16)), "array-shape"),
+    "core is infinite": (lambda: with_level(0, core=np.full(18, np.inf, np.float16)), "not-finite"),
+    "child missing": (lambda: with_level(0, child=None), "array-missing"),
+    "child at the last level": (lambda: with_level(1, child=np.zeros(4, np.uint32)), "array-unexpected"),
+    "level missing": (lambda: without_last(*small_model()), "array-missing"),
+    "no levels": (lambda: with_metadata(levels=()), "field-value"),
+    "unknown kind": (lambda: with_metadata(kind="brdf"), "field-value"),
+    "quality missing": (lambda: with_metadata(quality=()), "field-value"),
+    "quality is NaN": (lambda: with_metadata(quality=(LevelQuality(np.nan, 0.0, 0.0),) * 2), "field-type"),
+    "SNR of minus infinity": (lambda: with_metadata(quality=(LevelQuality(-np.inf, 1.0, 1.0),) * 2), "field-type"),
+    "source is no JSON": (lambda: with_metadata(source={"array": np.zeros(3)}), "field-type"),
+    "source with half a surrogate pair": (lambda: with_metadata(source={"path": "\udc80"}), "field-type"),
+    "seed too large": (lambda: with_metadata(seed=2**53), "json-number"),
+    "coordinates of another number": (lambda: with_metadata(axes=(
+        Axis("höhe", 4, "space", np.zeros(3)), small_model()[0].axes[1])), "field-value"),
+    "coordinates as text": (lambda: with_metadata(axes=(
+        Axis("höhe", 4, "space", np.array(list("abcd"))), small_model()[0].axes[1])), "field-type"),
+    "coordinates that are infinite": (lambda: with_metadata(axes=(
+        Axis("höhe", 4, "space", np.full(4, np.inf)), small_model()[0].axes[1])), "field-type"),
+    "coordinates with 17 numbers an index": (lambda: with_metadata(axes=(
+        Axis("höhe", 4, "space", np.zeros((4, 17))), small_model()[0].axes[1])), "array-shape"),
+}
+
+
+@pytest.mark.parametrize("name", INVALID)
+def test_invalid_model_is_refused(name: str, tmp_path: Path) -> None:
+    model, reason = INVALID[name]
+    error = refusal(tmp_path / "a.hmk", *model())
+    assert (error.kind, error.reason) == (Kind.INVALID_ARGUMENT, reason), error
+
+
+def test_limits_bind_the_writer(tmp_path: Path) -> None:
+    error = refusal(tmp_path / "a.hmk", *small_model(), limits=Limits(rank=1))
+    assert (error.kind, error.reason) == (Kind.RESOURCE_LIMIT, "rank-limit")
+
+
+def test_encode_shares_memory() -> None:
+    metadata, levels = merged_model()
+    pieces = encode(metadata, levels)
+    assert any(np.shares_memory(np.frombuffer(piece, np.uint8), levels[0].core) for piece in pieces if len(piece))
