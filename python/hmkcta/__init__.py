@@ -1,5 +1,10 @@
 """Hierarchical multiway K-clustered tensor approximation: compress visual data, decode any element on its own."""
 
+from ._version import __version__
+from .axes import Axis
+from .encode import choose_plan, compress
+from .errors import HmkctaError
 from .model import Model, open
+from .plan import LevelSpec, Plan, parse_plan
 
-__all__ = ["Model", "open"]
+__all__ = ["Axis", "HmkctaError", "LevelSpec", "Model", "Plan", "__version__", "choose_plan", "compress", "open", "parse_plan"]

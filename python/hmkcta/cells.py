@@ -38,6 +38,11 @@ class Cells:
     cores: F32
 
     @property
+    def order(self) -> int:
+        """N, the number of modes."""
+        return len(self.sizes)
+
+    @property
     def ranks(self) -> tuple[int, ...]:
         """R_n, an undecomposed mode's being its size."""
         return tuple(i if r is None else r for r, i in zip(self.spec.ranks, self.sizes, strict=True))
@@ -69,15 +74,21 @@ def round_cores(cores: F32) -> tuple[NDArray[np.float16], F32]:
 
 
 def empty_cells(sizes: Sequence[int], spec: LevelSpec, members: Sequence[U16], rng: np.random.Generator) -> Cells:
-    """Cells with zero cores and random orthonormal-ish bases: where subspace iteration starts from."""
+    """Cells with zero cores and random bases: where subspace iteration starts from."""
+    cells = zero_cells(sizes, spec)
+    cells.members = list(members)
+    cells.bases = [rng.standard_normal(basis.shape, np.float32) for basis in cells.bases]
+    return cells
+
+
+def zero_cells(sizes: Sequence[int], spec: LevelSpec) -> Cells:
+    """Cells of the right shapes with nothing in them."""
     spec = spec.clamped(sizes)
+    members = [np.zeros((size, k), np.uint16) for size, k in zip(sizes, spec.mixture, strict=True)]
     ranks = [i if r is None else r for r, i in zip(spec.ranks, sizes, strict=True)]
-    bases = [
-        np.zeros(0, np.float32) if spec.ranks[n] is None else
-        rng.standard_normal((sizes[n], spec.mixture[n], spec.cells // spec.clusters[n], ranks[n]), np.float32)
-        for n in range(len(sizes))
-    ]
-    return Cells(tuple(sizes), spec, list(members), bases, np.zeros((spec.cells, *ranks), np.float32))
+    bases = [np.zeros(0 if spec.ranks[n] is None else (sizes[n], spec.mixture[n], spec.cells // spec.clusters[n], ranks[n]),
+                      np.float32) for n in range(len(sizes))]
+    return Cells(tuple(sizes), spec, members, bases, np.zeros((spec.cells, *ranks), np.float32))
 
 
 def dense_basis(cells: Cells, n: int) -> F32:

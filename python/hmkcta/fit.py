@@ -1,111 +1,140 @@
-"""One level on one node: MK-CTA (paper, section 3.2) by joint least squares in the Gram domain."""
+"""One level on one node: MK-CTA (paper, section 3.2; equation 2).
+
+A disjoint start, cluster subsets and rows by joint least squares in the Gram domain, then Gauss-Seidel sweeps of HOOI
+over the cells. Each step lowers the error or leaves it.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .backends import native as kernels
-from .cells import Cells, dense_basis, empty_cells, store_basis
-from .memberships import start_candidates
+from . import backends as kernels
+from .cells import Cells, empty_cells
+from .memberships import start_candidates, strided_sample
 from .plan import LevelSpec
+from .search import extend, joint_rows, orthonormalise
+from .tucker import st_hosvd
 
 F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
-
-import os
-SWEEPS = [int(x) for x in os.environ.get("SWEEPS", "1,2,2,3").split(",")]
 
 
-def fit_level(tensor: F32, spec: LevelSpec, rng: np.random.Generator, candidates: int | None = None) -> tuple[Cells, F32]:
+@dataclass(frozen=True)
+class Effort:
+    """How much time a fit may take.
+
+    Attributes:
+        candidates: disjoint starts tried for each node's memberships.
+        searches: rounds of joint rows with a search for cluster subsets.
+        sweeps: Gauss-Seidel sweeps after each search; HOOI rounds where nothing is clustered (0: plain HOSVD).
+        backfits: rounds in which every level is refitted to what the others leave.
+    """
+
+    candidates: int = 3
+    searches: int = 1
+    sweeps: int = 3
+    backfits: int = 1
+
+
+EFFORTS = {"fast": Effort(2, 1, 2, 0), "medium": Effort(4, 1, 4, 1), "thorough": Effort(13, 2, 6, 4)}
+
+#: Subspace iterations of a cell's mode update: at a random start, and when it is warm.
+COLD, WARM = 4, 2
+
+
+Labels = Sequence[NDArray[np.intp]]
+
+
+def fit_level(
+    tensor: F32, spec: LevelSpec, effort: Effort, rng: np.random.Generator, labels: Labels | None = None
+) -> tuple[Cells, F32]:
+    """Fit one level to a node's (residual) tensor of shape I_1 x .. x I_N.
+
+    Args:
+        tensor: what to approximate.
+        spec: R, C, K; clamped to the node.
+        effort: how long to try.
+        rng: for starts.
+        labels: the disjoint memberships to start from; None: the best of several candidates.
+
+    Returns:
+        The cells in float32, not yet rounded, and what they leave of the tensor.
+    """
     spec = spec.clamped(tensor.shape)
-    cells, residual = disjoint_start(tensor, spec, rng, candidates)
-    if max(spec.mixture) == 1:
-        kernels.fit_cells(cells, residual, SWEEPS[3], 2)
-        return cells, residual
-    rounds, before, its, after = SWEEPS
-    for _ in range(rounds):
-        for n in range(tensor.ndim):
-            if spec.mixture[n] >= 1 and spec.ranks[n] is not None and spec.cells > 1:
-                joint_rows(cells, tensor, n, search=spec.mixture[n] < spec.clusters[n])
+    if spec.cells == 1:
+        return _hooi(tensor, spec, effort, rng)
+    cells, residual = _disjoint_start(tensor, spec, labels or _best_labels(tensor, spec, effort, rng), rng)
+    if spec.search == "fast":
+        _extend_memberships(cells, spec, residual)
+    elif max(spec.mixture) > 1:
+        for round_ in range(effort.searches):
+            for n in (n for n in range(spec.order) if spec.ranks[n] is not None):
+                joint_rows(cells, tensor, n, spec.mixture[n], spec.search)
                 orthonormalise(cells, n)
-        residual = tensor.copy()
-        kernels.accumulate(cells, residual, -1.0)
-        kernels.fit_cells(cells, residual, after, its)
+            residual = left_by(cells, tensor)
+            if round_ + 1 < effort.searches:
+                kernels.fit_cells(cells, residual, effort.sweeps, WARM)
+    kernels.fit_cells(cells, residual, effort.sweeps, WARM)
     return cells, residual
 
 
-def disjoint_start(tensor: F32, spec: LevelSpec, rng, candidates=None):
+def left_by(cells: Cells, tensor: F32) -> F32:
+    """The tensor minus the cells' reconstruction."""
+    residual = np.array(tensor, np.float32, order="C")
+    kernels.accumulate(cells, residual, -1.0)
+    return residual
+
+
+def _hooi(tensor: F32, spec: LevelSpec, effort: Effort, rng: np.random.Generator) -> tuple[Cells, F32]:
+    """C_n = 1 throughout: truncated HOSVD, then HOOI rounds (paper, section 3.1)."""
+    members = [np.zeros((size, 1), np.uint16) for size in tensor.shape]
+    cells = empty_cells(tensor.shape, spec, members, rng)
+    bases, core = st_hosvd(tensor, spec.ranks, rng)
+    for n, basis in enumerate(bases):
+        if basis is not None:
+            cells.bases[n][:] = 0
+            cells.bases[n][:, 0, 0, :basis.shape[1]] = basis
+    cells.cores[:] = 0
+    cells.cores[(0, *map(slice, core.shape))] = core
+    residual = left_by(cells, tensor)
+    kernels.fit_cells(cells, residual, effort.sweeps, WARM)
+    return cells, residual
+
+
+def _best_labels(tensor: F32, spec: LevelSpec, effort: Effort, rng: np.random.Generator) -> Labels:
+    """The best of several disjoint memberships (K = 1), judged on a sample by the energy their blocks capture."""
+    sample = strided_sample(tensor, spec.clusters)
+    best_error, best = np.inf, None
     single = replace(spec, mixture=(1,) * spec.order)
-    best = None
-    for number, labels in enumerate(start_candidates(tensor, spec.clusters, rng)):
-        if best is not None and (spec.cells == 1 or (candidates is not None and number >= candidates)):
-            break
-        members = [l[:, None].astype(np.uint16) for l in labels]
-        cells = empty_cells(tensor.shape, single, members, np.random.default_rng(0))
-        residual = tensor.copy()
-        kernels.fit_cells(cells, residual, 1, 3)
+    seed = int(rng.integers(2**63))
+    for labels in start_candidates(tensor, spec.clusters, effort.candidates, np.random.default_rng(seed)):
+        cells = empty_cells(sample.tensor.shape, single, sample.members(labels), np.random.default_rng(seed))
+        residual = sample.tensor.copy()
+        kernels.fit_cells(cells, residual, 1, COLD)
         error = float(np.vdot(residual, residual))
-        if best is None or error < best[0]:
-            best = (error, cells, residual)
-    best[1].spec = best[1].spec
-    cells = best[1]
-    cells.spec = spec if max(spec.mixture) == 1 else replace(spec, mixture=cells.spec.mixture)
-    cells.target = spec
-    return cells, best[2]
+        if error < best_error or best is None:
+            best_error, best = error, labels
+    assert best is not None
+    return best
 
 
-def joint_rows(cells: Cells, tensor: F32, n: int, search: bool) -> None:
-    """Rows of mode n and their cluster subsets together: block-sparse coding of each slice t_i in the dictionary."""
-    target = cells.target
-    c_n, k_n, r_n = target.clusters[n], target.mixture[n], target.ranks[n]
-    y = kernels.project_cells(cells, tensor, n)
-    cores = np.moveaxis(cells.cores, n + 1, 1).reshape(cells.spec.cells, r_n, -1)
-    b = np.einsum("ciq,crq->cri", y, cores, dtype=np.float64, optimize=True)  # [PC, R, I]
-    h = kernels.dictionary_gram(cells, n)
-    cluster_of = np.indices(target.clusters)[n].reshape(-1)
-    columns = [np.flatnonzero(np.repeat(cluster_of == k, r_n)) for k in range(c_n)]
-    b = b.reshape(-1, b.shape[-1])
-    size = b.shape[1]
-    subsets = list(combinations(range(c_n), k_n))
-    best_gain = np.full(size, -np.inf)
-    best = np.zeros(size, int)
-    rows: list[F64] = []
-    for number, subset in enumerate(subsets):
-        at = np.concatenate([columns[k] for k in subset])
-        system = h[np.ix_(at, at)]
-        diagonal = np.einsum("ii->i", system)
-        diagonal += 1e-5 * diagonal.mean() * 1e-2 + 1e-7 * diagonal + 1e-30
-        x = np.linalg.solve(system, b[at])
-        gain = (b[at] * x).sum(0)
-        better = gain > (best_gain if number == 0 else best_gain * (1 + 1e-9))
-        best_gain[better] = gain[better]
-        best[better] = number
-        rows.append(x)
-    members = np.array(subsets, np.uint16)[best]
-    cells.members[n] = members
-    cells.spec = replace(cells.spec, mixture=tuple(k_n if m == n else k for m, k in enumerate(cells.spec.mixture)))
-    others = target.cells // c_n
-    basis = np.empty((size, k_n, others, r_n), np.float32)
-    for number in range(len(subsets)):
-        where = best == number
-        # columns of a subset are ordered by cluster, then flat(c_-n) as in C order of all cells, then rank
-        basis[where] = rows[number][:, where].T.reshape(-1, k_n, others, r_n)
-    cells.bases[n] = basis
+def _disjoint_start(tensor: F32, spec: LevelSpec, labels: Labels, rng: np.random.Generator) -> tuple[Cells, F32]:
+    """Truncated HOSVD of every block, by subspace iteration from random bases."""
+    single = replace(spec, mixture=(1,) * spec.order)
+    members = [part[:, None].astype(np.uint16) for part in labels]
+    cells = empty_cells(tensor.shape, single, members, rng)
+    residual = np.array(tensor, np.float32, order="C")
+    kernels.fit_cells(cells, residual, 1, COLD)
+    return cells, residual
 
 
-def orthonormalise(cells: Cells, n: int) -> None:
-    """U_n = Q S with orthonormal Q for every cell, S into the core; dependent columns become zero."""
-    dense = dense_basis(cells, n).astype(np.float64)
-    values, vectors = np.linalg.eigh(dense.transpose(0, 2, 1) @ dense)
-    root = np.sqrt(np.maximum(values, 0))
-    keep = root > 1e-6 * root[:, -1:]
-    inverse = np.where(keep, 1 / np.where(keep, root, 1), 0)
-    store_basis(cells, n, dense @ (vectors * inverse[:, None]))
-    factor = (vectors * root[:, None]).transpose(0, 2, 1)  # new core = S x_n core
-    cores = np.moveaxis(cells.cores, n + 1, 1)
-    mixed = np.matmul(factor, cores.reshape(*cores.shape[:2], -1)).reshape(cores.shape)
-    cells.cores = np.ascontiguousarray(np.moveaxis(mixed, 1, n + 1), np.float32)
+def _extend_memberships(cells: Cells, spec: LevelSpec, residual: F32) -> None:
+    """The fast search for many clusters: memberships grow one by one, each followed by a sweep."""
+    while cells.spec.mixture != spec.mixture:
+        for n in range(spec.order):
+            if cells.spec.mixture[n] < spec.mixture[n]:
+                extend(cells, residual, n)
+                kernels.fit_cells(cells, residual, 1, WARM)

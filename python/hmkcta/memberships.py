@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,11 @@ F64 = NDArray[np.float64]
 
 #: Columns of the row features, and elements looked at to find them; more of either changed nothing (algorithm notes).
 FEATURES, SAMPLE = 12, 2_000_000
-#: Row normalisations f <- f |f|^(p-1) and size caps (times I/C) of the candidate starts.
-POWERS, CAPS = (1.0, 0.5, 0.2), (None, 1.5, 1.2, 1.05)
+#: Row normalisations f <- f |f|^(p-1) with size caps (times I/C), the most often best ones first.
+CANDIDATES: tuple[tuple[float, float | None], ...] = (
+    (0.2, 1.2), (0.5, 1.5), (1.0, None), (0.2, 1.05), (0.5, 1.2), (0.2, 1.5), (1.0, 1.5), (0.5, 1.05),
+    (1.0, 1.2), (0.5, None), (0.2, None), (1.0, 1.05),
+)
 
 
 def uniform_blocks(size: int, clusters: int) -> NDArray[np.intp]:
@@ -40,7 +44,7 @@ def row_features(tensor: NDArray[Any], n: int) -> F64:
     return unfolded @ vectors[:, :-FEATURES - 1:-1]
 
 
-def balanced_clusters(features: F64, clusters: int, cap: float | None, rng: np.random.Generator, restarts: int = 3) -> NDArray[np.intp]:
+def balanced_clusters(features: F64, clusters: int, cap: float | None, rng: np.random.Generator, restarts: int = 2) -> NDArray[np.intp]:
     """K-means++ labels of the rows, no cluster larger than cap I/C (None: any size); best of several restarts."""
     most = len(features) if cap is None else int(np.ceil(cap * len(features) / clusters))
     best, best_cost = uniform_blocks(len(features), clusters), np.inf
@@ -82,18 +86,46 @@ def _assign(distance: F64, most: int) -> NDArray[np.intp]:
     return labels
 
 
-def start_candidates(tensor: NDArray[Any], clusters: tuple[int, ...], rng: np.random.Generator) -> Iterator[list[NDArray[np.intp]]]:
-    """Disjoint memberships to choose among: uniform blocks, then every power with every size cap."""
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """Every step-th row of each mode of a tensor, copied into one piece."""
+
+    tensor: F32
+    steps: tuple[int, ...]
+
+    def members(self, labels: Sequence[NDArray[np.intp]]) -> list[NDArray[np.uint16]]:
+        """Disjoint memberships `[rows, 1]` of the sampled rows."""
+        return [part[::step, None].astype(np.uint16) for part, step in zip(labels, self.steps, strict=True)]
+
+
+def strided_sample(tensor: NDArray[Any], clusters: Sequence[int]) -> Sample:
+    """About `SAMPLE` elements; no mode is thinned below 8 rows a cluster."""
+    steps = [1] * tensor.ndim
+    elements = tensor.size
+    while elements > SAMPLE:
+        room = [i / (step * c) for i, step, c in zip(tensor.shape, steps, clusters, strict=True)]
+        n = int(np.argmax(room))
+        if room[n] < 16:
+            break
+        steps[n] *= 2
+        elements //= 2
+    view = tensor[tuple(slice(None, None, step) for step in steps)]
+    return Sample(np.ascontiguousarray(view, np.float32), tuple(steps))
+
+
+def start_candidates(
+    tensor: NDArray[Any], clusters: tuple[int, ...], count: int, rng: np.random.Generator
+) -> Iterator[list[NDArray[np.intp]]]:
+    """Disjoint memberships to choose among: uniform blocks, then normalised rows under size caps."""
     yield [uniform_blocks(i, c) for i, c in zip(tensor.shape, clusters, strict=True)]
     features = [row_features(tensor, n) if c > 1 else None for n, c in enumerate(clusters)]
-    for power in POWERS:
-        for cap in CAPS:
-            labels: list[NDArray[np.intp]] = []
-            for n, (f, c) in enumerate(zip(features, clusters, strict=True)):
-                if f is None:
-                    labels.append(np.zeros(tensor.shape[n], np.intp))
-                    continue
-                norm = np.sqrt((f**2).sum(1, keepdims=True))
-                scaled = f * np.where(norm > 0, norm, 1.0) ** (power - 1)
-                labels.append(balanced_clusters(scaled, c, cap, rng))
-            yield labels
+    for power, cap in CANDIDATES[:count - 1]:
+        labels: list[NDArray[np.intp]] = []
+        for n, (f, c) in enumerate(zip(features, clusters, strict=True)):
+            if f is None:
+                labels.append(np.zeros(tensor.shape[n], np.intp))
+                continue
+            norm = np.sqrt((f**2).sum(axis=1, keepdims=True))
+            scaled = f * np.where(norm > 0, norm, 1.0) ** (power - 1)
+            labels.append(balanced_clusters(scaled, c, cap, rng))
+        yield labels

@@ -20,6 +20,7 @@ from .hmkfile import encoded_size, load, save
 from .indexing import Index, Selection, select
 from .memory import available_memory, check_memory, format_bytes
 from .packed import LevelBounds, LevelQuality, Metadata, PackedLevel
+from .slabs import slabs
 from .transform import from_json
 
 Floats = NDArray[np.float32]
@@ -224,7 +225,7 @@ class Model:
 
     def _decode(self, chosen: Selection, out: NDArray[Any], slab: int = _SLAB) -> None:
         """Decode a selection into `out`, slab by slab."""
-        for part in _slabs(chosen.shape, slab) if out.size else ():
+        for part in slabs(chosen.shape, slab) if out.size else ():
             cut = [index[tuple(span if length > 1 else slice(None)
                                for span, length in zip(part, index.shape, strict=False))] for index in chosen.axes]
             out[part] = self._decode_slab(self._in_modes(cut), out[part].shape)
@@ -313,21 +314,3 @@ def open(path: str | os.PathLike[str], verify: bool = True) -> Model:
     """
     metadata, levels = load(path, verify=verify)
     return Model(metadata, levels)
-
-
-def _slabs(shape: tuple[int, ...], limit: int) -> Iterator[tuple[slice, ...]]:
-    """Cut an array into slabs of up to `limit` elements along the first axis, along the next where one is too large.
-
-    >>> list(_slabs((2, 3), 3))
-    [(slice(0, 1, None),), (slice(1, 2, None),)]
-    """
-    if not shape:  # a single element
-        yield ()
-        return
-    axis = 0
-    while axis < len(shape) - 1 and prod(shape[axis + 1 :]) > limit:
-        axis += 1
-    length = max(1, limit // max(1, prod(shape[axis + 1 :])))
-    for lead in np.ndindex(*shape[:axis]):
-        for start in range(0, shape[axis], length):
-            yield (*(slice(i, i + 1) for i in lead), slice(start, min(start + length, shape[axis])))

@@ -19,10 +19,16 @@ UNDECOMPOSED = None  # a rank of None: the mode keeps its identity basis
 #: Beyond this many cluster subsets in a mode the optimal search gives way to the greedy one (docs/design-notes.md).
 OPTIMAL_SUBSETS = 64
 
+#: Beyond this many cells the joint least squares gives way to Gauss-Seidel alone: its Gram matrix has (PC R_n)^2 numbers.
+GRAM_CELLS = 1536
+
 
 @dataclass(frozen=True)
 class LevelSpec:
     """R_n (None: undecomposed), C_n and K_n of one level, and how its residual is subdivided for the next.
+
+    `grid` lists axes that are cut into equal blocks, which then are the clusters; with `own` set every node gets ranks of
+    its own up to R, by one Lagrange multiplier over the level (`allocation.py`), as the plan's goal allows.
 
     >>> LevelSpec((2, 2, None), (4, 3, 1), (2, 2, 1)).search
     'optimal'
@@ -32,6 +38,8 @@ class LevelSpec:
     clusters: tuple[int, ...]
     mixture: tuple[int, ...]
     scheme: str = "most"
+    grid: tuple[tuple[str, int], ...] = ()
+    own: bool = False
 
     def __post_init__(self) -> None:
         if self.scheme not in SCHEMES:
@@ -54,7 +62,10 @@ class LevelSpec:
 
     @property
     def search(self) -> str:
-        """How cluster subsets are found: over all binom(C, K) of them, or greedily where they explode."""
+        """How cluster subsets are found: over all binom(C, K) of them, greedily where they explode, or by the fast
+        search where the Gram matrix of all cells would not fit."""
+        if self.cells > GRAM_CELLS and max(self.mixture) > 1:
+            return "fast"
         subsets = max(comb(c, k) for c, k in zip(self.clusters, self.mixture, strict=True))
         return "optimal" if subsets <= OPTIMAL_SUBSETS else "greedy"
 
@@ -75,8 +86,8 @@ class LevelSpec:
         """The spec for a node of these sizes: C <= I, K <= C, R <= I."""
         clusters = tuple(min(c, max(i, 1)) for c, i in zip(self.clusters, sizes, strict=True))
         return LevelSpec(
-            tuple(None if r is None else min(r, i) for r, i in zip(self.ranks, sizes, strict=True)),
-            clusters, tuple(min(k, c) for k, c in zip(self.mixture, clusters, strict=True)), self.scheme,
+            tuple(None if r is None else min(r, max(i, 1)) for r, i in zip(self.ranks, sizes, strict=True)),
+            clusters, tuple(min(k, c) for k, c in zip(self.mixture, clusters, strict=True)), self.scheme, self.grid, self.own,
         )
 
     def numbers(self, sizes: Sequence[int]) -> int:
@@ -91,7 +102,9 @@ class LevelSpec:
             texts = ["*" if value is None else str(value) for value in values]
             return texts[0] if len(set(texts)) == 1 else ",".join(texts)
 
-        text = "R=" + ",".join("*" if r is None else str(r) for r in self.ranks)
+        text = ("R<=" if self.own else "R=") + ",".join("*" if r is None else str(r) for r in self.ranks)
+        if self.grid:
+            return f"{text} grid={','.join(f'{axis}:{count}' for axis, count in self.grid)}"
         if self.cells > 1:
             text += f" C={','.join(map(str, self.clusters))}"
         if max(self.mixture) > 1:
@@ -99,43 +112,64 @@ class LevelSpec:
         return text
 
 
-def parse_level(text: str, order: int, scheme: str = "most") -> LevelSpec:
-    """Read one level, e.g. ``R=2,2,3,* C=4,3,4,1 K=2``.
+def parse_level(text: str, organisation: Organisation, scheme: str = "most") -> LevelSpec:
+    """Read one level, e.g. ``R=2,2,3,* C=4,3,4,1 K=2``, ``R=1 grid=y:4,x:6`` or ``R<=8,8,8,*``.
 
     One number stands for all modes; K is clamped to C, so that ``K=2`` leaves unclustered modes alone.
 
-    >>> parse_level("R=2,2,3,* C=4,3,4,1 K=2", 4)
-    LevelSpec(ranks=(2, 2, 3, None), clusters=(4, 3, 4, 1), mixture=(2, 2, 2, 1), scheme='most')
+    >>> modes = (("light", "rgb"), ("view",), ("y",), ("x",))
+    >>> parse_level("R=2,2,3,* C=4,3,4,1 K=2", modes).mixture
+    (2, 2, 2, 1)
+    >>> parse_level("R=1 grid=y:4,x:6", modes).clusters
+    (1, 1, 4, 6)
     """
-    fields: dict[str, tuple[int | None, ...]] = {"C": (1,) * order, "K": (1,) * order}
+    order = len(organisation)
+    words: dict[str, str] = {}
     for word in text.split():
         key, equals, values = word.partition("=")
-        if not equals or key not in ("R", "C", "K"):
-            raise invalid("plan-syntax", "plan", repr(word), "R=.. C=.. K=.. for each level, levels parted by /")
-        fields[key] = _values(key, values, order)
-    if "R" not in fields:
-        raise invalid("plan-syntax", "plan", repr(text.strip()), "R=.. in each level")
-    clusters = tuple(c or 1 for c in fields["C"])
-    mixture = tuple(min(k or 1, c) if len(set(fields["K"])) == 1 else (k or 1)
-                    for k, c in zip(fields["K"], clusters, strict=True))
-    return LevelSpec(fields["R"], clusters, mixture, scheme)
+        if not equals or key not in ("R", "R<", "C", "K", "grid") or key in words:
+            raise invalid("plan-syntax", "plan", repr(word), "R=.., R<=.., C=.., K=.., grid=.. once a level, levels parted by /")
+        words[key] = values
+    if ("R" in words) == ("R<" in words) or ("C" in words and "grid" in words):
+        raise invalid("plan-syntax", "plan", repr(text.strip()), "either R=.. or R<=.. in each level, and not both C=.. and grid=..")
+    own = "R<" in words
+    ranks = tuple(None if word == "*" else _number("R", word) for word in _words("R", words.get("R", words.get("R<", "")), order))
+    grid = _grid(words.get("grid", ""), organisation)
+    counts = dict(grid)
+    clusters = tuple(prod(counts.get(axis, 1) for axis in mode) for mode in organisation)
+    if "C" in words:
+        clusters = tuple(_number("C", word) for word in _words("C", words["C"], order))
+    given = _words("K", words.get("K", "1"), order)
+    mixture = tuple(_number("K", word) for word in given)
+    if len(set(given)) == 1:
+        mixture = tuple(min(k, c) for k, c in zip(mixture, clusters, strict=True))
+    return LevelSpec(ranks, clusters, mixture, "most" if grid else scheme, grid, own)
 
 
-def _values(key: str, text: str, order: int) -> tuple[int | None, ...]:
+def _grid(text: str, organisation: Organisation) -> tuple[tuple[str, int], ...]:
+    axes = [axis for mode in organisation for axis in mode]
+    grid: list[tuple[str, int]] = []
+    for word in text.split(",") if text else []:
+        axis, _, count = word.partition(":")
+        if axis not in axes or axis in dict(grid):
+            raise invalid("plan-grid", "grid of the plan", repr(word), f"AXIS:COUNT, each axis of {', '.join(axes)} at most once")
+        grid.append((axis, _number("grid", count)))
+    return tuple(grid)
+
+
+def _words(key: str, text: str, order: int) -> list[str]:
     words = text.split(",")
     if len(words) == 1:
         words *= order
     if len(words) != order:
         raise invalid("plan-modes", f"{key} of the plan", f"{len(words)} values ({text})", f"1 or {order}, one a mode")
-    values: list[int | None] = []
-    for word in words:
-        if word == "*" and key == "R":
-            values.append(UNDECOMPOSED)
-        elif word.isascii() and word.isdigit():
-            values.append(int(word))
-        else:
-            raise invalid("plan-number", f"{key} of the plan", repr(word), "whole numbers" + (" or *" if key == "R" else ""))
-    return tuple(values)
+    return words
+
+
+def _number(key: str, word: str) -> int:
+    if not (word.isascii() and word.isdigit()) or len(word) > 9:
+        raise invalid("plan-number", f"{key} of the plan", repr(word), "whole numbers" + (" or *" if key == "R" else ""))
+    return int(word)
 
 
 @dataclass(frozen=True)
@@ -160,4 +194,4 @@ class Plan:
 
 def parse_plan(text: str, organisation: Organisation, scheme: str = "most") -> Plan:
     """Read levels parted by ``/``; see `parse_level`."""
-    return Plan(organisation, tuple(parse_level(part, len(organisation), scheme) for part in text.split("/")))
+    return Plan(organisation, tuple(parse_level(part, organisation, scheme) for part in text.split("/")))

@@ -4,6 +4,8 @@ from .limits import DEFAULT_LIMITS as DEFAULT_LIMITS
 from .limits import Limits as Limits
 from .metadata import INLINE_COORDS as INLINE_COORDS
 from .metadata import VERSION as VERSION
+from .publish import check_output as check_output
+from .publish import published as published
 from .read import load as load
 from .read import loads as loads
 from .reasons import REASONS as REASONS

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import os
-import secrets
 import zlib
 from collections.abc import Generator, Sequence
-from contextlib import contextmanager, suppress
-from pathlib import Path
+from contextlib import contextmanager
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -20,13 +17,12 @@ from ..packed import Metadata, PackedLevel
 from .header import TEXT_KEY, format_header, format_json
 from .limits import DEFAULT_LIMITS, Limits
 from .metadata import ArrayRecord, coords_array, coords_name, to_json
+from .publish import check_output, published
 from .read import loads
 from .reasons import fault
 from .schema import LEVEL_TYPES, NUMPY_TYPES, TYPE_NAMES, ArrayInfo, arrays_of
 
 Piece: TypeAlias = bytes | memoryview
-
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def encode(metadata: Metadata, levels: Sequence[PackedLevel]) -> list[Piece]:
@@ -61,62 +57,13 @@ def save(path: str | os.PathLike[str], metadata: Metadata, levels: Sequence[Pack
             beyond the limits, `Io` if the output is there already (``output-exists``), the disk is full
             (``disk-full``) or the folder cannot be written to (``unwritable``). The target is then as it was.
     """
-    with _as_io(str(path)):
-        target = Path(os.path.realpath(path))  # a link keeps pointing to what it points to
-        _check_target(target, overwrite)
+    check_output(path, overwrite)
     data = b"".join(encode(metadata, levels))
     with _as_invalid_argument():
         loads(data, verify=False, limits=limits)  # no file is written that the reader would refuse
-    with _as_io(str(path)):
-        _publish(target, data, overwrite)
+    with published(path, overwrite) as file:
+        file.write(data)
     return len(data)
-
-
-def _check_target(target: Path, overwrite: bool) -> None:
-    if target.exists() and not (overwrite and target.is_file()):
-        allowed = "a new file" if not overwrite else "a file, or nothing"
-        raise fault("output-exists", str(target), "a file" if target.is_file() else "no regular file", allowed,
-                    "choose another name or overwrite it" if not overwrite else "choose another name")
-
-
-def _publish(target: Path, data: bytes, overwrite: bool) -> None:
-    """Write a temporary file beside the target, force it to the disk, and give it the target's name."""
-    temporary = target.with_name(f".{target.name[:40]}.{secrets.token_hex(8)}.tmp")
-    try:
-        with open(temporary, "xb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        _check_target(target, overwrite)  # another writer may have been faster
-        os.replace(temporary, target)
-    except BaseException:  # an interrupted writer leaves nothing behind either
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
-        raise
-    _sync_folder(target.parent)
-
-
-def _sync_folder(folder: Path) -> None:
-    """Force the new name to the disk; only POSIX lets a folder be opened for that."""
-    if os.name != "posix":
-        return
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-@contextmanager
-def _as_io(path: str) -> Generator[None]:
-    """Turn what the operating system says into an `Io` error."""
-    try:
-        yield
-    except (OSError, ValueError) as error:
-        full = isinstance(error, OSError) and error.errno in _FULL
-        found = getattr(error, "strerror", None) or error
-        raise fault("disk-full" if full else "unwritable", path, found, "a folder with room for the file",
-                    "free some space" if full else "check the folder and its permissions") from error
 
 
 @contextmanager

@@ -1,0 +1,148 @@
+"""Ranks of every node's own by one global Lagrange multiplier: least error for the bytes spent.
+
+Each node picks, from what HOSVD captures at every choice of ranks (`tucker.core_energies`), the ranks that minimise
+error + multiplier * bytes; the multiplier is bisected until the level meets its bytes or its error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+F64 = NDArray[np.float64]
+Ranks = tuple[int | None, ...]
+
+
+def empty_node_bytes(order: int, stored: int) -> float:
+    """Table entries of every node, also one that carries nothing: shape and offsets."""
+    return 8.0 + 16 * order + 8 * stored
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """One node's choices: what it would leave and cost at every choice of ranks worth keeping, best first by bytes.
+
+    Attributes:
+        error: squared error left, `[choices]`, descending; the first choice is to store nothing.
+        nbytes: bytes in the file, `[choices]`, ascending.
+        ranks: `[choices, N]`.
+    """
+
+    error: F64
+    nbytes: F64
+    ranks: NDArray[np.int64]
+
+
+def node_bytes(
+    sizes: Sequence[int], ranks: NDArray[np.int64], undecomposed: Sequence[bool], clusters: Sequence[int]
+) -> F64:
+    """Bytes of a node with K_n = 1: float16 numbers, cluster numbers, core scales and offsets; ranks `[.., N]`."""
+    stored = [n for n in range(len(sizes)) if not undecomposed[n]]
+    cells = float(np.prod(clusters))
+    basis = sum(ranks[..., n] * (sizes[n] * cells / clusters[n]) for n in stored)
+    numbers = cells * np.prod(ranks.astype(np.float64), axis=-1) + basis
+    return 2.0 * numbers + 4.0 * cells + 2.0 * sum(sizes[n] for n in stored) + empty_node_bytes(len(sizes), len(stored))
+
+
+def spectrum(
+    table: F64, energy: float, sizes: Sequence[int], undecomposed: Sequence[bool], decode_cost: int,
+    clusters: Sequence[int] | None = None, *, hull: bool = True,
+) -> Spectrum:
+    """The lower convex hull of (bytes, error) over all ranks within the decode cost.
+
+    Args:
+        table: captured energy by ranks, from `tucker.core_energies`.
+        energy: the node's squared norm.
+        sizes: its mode sizes.
+        undecomposed: modes that keep their identity basis.
+        decode_cost: largest prod R_n over decomposed modes.
+        clusters: cells of the node along each mode, which all get the same ranks; None: one cell.
+        hull: keep the convex hull only; else every choice that no other beats in both bytes and error.
+    """
+    choices = _choices(table.shape, tuple(sizes), tuple(undecomposed), decode_cost, tuple(clusters or [1] * len(sizes)))
+    error = np.concatenate([[energy], np.maximum(energy - table.reshape(-1)[choices.entry], 0.0)])
+    keep = _hull(choices.nbytes, error) if hull else _pareto(choices.nbytes, error)
+    return Spectrum(error[keep], choices.nbytes[keep], choices.ranks[keep])
+
+
+@dataclass(frozen=True)
+class Choices:
+    """All ranks within a decode cost by ascending bytes; the first is to store nothing, the others have a table entry."""
+
+    ranks: NDArray[np.int64]
+    nbytes: F64
+    entry: NDArray[np.intp]
+
+
+@lru_cache(maxsize=32)
+def _choices(
+    extents: tuple[int, ...], sizes: tuple[int, ...], undecomposed: tuple[bool, ...], decode_cost: int,
+    clusters: tuple[int, ...],
+) -> Choices:
+    ranks = np.stack(np.indices(extents), axis=-1).reshape(-1, len(extents)) + 1
+    ranks[:, list(undecomposed)] = np.array(sizes)[list(undecomposed)]
+    cost = np.prod(ranks[:, [not flag for flag in undecomposed]].astype(np.float64), axis=1)
+    allowed = np.flatnonzero(cost <= decode_cost)
+    nbytes = node_bytes(sizes, ranks[allowed], undecomposed, clusters)
+    order = np.argsort(nbytes, kind="stable")
+    empty = empty_node_bytes(len(sizes), len(sizes) - sum(undecomposed))
+    nothing = np.zeros((1, len(sizes)), np.int64)
+    return Choices(np.concatenate([nothing, ranks[allowed][order]]), np.concatenate([[empty], nbytes[order]]), allowed[order])
+
+
+def _hull(nbytes: F64, error: F64) -> NDArray[np.intp]:
+    """Indices of the lower convex hull, bytes ascending."""
+    hull: list[int] = []
+    for i in _pareto(nbytes, error):
+        while len(hull) >= 2 and _above(hull[-2], hull[-1], int(i), nbytes, error):
+            hull.pop()
+        hull.append(int(i))
+    return np.array(hull, np.intp)
+
+
+def _pareto(nbytes: F64, error: F64) -> NDArray[np.intp]:
+    """Indices of the choices with less error than any cheaper one; choices come by ascending bytes."""
+    best = np.minimum.accumulate(error)
+    kept = np.flatnonzero(np.concatenate([[True], best[1:] < best[:-1]]))
+    return kept[np.append(np.diff(nbytes[kept]) > 0, True)]  # of equal bytes the last, best one
+
+
+def _above(a: int, b: int, c: int, nbytes: F64, error: F64) -> bool:
+    """Is point b on or above the line from a to c?"""
+    return bool((error[a] - error[b]) * (nbytes[c] - nbytes[a]) <= (error[a] - error[c]) * (nbytes[b] - nbytes[a]))
+
+
+@dataclass(frozen=True)
+class Allocation:
+    """The choice of each node and what all of them cost and leave."""
+
+    choice: NDArray[np.intp]
+    nbytes: float
+    error: float
+
+
+def allocate(spectra: Sequence[Spectrum], *, nbytes: float | None = None, error: float | None = None) -> Allocation:
+    """Choose for all nodes the most within the bytes, or the least that leaves no more than the error.
+
+    Steps along all hulls are taken in the order of error saved a byte, which is what one multiplier chooses.
+    """
+    gains = [(s.error[:-1] - s.error[1:]) / (s.nbytes[1:] - s.nbytes[:-1]) for s in spectra]
+    node = np.repeat(np.arange(len(spectra)), [len(g) for g in gains])
+    step_bytes = np.concatenate([np.diff(s.nbytes) for s in spectra])
+    step_error = np.concatenate([np.diff(s.error) for s in spectra])
+    # One node alone takes its choices in their order, whether or not they are convex.
+    order = np.argsort(-np.concatenate(gains), kind="stable") if len(spectra) > 1 else np.arange(len(step_bytes))
+    spent = sum(float(s.nbytes[0]) for s in spectra) + np.concatenate([[0.0], np.cumsum(step_bytes[order])])
+    left = sum(float(s.error[0]) for s in spectra) + np.concatenate([[0.0], np.cumsum(step_error[order])])
+    if nbytes is not None:
+        taken = int(np.searchsorted(spent, nbytes, side="right")) - 1
+    else:
+        assert error is not None
+        taken = int(np.argmax(left <= error)) if left[-1] <= error else len(order)
+    taken = max(taken, 0)
+    choice = np.bincount(node[order[:taken]], minlength=len(spectra)).astype(np.intp)
+    return Allocation(choice, float(spent[taken]), float(left[taken]))

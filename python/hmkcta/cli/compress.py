@@ -1,0 +1,92 @@
+"""`hmkcta compress`: array in, file out, and what it came to."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+from numpy.typing import NDArray
+
+from ..encode import compress
+from ..hmkfile import check_output
+from ..model import Model
+from .failure import Exit
+from .goal import KINDS, Goal, goal_from, goal_options
+from .options import Command, json_option, overwrite_option, quiet_option, together, verbose_option
+from .output import decibels, emit, mebibytes, seconds, table
+from .progress import Progress
+
+EXAMPLES = (
+    "hmkcta compress wood.npy -o wood.hmk --axes light,view,y,x,rgb --snr 27",
+    "hmkcta compress jet.raw -o jet.hmk --shape 64,64,64 --dtype float32 --size 500KB",
+    'hmkcta compress wood.npy -o wood.hmk --plan "R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2"',
+)
+
+#: How far below --snr a result may be and still be what was asked for: what is printed is rounded more.
+SNR_SLACK = 0.005
+
+
+@click.command("compress", cls=Command, examples=EXAMPLES)
+@click.argument("source", metavar="SRC", type=click.Path())
+@click.option("-o", "--output", required=True, type=click.Path(), metavar="FILE", help="File to write.")
+@goal_options
+@click.option("--kind", type=click.Choice(KINDS), metavar="NAME",
+              help="What it shows: svbrdf, lightfield, volume, generic.")
+@together(overwrite_option, json_option, quiet_option, verbose_option)
+def compress_command(source: str, output: str, plan: str | None, kind: str | None, overwrite: bool, as_json: bool,
+                     quiet: bool, verbose: bool, **options: Any) -> None:
+    """Compress the array SRC (.npy, .npz or raw binary).
+
+    Exit code 7: the goal was not reached, the file is the best found.
+    """
+    goal = goal_from(options)
+    check_output(output, overwrite)
+    array = goal.open(source)
+    with Progress(quiet or as_json) as progress:
+        model = compress(array, plan, snr=goal.snr, size=goal.size, kind=kind, progress=progress, **goal.settings)
+        model.save(output, overwrite=overwrite)
+    report = describe(model, array, progress)
+    missed = missed_goal(model, goal)
+    if as_json:
+        emit({"output": output, **report, "reached": missed is None})
+    elif not quiet:
+        click.echo(as_text(report))
+        click.echo(f"{output}: {model!r}")
+        if verbose:
+            click.echo("\n".join(f"  {stage}: {seconds(time)}" for stage, time in progress.stages.items()), err=True)
+    if missed is not None:
+        advice = "allow a higher --decode-cost, or try --quality thorough"
+        click.echo(f"hmkcta: {missed} {output} is written, and is the best found. Next: {advice}.", err=True)
+        click.get_current_context().exit(Exit.TARGET_MISSED)
+
+
+def describe(model: Model, array: NDArray[Any], progress: Progress) -> dict[str, Any]:
+    """What the model came to, level by level."""
+    levels: list[dict[str, Any]] = []
+    for number, quality in enumerate(model.quality, start=1):
+        upto = model.at_level(number)
+        spent = sum(time for stage, time in progress.stages.items() if stage.endswith(f"level {number}"))
+        levels.append({
+            "level": number, "snr_db": quality.snr_db, "rmse": quality.rmse, "max_abs_error": quality.max_abs_error,
+            "bytes": upto.nbytes, "ratio": array.nbytes / upto.nbytes, "decode_cost": upto.decode_cost,
+            "seconds": round(spent, 3),
+        })
+    return {"snr_db": model.snr, "bytes": model.nbytes, "ratio": array.nbytes / model.nbytes,
+            "decode_cost": model.decode_cost, "seconds": round(progress.elapsed, 3), "levels": levels}
+
+
+def as_text(report: dict[str, Any]) -> str:
+    """The table, and the time that belongs to no level."""
+    rows = [[str(level["level"]), decibels(level["snr_db"]), mebibytes(level["bytes"]), f"{level['ratio']:.1f}",
+             str(level["decode_cost"]), f"{level['seconds']:.1f}"] for level in report["levels"]]
+    whole = table(["level", "SNR dB", "MiB", "ratio", "decode cost", "seconds"], rows)
+    return f"{whole}\nAll of it took {seconds(report['seconds'])}."
+
+
+def missed_goal(model: Model, goal: Goal) -> str | None:
+    """A sentence on the goal that was not reached; None if all were."""
+    if goal.snr is not None and model.snr < goal.snr - SNR_SLACK:
+        return f"the SNR is {model.snr:.2f} dB, below --snr {goal.snr:g}."
+    if goal.size is not None and model.nbytes > goal.size:
+        return f"the file has {model.nbytes} bytes, more than --size {goal.size}."
+    return None

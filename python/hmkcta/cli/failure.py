@@ -1,0 +1,57 @@
+"""How commands end: documented exit codes, and one sentence on stderr for whatever went wrong."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import IO, Any
+
+import click
+
+from ..errors import HmkctaError
+from .output import JSON, emit
+
+
+class Exit(IntEnum):
+    """Exit codes that are not a `Kind`'s, or are needed without one."""
+
+    OK = 0
+    UNEXPECTED = 1
+    IO = 3
+    RESOURCE = 6
+    TARGET_MISSED = 7
+    INTERRUPTED = 130
+
+
+EXIT_CODES = {
+    0: "done",
+    1: "unexpected failure",
+    2: "wrong usage or argument",
+    3: "input unreadable, or output cannot be written",
+    4: "corrupt file",
+    5: "version or codec of the file is not supported",
+    6: "resource limit",
+    7: "target not reached: the file is written, and is the best found",
+    130: "interrupted",
+}
+
+
+class Failure(click.ClickException):
+    """Ends the program with a sentence on stderr, an exit code, and with --json an object on stdout."""
+
+    def __init__(self, sentence: str, exit_code: int, cause: HmkctaError | None = None) -> None:
+        super().__init__(sentence)
+        # Click declares it for the class, and reads the instance's.
+        self.exit_code = int(exit_code)  # pyright: ignore[reportAttributeAccessIssue]
+        self.cause = cause
+        context = click.get_current_context(silent=True)
+        self.as_json = bool(context and context.meta.get(JSON))
+
+    def show(self, file: IO[Any] | None = None) -> None:
+        """Write the sentence."""
+        del file
+        click.echo(f"hmkcta: {self.message}", err=True)
+        if self.as_json:
+            report: dict[str, Any] = {"sentence": self.message, "exit_code": self.exit_code}
+            if self.cause is not None:
+                report |= {"kind": self.cause.kind.label, "reason": self.cause.reason, "where": self.cause.where}
+            emit({"error": report})

@@ -1,0 +1,89 @@
+"""Options that say what to fit: a goal, or a plan, and how the array is to be understood. For `compress` and `plan`."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import click
+from numpy.typing import NDArray
+
+from ..axes import format_organisation
+from ..plan import Plan
+from ..readers import open_array
+from .options import ByteSize, Count, Names, memory_option, nan_option, source_options, together
+
+QUALITIES = ("fast", "medium", "thorough")
+SCHEMES = ("auto", "most", "least", "uniform")
+KINDS = ("svbrdf", "lightfield", "volume", "generic")
+
+goal_options = together(
+    click.option("--snr", type=float, metavar="DB", help="Goal: this signal-to-noise ratio, few bytes."),
+    click.option("--size", type=ByteSize(), metavar="SIZE", help="Goal: the best in this size: 20MiB, 500KB."),
+    click.option("--decode-cost", type=Count(1), default=4096, metavar="N",
+                 help="Multiply-adds for an element, at most (4096)."),
+    click.option("--quality", type=click.Choice(QUALITIES), default="medium", metavar="NAME",
+                 help="Effort: fast, medium (default) or thorough."),
+    click.option("--plan", "plan", metavar="TEXT", help="Levels to fit: R=.. C=.. K=.. / R=.. C=.. K=.."),
+    click.option("--organisation", metavar="TEXT", help='Axes into modes: "light+rgb, view, y+x".'),
+    click.option("--scheme", type=click.Choice(SCHEMES), default="auto", metavar="NAME",
+                 help="Subdivision: auto, most, least or uniform."),
+    click.option("--axes", type=Names(), metavar="A,B,..", help="Names of the axes: light,view,y,x,rgb."),
+    click.option("--transform", default="identity", metavar="NAME",
+                 help="Of values: log1p[:scale], asinh[:scale], sqrt."),
+    nan_option,
+    click.option("--seed", type=Count(0), default=0, metavar="N", help="One seed makes one file (0)."),
+    click.option("--threads", type=Count(1), metavar="N", help="Threads (all cores)."),
+    memory_option,
+    source_options,
+)
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What the options of `goal_options` say.
+
+    Raises:
+        click.UsageError: both --snr and --size.
+    """
+
+    snr: float | None
+    size: int | None
+    settings: dict[str, Any]  # further arguments of `compress` and `choose_plan`
+    source: dict[str, Any]  # arguments of `open_array`
+
+    def open(self, path: str) -> NDArray[Any]:
+        """The source."""
+        return open_array(path, **self.source)
+
+
+def goal_from(options: dict[str, Any]) -> Goal:
+    """Take the values of `goal_options`, but for --plan, out of a command's options."""
+    source = {key: options.pop(key) for key in ("member", "shape", "dtype", "order", "offset")}
+    goal = Goal(options.pop("snr"), options.pop("size"), options, source)
+    if goal.snr is not None and goal.size is not None:
+        raise click.UsageError("--snr and --size are both given: choose one of them.")
+    return goal
+
+
+def command_for(source: str, output: str, plan: Plan, goal: Goal) -> str:
+    """The command that fits exactly this plan: the plan in full, and whatever else was given."""
+    words = ["hmkcta", "compress", source, "-o", output]
+    words += ["--organisation", format_organisation(plan.organisation), "--plan", str(plan)]
+    given: dict[str, Any] = {"snr": plan.snr, "size": plan.size, **goal.settings, **goal.source}
+    defaults = {param.name: param.default for param in click.get_current_context().command.params}
+    for name, value in given.items():
+        if name != "organisation" and value is not None and value != defaults.get(name):
+            words += [f"--{name.replace('_', '-')}", _written(name, value)]
+    return shlex.join(words)
+
+
+def _written(name: str, value: Any) -> str:
+    """An option's value as it is given on the command line."""
+    if name == "nan":
+        return f"fill={value:g}"
+    if isinstance(value, list | tuple):
+        return ",".join(map(str, cast("Sequence[Any]", value)))
+    return repr(value) if isinstance(value, float) else str(value)

@@ -1,0 +1,126 @@
+"""`hmkcta info`: all there is to know about a file without its source."""
+
+from __future__ import annotations
+
+import os
+from typing import Any, cast
+
+import click
+import numpy as np
+
+from ..axes import format_organisation
+from ..memory import format_bytes
+from ..model import Model
+from ..model import open as open_model
+from ..packed import PackedLevel
+from .options import Command, file_argument, json_option, verbose_option
+from .output import decibels, emit, table
+
+EXAMPLES = ("hmkcta info wood.hmk", "hmkcta info wood.hmk --json", "hmkcta info wood.hmk -v")
+
+
+@click.command("info", cls=Command, examples=EXAMPLES)
+@file_argument
+@json_option
+@verbose_option
+def info_command(file: str, as_json: bool, verbose: bool) -> None:
+    """Show axes, levels, quality and sizes of FILE, whose checksums are verified."""
+    report = describe(open_model(file), os.path.getsize(file))
+    if as_json:
+        emit({"file": file, **report})
+    else:
+        click.echo(file)
+        click.echo(as_text(report, verbose))
+
+
+def describe(model: Model, size: int) -> dict[str, Any]:
+    """The facts of a model whose file has `size` bytes."""
+    metadata = model.metadata
+    numbers = sum(2 * level.numbers() for level in model.levels)
+    tables = sum(array.nbytes for level in model.levels for _, array in level.tables())
+    source_bytes = model.size * np.dtype(metadata.source_dtype).itemsize
+    return {
+        "kind": metadata.kind,
+        "source_dtype": metadata.source_dtype,
+        "axes": [{"name": axis.name, "size": axis.size, "role": axis.role, "unit": axis.unit,
+                  "coordinates": axis.coords is not None} for axis in metadata.axes],
+        "organisation": format_organisation(metadata.organisation),
+        "undecomposed": list(metadata.undecomposed),
+        "transform": metadata.transform,
+        "levels": [_level(model, number) for number in range(1, len(model.levels) + 1)],
+        "decode_cost": model.decode_cost,
+        "bytes": {"file": size, "numbers": numbers, "tables": tables, "header": size - numbers - tables},
+        "ratio": source_bytes / size,
+        "source": metadata.source, "seed": metadata.seed, "writer": metadata.writer,
+    }
+
+
+def _level(model: Model, number: int) -> dict[str, Any]:
+    bounds, level, quality = model.bounds[number - 1], model.levels[number - 1], model.quality[number - 1]
+    cells, zero_cells = cells_of(level)
+    return {
+        "level": number, "R": list(bounds.ranks), "C": list(bounds.clusters), "K": list(bounds.mixture),
+        "subdivision": bounds.scheme,
+        "nodes": level.nodes, "nodes_that_carry_nothing": int((~level.shape.any(axis=(1, 2))).sum()),
+        "clusters": cells, "clusters_that_carry_nothing": zero_cells,
+        "bytes": 2 * level.numbers() + sum(array.nbytes for _, array in level.tables()),
+        "snr_db": quality.snr_db, "rmse": quality.rmse, "max_abs_error": quality.max_abs_error,
+    }
+
+
+def cells_of(level: PackedLevel) -> tuple[int, int]:
+    """Clusters c = (c_1..c_N) of all nodes of a level, and how many of them have a core of zeros.
+
+    >>> from hmkcta._example import example_level
+    >>> cells_of(example_level())
+    (1, 0)
+    """
+    shape = level.shape.astype(np.int64)
+    alive = shape.any(axis=(1, 2))
+    cells = np.where(alive, shape[:, 0].prod(axis=1), 0)
+    lengths = np.repeat(shape[:, 2].prod(axis=1), cells)  # numbers in each cell's core
+    if not lengths.size:
+        return 0, 0
+    starts = np.concatenate([[0], np.cumsum(lengths)[:-1]])
+    filled = np.maximum.reduceat(level.core != 0, starts)
+    return len(lengths), int((~filled).sum())
+
+
+def as_text(report: dict[str, Any], verbose: bool) -> str:
+    """The facts for people."""
+    axes = ", ".join(f"{axis['name']} {axis['size']} ({axis['role']})" for axis in report["axes"])
+    levels = table(
+        ["level", "R", "C", "K", "subdivision", "nodes", "empty", "clusters", "empty", "SNR dB", "RMSE", "max error",
+         "size"],
+        [[str(level["level"]), *(",".join(map(str, level[key])) for key in "RCK"), level["subdivision"],
+          str(level["nodes"]), str(level["nodes_that_carry_nothing"]),
+          str(level["clusters"]), str(level["clusters_that_carry_nothing"]),
+          decibels(level["snr_db"]), f"{level['rmse']:.4g}", f"{level['max_abs_error']:.4g}",
+          format_bytes(level["bytes"])] for level in report["levels"]], "  ", left=[1, 2, 3, 4])
+    parts = report["bytes"]
+    transform = report["transform"]["name"] + "".join(
+        f", {key} {value:g}" for key, value in report["transform"].items() if key != "name")
+    lines = [
+        f"  {report['kind']}, source {report['source_dtype']}, written by {report['writer'] or 'unknown'}, "
+        f"seed {report['seed']}",
+        f"  axes          {axes}",
+        f"  organisation  {report['organisation']}",
+        f"  transform     {transform}",
+        *(f"  {name:<13} {value}" for name, value in _domain_lines(report)),
+        f"  decode cost   {report['decode_cost']} multiply-adds an element",
+        f"  size          {format_bytes(parts['file'])}, 1/{report['ratio']:.1f} of the source: numbers "
+        f"{format_bytes(parts['numbers'])}, tables {format_bytes(parts['tables'])}, "
+        f"header {format_bytes(parts['header'])}",
+        "", levels,
+    ]
+    if verbose:
+        lines += ["", *(f"  source {key}: {value}" for key, value in report["source"].items())]
+    return "\n".join(lines)
+
+
+def _domain_lines(report: dict[str, Any]) -> list[tuple[str, str]]:
+    """SNR in the domain of the value transform, where the file says it: the levels' own is that of the values."""
+    transformed = report["source"].get("transformed_snr_db")
+    if not isinstance(transformed, list):
+        return []
+    return [("transformed", " ".join(map(decibels, cast("list[float]", transformed))) + " dB, level by level")]

@@ -1,0 +1,175 @@
+"""Options that several commands share, and the texts they read: sizes, shapes, names, fill values."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
+
+import click
+
+from .output import JSON
+
+#: Key of `click.Context.meta` that is true with -v.
+VERBOSE = "hmkcta.verbose"
+CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 110}
+
+_UNITS = {"": 1, "B": 1, **{f"{p}B": 1000**n for n, p in enumerate("KMGT", 1)},
+          **{f"{p}IB": 1024**n for n, p in enumerate("KMGT", 1)}}
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+class ByteSize(click.ParamType[int]):
+    """Bytes, with or without a unit.
+
+    >>> ByteSize().convert("20MiB", None, None), ByteSize().convert("1.5 kB", None, None)
+    (20971520, 1500)
+    """
+
+    name = "size"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        """Read it, or end with what is wrong."""
+        if isinstance(value, int):
+            return value
+        found = re.fullmatch(r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*([A-Za-z]*)", str(value).strip())
+        unit = _UNITS.get(found[2].upper()) if found else None
+        if found is None or unit is None:
+            self.fail(f"{value!r} is no size: write bytes, or a number with KB, KiB, MB, MiB, GB or GiB.", param, ctx)
+        size = round(float(found[1]) * unit)
+        if size < 1:
+            self.fail(f"{value!r} is no size above 0.", param, ctx)
+        return size
+
+
+class Shape(click.ParamType[tuple[int, ...]]):
+    """Sizes parted by commas or x.
+
+    >>> Shape().convert("64,64,3", None, None)
+    (64, 64, 3)
+    """
+
+    name = "shape"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
+        """Read it, or end with what is wrong."""
+        words = re.split(r"[,x]", str(value).replace(" ", ""))
+        if not all(word.isascii() and word.isdigit() for word in words):
+            self.fail(f"{value!r} is no shape: write whole numbers parted by commas, e.g. 64,64,3.", param, ctx)
+        return tuple(int(word) for word in words)
+
+
+class Names(click.ParamType[list[str]]):
+    """Names parted by commas.
+
+    >>> Names().convert("light, view,y,x", None, None)
+    ['light', 'view', 'y', 'x']
+    """
+
+    name = "names"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> list[str]:
+        """Read it."""
+        del param, ctx
+        return [word.strip() for word in str(value).split(",")]
+
+
+class Fill(click.ParamType[float]):
+    """What to do with NaN and infinity: ``fill=VALUE``.
+
+    >>> Fill().convert("fill=-1", None, None)
+    -1.0
+    """
+
+    name = "fill=VALUE"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Read it, or end with what is wrong."""
+        word, equals, number = str(value).partition("=")
+        try:
+            if word != "fill" or not equals:
+                raise ValueError
+            filling = float(number)
+            if filling - filling != 0:  # NaN or infinity again
+                raise ValueError
+        except ValueError:
+            self.fail(f"{value!r}: write fill=VALUE with a finite number, e.g. fill=0.", param, ctx)
+        return filling
+
+
+class Count(click.IntRange):
+    """A whole number from `least` up, which help does not say again for each option.
+
+    >>> Count(1).convert("7", None, None)
+    7
+    """
+
+    def __init__(self, least: int) -> None:
+        super().__init__(min=least)
+
+    def _describe_range(self) -> str:
+        return ""
+
+
+class Command(click.Command):
+    """A command whose help opens with examples to copy."""
+
+    def __init__(self, *args: Any, examples: Sequence[str] = (), **settings: Any) -> None:
+        super().__init__(*args, **settings)
+        self.examples = examples
+
+    def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Examples, then what click writes."""
+        examples_first(formatter, self.examples)
+        super().format_help(ctx, formatter)
+
+
+def examples_first(formatter: click.HelpFormatter, examples: Sequence[str]) -> None:
+    """Write the examples."""
+    with formatter.section("Examples"):
+        for example in examples:
+            formatter.write(f"{'':>{formatter.current_indent}}{example}\n")
+    formatter.write_paragraph()
+
+
+def together(*options: Callable[[Any], Any]) -> Callable[[Function], Function]:
+    """Several options as one decorator; they come in help in the order given."""
+    def decorate(function: Function) -> Function:
+        for option in reversed(options):
+            function = option(function)
+        return function
+
+    return decorate
+
+
+def _remember(key: str) -> Callable[[click.Context, click.Parameter, Any], Any]:
+    """A callback that puts an option's value where whatever ends the program finds it."""
+    def callback(ctx: click.Context, parameter: click.Parameter, value: Any) -> Any:
+        del parameter
+        ctx.meta[key] = value
+        return value
+
+    return callback
+
+
+source_options = together(
+    click.option("--member", metavar="NAME", help="Array of an .npz; or write FILE.npz:NAME."),
+    click.option("--shape", type=Shape(), metavar="N,N,..", help="Shape of raw binary."),
+    click.option("--dtype", metavar="TYPE", help="Numbers of raw binary: float32, uint8, >f4, .."),
+    click.option("--order", type=click.Choice(["C", "F"]), default="C", metavar="C|F",
+                 help="Raw binary: last (C, default) or first axis fastest."),
+    click.option("--offset", type=Count(0), default=0, metavar="BYTES",
+                 help="Bytes to skip at the start of raw binary."),
+)
+json_option = click.option("--json", "as_json", is_flag=True, is_eager=True, callback=_remember(JSON),
+                           help="One JSON object on stdout; messages on stderr.")
+quiet_option = click.option("--quiet", is_flag=True, help="No progress, no report.")
+verbose_option = click.option("-v", "--verbose", is_flag=True, is_eager=True, callback=_remember(VERBOSE),
+                              help="More about the work; tracebacks.")
+memory_option = click.option("--max-memory", type=ByteSize(), metavar="SIZE",
+                             help="Refuse, before it begins, what needs more.")
+overwrite_option = click.option("--overwrite", is_flag=True, help="Replace an output that is there already.")
+nan_option = click.option("--nan", type=Fill(), metavar="fill=VALUE",
+                          help="Put VALUE for NaN and infinity, else refused.")
+file_argument = click.argument("file", type=click.Path())

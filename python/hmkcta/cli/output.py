@@ -1,0 +1,76 @@
+"""What commands print: plain tables for people, one JSON object for programs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from math import isfinite
+from typing import Any, cast
+
+import click
+
+#: Key of `click.Context.meta` that is true with --json.
+JSON = "hmkcta.json"
+
+
+def emit(report: Mapping[str, Any]) -> None:
+    """One JSON object on stdout; numbers that JSON cannot hold become null."""
+    click.echo(json.dumps(_plain(report), indent=2))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in cast("Mapping[object, Any]", value).items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in cast("Sequence[Any]", value)]
+    return None if isinstance(value, float) and not isfinite(value) else value
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]], indent: str = "", left: Sequence[int] = ()) -> str:
+    """Aligned columns: numbers to the right; names in the first column, and the columns `left`, to the left.
+
+    >>> for line in table(["level", "SNR dB"], [["1", "7.31"], ["2", "16.26"]]).splitlines():
+    ...     line
+    'level  SNR dB'
+    '    1    7.31'
+    '    2   16.26'
+    >>> table(["data", "n"], [["wood", "1"]])
+    'data  n\\nwood  1'
+    """
+    grid = [list(header), *(list(row) for row in rows)]
+    widths = [max(len(row[n]) for row in grid) for n in range(len(header))]
+    named = {0} if not all(row[0][:1].isdigit() for row in grid[1:]) else set[int]()
+    lines = ["  ".join(cell.ljust(width) if n in named.union(left) else cell.rjust(width)
+                       for n, (cell, width) in enumerate(zip(row, widths, strict=True))) for row in grid]
+    return "\n".join((indent + line).rstrip() for line in lines)
+
+
+def decibels(snr: float) -> str:
+    """An SNR for people.
+
+    >>> decibels(27.041), decibels(float("inf"))
+    ('27.04', 'exact')
+    """
+    return f"{snr:.2f}" if isfinite(snr) else "exact" if snr > 0 else "none"
+
+
+def mebibytes(count: int) -> str:
+    """Bytes in MiB for tables, with the digits that small files need.
+
+    >>> mebibytes(23_373_000), mebibytes(4096)
+    ('22.29', '0.0039')
+    """
+    size = count / 2**20
+    return f"{size:.2f}" if size >= 1 else f"{size:.2g}" if size < 0.01 else f"{size:.3f}"
+
+
+def seconds(time: float) -> str:
+    """A duration for people.
+
+    >>> seconds(3.14), seconds(75), seconds(7322)
+    ('3.1 s', '1 min 15 s', '2 h 02 min')
+    """
+    if time < 59.95:
+        return f"{time:.1f} s"
+    minutes, rest = divmod(round(time), 60)
+    return f"{minutes} min {rest:02d} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"

@@ -1,0 +1,95 @@
+"""`hmkcta plan`: what `compress` would do, with its cost, without doing it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import click
+
+from ..axes import Axis, format_organisation, mode_sizes, name_axes, parse_organisation, separate
+from ..encode import choose_plan
+from ..memory import format_bytes
+from ..plan import Plan, parse_plan
+from ..predict import fitting_memory, predicted_bytes
+from .goal import Goal, command_for, goal_from, goal_options
+from .options import Command, json_option, quiet_option, together, verbose_option
+from .output import emit, seconds, table
+from .progress import Progress
+
+EXAMPLES = (
+    "hmkcta plan wood.npy --axes light,view,y,x,rgb --snr 27",
+    "hmkcta plan jet.raw --shape 64,64,64 --dtype float32 --size 500KB",
+    'hmkcta plan wood.npy --plan "R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2"',
+)
+
+
+@click.command("plan", cls=Command, examples=EXAMPLES)
+@click.argument("source", metavar="SRC", type=click.Path())
+@goal_options
+@together(json_option, quiet_option, verbose_option)
+def plan_command(source: str, plan: str | None, as_json: bool, quiet: bool, verbose: bool, **options: Any) -> None:
+    """Show a plan for the array SRC and its cost, and the command that follows it."""
+    del verbose
+    goal = goal_from(options)
+    array = goal.open(source)
+    axes = name_axes(array.shape, goal.settings["axes"])
+    with Progress(quiet or as_json) as progress:
+        if plan is not None:
+            chosen = given_plan(plan, axes, goal)
+        else:
+            chosen = choose_plan(array, snr=goal.snr, size=goal.size, progress=progress, **goal.settings)
+    report = describe(chosen, axes, goal.settings["decode_cost"])
+    report["command"] = command_for(source, "OUT.hmk", chosen, goal)
+    report["seconds"] = round(progress.elapsed, 3)
+    if as_json:
+        emit({"source": source, **report})
+    else:
+        click.echo(as_text(report))
+
+
+def given_plan(text: str, axes: tuple[Axis, ...], goal: Goal) -> Plan:
+    """The plan of --plan, as `compress` reads it."""
+    written, scheme = goal.settings["organisation"], goal.settings["scheme"]
+    organisation = separate(axes) if written is None else parse_organisation(written, axes)
+    plan = parse_plan(text, organisation, "most" if scheme == "auto" else scheme)
+    return replace(plan, snr=goal.snr, size=goal.size)
+
+
+def describe(plan: Plan, axes: tuple[Axis, ...], allowed_cost: int) -> dict[str, Any]:
+    """What the plan does and costs; `allowed_cost` bounds the levels whose nodes choose their ranks."""
+    sizes = mode_sizes(axes, plan.organisation)
+    costs: list[int] = []
+    for level in plan.levels:
+        costs.append(min(level.decode_cost(), max(1, allowed_cost - sum(costs))) if level.own else level.decode_cost())
+    return {
+        "organisation": format_organisation(plan.organisation), "mode_sizes": list(sizes), "plan": str(plan),
+        "levels": [{"level": number, "text": str(level), "search": level.search, "decode_cost": cost}
+                   for number, (level, cost) in enumerate(zip(plan.levels, costs, strict=True), start=1)],
+        "snr": plan.snr, "size": plan.size, "predicted_bytes": predicted_bytes(plan, sizes),
+        "decode_cost": sum(costs), "memory": fitting_memory(sizes),
+        "source_bytes_float32": fitting_memory(sizes) // 5,
+    }
+
+
+def as_text(report: dict[str, Any]) -> str:
+    """The plan for people."""
+    count = report["predicted_bytes"]
+    size = f"as many as {report['snr']:g} dB need" if count is None else (
+        f"{format_bytes(count)}, 1/{report['source_bytes_float32'] / count:.0f} of the values in float32")
+    modes = " x ".join(map(str, report["mode_sizes"]))
+    rows = [[str(level["level"]), str(level["decode_cost"]), level["text"]] for level in report["levels"]]
+    goals = [f"at least {report['snr']:g} dB"] if report["snr"] is not None else []
+    goals += [f"at most {format_bytes(report['size'])}"] if report["size"] is not None else []
+    return "\n".join([
+        f"organisation  {report['organisation']}  ({modes})",
+        *([f"goal          {', '.join(goals)}"] if goals else []),
+        f"bytes         {size}",
+        f"decode cost   up to {report['decode_cost']} multiply-adds an element",
+        f"memory        {format_bytes(report['memory'])}",
+        "",
+        table(["level", "decode cost", "ranks R, clusters C, mixture K"], rows, left=[2]),
+        "",
+        f"Found in {seconds(report['seconds'])}. To do it:",
+        f"  {report['command']}",
+    ])

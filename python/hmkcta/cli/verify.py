@@ -1,0 +1,98 @@
+"""`hmkcta verify`: is the file whole, and is it as good as it says?"""
+
+from __future__ import annotations
+
+from math import isclose
+from typing import Any
+
+import click
+
+from ..errors import HmkctaError, Kind
+from ..measure import measure
+from ..model import Model
+from ..model import open as open_model
+from ..packed import LevelQuality
+from ..readers import open_array
+from .options import (
+    Command,
+    file_argument,
+    json_option,
+    nan_option,
+    quiet_option,
+    source_options,
+    verbose_option,
+)
+from .output import decibels, emit, table
+from .progress import Progress
+
+EXAMPLES = ("hmkcta verify wood.hmk", "hmkcta verify wood.hmk --against wood.npy",
+            "hmkcta verify jet.hmk --against jet.raw --shape 64,64,64 --dtype float32")
+
+#: How far measurements may differ from the file's: both are float64, only the order of summation differs.
+SNR_TOLERANCE, ERROR_TOLERANCE = 0.01, 1e-3
+
+
+@click.command("verify", cls=Command, examples=EXAMPLES)
+@file_argument
+@click.option("--against", metavar="SRC", help="Source: measure again, compare with FILE.")
+@source_options
+@nan_option
+@json_option
+@quiet_option
+@verbose_option
+def verify_command(file: str, against: str | None, nan: float | None, as_json: bool, quiet: bool, verbose: bool,
+                   **source: Any) -> None:
+    """Check FILE; with --against SRC also that it is as good as it says.
+
+    Exit code 4: FILE is damaged, or its quality is not what it says.
+    """
+    del verbose
+    model = open_model(file)
+    report: dict[str, Any] = {"file": file, "digests": "ok", "structure": "ok"}
+    measured: tuple[LevelQuality, ...] = ()
+    if against is not None:
+        array = open_array(against, **source)
+        with Progress(quiet or as_json) as progress:
+            measured = measure(model, array, nan=nan, progress=progress)
+        report["levels"] = _report(model, measured)
+    if not as_json and not quiet:
+        _show(file, model, measured)
+    for number, (said, found) in enumerate(zip(model.quality, measured, strict=False), start=1):
+        _compare(file, number, said, found)
+    if as_json:
+        emit(report)
+
+
+def _report(model: Model, measured: tuple[LevelQuality, ...]) -> list[dict[str, Any]]:
+    return [{"level": number, "snr_db": found.snr_db, "rmse": found.rmse, "max_abs_error": found.max_abs_error,
+             "snr_db_in_file": said.snr_db}
+            for number, (said, found) in enumerate(zip(model.quality, measured, strict=True), start=1)]
+
+
+def _show(file: str, model: Model, measured: tuple[LevelQuality, ...]) -> None:
+    click.echo(f"{file}: digests, indices and numbers are as they should be.")
+    if measured:
+        rows = [[str(number), decibels(found.snr_db), decibels(said.snr_db), f"{found.rmse:.4g}",
+                 f"{found.max_abs_error:.4g}"]
+                for number, (said, found) in enumerate(zip(model.quality, measured, strict=True), start=1)]
+        click.echo(table(["level", "SNR dB", "in the file", "RMSE", "max error"], rows))
+
+
+def _compare(file: str, number: int, said: LevelQuality, found: LevelQuality) -> None:
+    """Refuse a file whose quality is another than it says."""
+    snr_agrees = said.snr_db == found.snr_db or abs(said.snr_db - found.snr_db) <= SNR_TOLERANCE
+    rows = (
+        ("SNR", snr_agrees, f"{found.snr_db:.4f} dB", f"{said.snr_db:.4f} dB"),
+        ("RMSE", _close(found.rmse, said.rmse), f"{found.rmse:.6g}", f"{said.rmse:.6g}"),
+        ("largest error", _close(found.max_abs_error, said.max_abs_error),
+         f"{found.max_abs_error:.6g}", f"{said.max_abs_error:.6g}"),
+    )
+    for name, agrees, measured, stated in rows:
+        if not agrees:
+            raise HmkctaError(Kind.CORRUPTION, "quality-differs", f"{name} of level {number} of {file}",
+                              found=measured, allowed=f"{stated}, as the file says",
+                              hint="check that this is the source it was made of, with the same --nan")
+
+
+def _close(found: float, said: float) -> bool:
+    return isclose(found, said, rel_tol=ERROR_TOLERANCE)

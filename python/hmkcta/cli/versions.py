@@ -1,0 +1,47 @@
+"""`hmkcta --version`: what to paste into a report of a problem."""
+
+from __future__ import annotations
+
+import platform
+from importlib.metadata import PackageNotFoundError, version
+
+import click
+
+from .._version import __version__
+from ..hmkfile import VERSION
+
+LIBRARIES = ("numpy", "safetensors", "click", "rich", "pillow")
+
+
+def versions() -> str:
+    """Versions of hmkcta, Python and the libraries, and the machine."""
+    lines = [f"hmkcta {__version__}", f"python {platform.python_version()} ({platform.python_implementation()})"]
+    lines += [f"{name} {_version(name)}" for name in LIBRARIES]
+    return "\n".join([*lines, f"file format {VERSION}", f"native kernels {_native()}", platform.platform()])
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def _native() -> str:
+    try:
+        from .. import _native as module  # pyright: ignore[reportAttributeAccessIssue, reportUnknownVariableType]
+    except ImportError as error:
+        return f"missing ({error})"
+    del module
+    return "present"
+
+
+def _show(ctx: click.Context, parameter: click.Parameter, value: bool) -> None:
+    del parameter
+    if value and not ctx.resilient_parsing:
+        click.echo(versions())
+        ctx.exit()
+
+
+version_option = click.option("--version", is_flag=True, is_eager=True, expose_value=False, callback=_show,
+                              help="Print the versions of hmkcta and its libraries.")

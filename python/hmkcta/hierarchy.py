@@ -1,0 +1,209 @@
+"""HMK-CTA (paper, section 4): levels of MK-CTA on residuals, nodes fitted independently, back-fitting across levels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from itertools import product
+from math import prod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import backends as kernels
+from .axes import Axis, Organisation
+from .cells import Cells
+from .fit import WARM, Effort, Labels, fit_level
+from .memberships import uniform_blocks
+from .plan import LevelSpec
+from .subdivision import subdivide
+
+F32 = NDArray[np.float32]
+Rows = tuple[NDArray[np.intp], ...]
+#: Called with a stage's name and the fraction of it that is done.
+Progress = Callable[[str, float], None]
+
+
+@dataclass(eq=False)
+class Node:
+    """A sub-tensor of a level: its rows of every mode, what was fitted to it, and where its rows go next.
+
+    Attributes:
+        rows: index list of each mode, into the whole tensor.
+        cells: the fitted cells as they will be stored (float16 numbers); None: the node adds nothing and is a leaf.
+        parts: for each mode the part of every row at the next level; None: a leaf.
+        children: one for each combination of parts, in C order.
+    """
+
+    rows: Rows
+    cells: Cells | None = None
+    parts: list[NDArray[np.intp]] | None = None
+    children: list[Node] = field(default_factory=list["Node"])
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Mode sizes of the sub-tensor."""
+        return tuple(len(rows) for rows in self.rows)
+
+    @property
+    def elements(self) -> int:
+        """How many elements it has."""
+        return prod(self.sizes)
+
+
+@dataclass(eq=False)
+class Hierarchy:
+    """Nodes by level, and the tensor minus all of them: `residual` is kept up to date by every step."""
+
+    residual: F32
+    levels: list[list[Node]]
+
+    @property
+    def error(self) -> float:
+        """Squared error of everything fitted so far, float64."""
+        return squared_norm(self.residual)
+
+
+def squared_norm(tensor: F32) -> float:
+    """Sum of squares in float64, slab by slab."""
+    return sum(float(np.square(slab, dtype=np.float64).sum()) for slab in tensor)
+
+
+def whole(tensor: F32) -> Hierarchy:
+    """The hierarchy before any level: one node that owns every row."""
+    return Hierarchy(tensor, [[Node(tuple(np.arange(size) for size in tensor.shape))]])
+
+
+def gather(tensor: F32, node: Node) -> F32:
+    """The node's sub-tensor in one piece."""
+    if node.sizes == tensor.shape:
+        return tensor.copy()
+    return np.ascontiguousarray(tensor[np.ix_(*node.rows)])
+
+
+def scatter(tensor: F32, node: Node, values: F32) -> None:
+    """Put the node's sub-tensor back."""
+    if node.sizes == tensor.shape:
+        tensor[...] = values
+    else:
+        tensor[np.ix_(*node.rows)] = values
+
+
+def in_parallel(work: Callable[[int], None], nodes: Sequence[Node], threads: int, stage: str, progress: Progress) -> None:
+    """Do the work for every node, largest first; nodes share no element, so their order changes nothing."""
+    order = sorted(range(len(nodes)), key=lambda s: -nodes[s].elements)
+    total, done = max(1, sum(node.elements for node in nodes)), 0
+    with ThreadPoolExecutor(max_workers=max(1, threads)) as pool:
+        futures = [(s, pool.submit(work, s)) for s in order]
+        try:
+            for s, future in futures:
+                future.result()
+                done += nodes[s].elements
+                progress(stage, done / total)
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+
+
+def fit_nodes(
+    tree: Hierarchy, specs: Sequence[LevelSpec | None], effort: Effort, seed: int, threads: int, progress: Progress,
+    labels: Callable[[Node], Labels | None] = lambda _: None,
+) -> None:
+    """Fit the deepest level, each node by its own spec (None: the node stays empty), from given disjoint memberships."""
+    nodes, depth = tree.levels[-1], len(tree.levels)
+
+    def work(s: int) -> None:
+        node, spec = nodes[s], specs[s]
+        if spec is None or node.elements == 0:
+            return
+        tensor = gather(tree.residual, node)
+        if not tensor.any():
+            return
+        cells, left = fit_level(tensor, spec, effort, np.random.default_rng([seed, depth, s]), labels(node))
+        scatter(tree.residual, node, _rounded(node, cells, left))
+
+    in_parallel(work, nodes, threads, f"level {depth}", progress)
+
+
+def _rounded(node: Node, cells: Cells, left: F32) -> F32:
+    """Store the cells in the node; what their rounding adds to what they leave, the next level absorbs."""
+    node.cells = cells.rounded()
+    kernels.accumulate(cells, left, 1.0)
+    kernels.accumulate(node.cells, left, -1.0)
+    return left
+
+
+def descend(tree: Hierarchy, scheme: str, threads: int, progress: Progress) -> None:
+    """Subdivide every node of the deepest level: its children become the next level, not yet fitted."""
+    nodes = tree.levels[-1]
+
+    def work(s: int) -> None:
+        node = nodes[s]
+        if node.cells is None:
+            return
+        tensor = gather(tree.residual, node)
+        kernels.accumulate(node.cells, tensor, 1.0)
+        node.parts = subdivide(node.cells, tensor, scheme)
+        node.children = list(_children(node, node.cells.spec.clusters))
+
+    in_parallel(work, nodes, threads, "subdivision", progress)
+    tree.levels.append([child for node in nodes for child in node.children])
+
+
+def _children(node: Node, clusters: Sequence[int]) -> Iterator[Node]:
+    assert node.parts is not None
+    lists = [[rows[part == c] for c in range(count)] for rows, part, count in zip(node.rows, node.parts, clusters, strict=True)]
+    return (Node(tuple(rows)) for rows in product(*lists))
+
+
+def ascend(tree: Hierarchy) -> None:
+    """Take the deepest level away again, its part of the model back into the residual."""
+    for node in tree.levels.pop():
+        if node.cells is not None:
+            tensor = gather(tree.residual, node)
+            kernels.accumulate(node.cells, tensor, 1.0)
+            scatter(tree.residual, node, tensor)
+    for node in tree.levels[-1]:
+        node.parts, node.children = None, []
+
+
+def backfit(tree: Hierarchy, sweeps: int, threads: int, progress: Progress) -> None:
+    """Refit every level in turn to what all the others leave; memberships stay."""
+    for number, nodes in enumerate(tree.levels, start=1):
+        def work(s: int, nodes: list[Node] = nodes) -> None:
+            node = nodes[s]
+            if node.cells is None:
+                return
+            residual = gather(tree.residual, node)
+            before = squared_norm(residual)
+            old = node.cells
+            cells = Cells(old.sizes, old.spec, old.members, [b.copy() for b in old.bases], old.cores.copy())
+            kernels.fit_cells(cells, residual, sweeps, WARM)
+            residual = _rounded(node, cells, residual)
+            if squared_norm(residual) <= before:
+                scatter(tree.residual, node, residual)
+            else:  # so close to the optimum that rounding outweighs the gain
+                node.cells = old
+
+        in_parallel(work, nodes, threads, f"back-fitting level {number}", progress)
+
+
+def grid_labels(spec: LevelSpec, axes: Sequence[Axis], organisation: Organisation) -> Callable[[Node], Labels | None]:
+    """Disjoint memberships by equal blocks along the axes of the spec's grid; None for a spec without one."""
+    counts, size = dict(spec.grid), {axis.name: axis.size for axis in axes}
+
+    def labels(node: Node) -> Labels | None:
+        return [_block_numbers(rows, [(size[name], counts.get(name, 1)) for name in mode])
+                for rows, mode in zip(node.rows, organisation, strict=True)] if counts else None
+
+    return labels
+
+
+def _block_numbers(rows: NDArray[np.intp], axes: Sequence[tuple[int, int]]) -> NDArray[np.intp]:
+    """Flattened block number of each row of a (merged) mode whose axes have the given sizes and block counts."""
+    number = np.zeros(len(rows), np.intp)
+    for index, (_, count) in zip(np.unravel_index(rows, [size for size, _ in axes]), axes, strict=True):
+        distinct, position = np.unique(index, return_inverse=True)
+        number = number * count + uniform_blocks(len(distinct), min(count, len(distinct)))[position]
+    return number

@@ -1,0 +1,89 @@
+"""Output files that are never half there: written beside the target, forced to the disk, then given its name."""
+
+from __future__ import annotations
+
+import errno
+import os
+import secrets
+from collections.abc import Generator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO
+
+from .reasons import fault
+
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+def check_output(path: str | os.PathLike[str], overwrite: bool = False) -> Path:
+    """The file that `path` leads to, if a new one may be put there: asked before hours of work, and again after them.
+
+    Raises:
+        HmkctaError: `Io`, with the reason ``output-exists`` or ``unwritable``.
+    """
+    with _as_io(str(path)):
+        target = _resolved(path)
+        if target.exists() and not (overwrite and target.is_file()):
+            allowed = "a new file" if not overwrite else "a file, or nothing"
+            raise fault("output-exists", str(target), "a file" if target.is_file() else "no regular file", allowed,
+                        "choose another name or overwrite it" if not overwrite else "choose another name")
+        if not target.parent.is_dir():
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(target.parent))
+        if not os.access(target.parent, os.W_OK | os.X_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(target.parent))
+    return target
+
+
+@contextmanager
+def published(path: str | os.PathLike[str], overwrite: bool = False) -> Generator[BinaryIO]:
+    """A file to write; it gets its name when the block ends, and is removed without a trace if that fails.
+
+    Raises:
+        HmkctaError: `Io` if the output is there already (``output-exists``), the disk is full (``disk-full``) or the
+            folder cannot be written to (``unwritable``). The target is then as it was.
+    """
+    target = check_output(path, overwrite)
+    temporary = target.with_name(f".{target.name[:40]}.{secrets.token_hex(8)}.tmp")
+    with _as_io(str(path)):
+        try:
+            with open(temporary, "xb") as file:
+                yield file
+                file.flush()
+                os.fsync(file.fileno())
+            check_output(target, overwrite)  # another writer may have been faster
+            os.replace(temporary, target)
+        except BaseException:  # an interrupted writer leaves nothing behind either
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
+            raise
+        _sync_folder(target.parent)
+
+
+def _resolved(path: str | os.PathLike[str]) -> Path:
+    """The path without links: a link keeps pointing to what it points to."""
+    try:
+        return Path(os.path.realpath(path))
+    except ValueError as error:  # a zero byte in it
+        raise OSError(errno.EINVAL, str(error)) from error
+
+
+def _sync_folder(folder: Path) -> None:
+    """Force the new name to the disk; only POSIX lets a folder be opened for that."""
+    if os.name != "posix":
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+@contextmanager
+def _as_io(path: str) -> Generator[None]:
+    """Turn what the operating system says into an `Io` error."""
+    try:
+        yield
+    except OSError as error:
+        full = error.errno in _FULL
+        raise fault("disk-full" if full else "unwritable", path, error.strerror or error, "a folder with room for it",
+                    "free some space" if full else "check the folder and its permissions") from error

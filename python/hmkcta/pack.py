@@ -1,0 +1,86 @@
+"""Fitted nodes as the file's flat arrays (`docs/format.md`, section 3)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .cells import round_cores
+from .hierarchy import Node
+from .packed import LevelBounds, PackedLevel
+
+Ragged = list[NDArray[Any]]
+
+
+def pack_levels(levels: Sequence[Sequence[Node]], undecomposed: Sequence[int]) -> tuple[PackedLevel, ...]:
+    """Every level's nodes in order, as stored; `undecomposed` are mode numbers."""
+    return tuple(_pack(nodes, undecomposed, last=l + 1 == len(levels)) for l, nodes in enumerate(levels))
+
+
+def bounds(level: PackedLevel, scheme: str) -> LevelBounds:
+    """The largest C, K, R of any node of the level."""
+    top = level.shape.max(axis=0) if level.nodes else np.zeros((3, level.order), np.uint32)
+    clusters, mixture, ranks = (tuple(int(v) for v in row) for row in top)
+    return LevelBounds(clusters, mixture, ranks, scheme)
+
+
+def _pack(nodes: Sequence[Node], undecomposed: Sequence[int], *, last: bool) -> PackedLevel:
+    order = len(nodes[0].rows) if nodes else 0
+    stored = [n not in undecomposed for n in range(order)]
+    shape = np.zeros((len(nodes), 3, order), np.uint32)
+    for s, node in enumerate(nodes):
+        if node.cells is not None:
+            shape[s] = node.cells.spec.clusters, node.cells.spec.mixture, node.cells.ranks
+    rounded = [None if node.cells is None else round_cores(node.cells.cores) for node in nodes]
+    core, core_offset = _ragged([np.zeros(0) if r is None else r[0] for r in rounded], np.float16)
+    scale, cell_offset = _ragged([np.zeros(0) if r is None else r[1] for r in rounded], np.float32)
+    cluster = [_ragged([_members(node, n) for node in nodes], np.uint16) if stored[n] else (None, None) for n in range(order)]
+    basis = [_ragged([_basis(node, n) for node in nodes], np.float16) if stored[n] else (None, None) for n in range(order)]
+    inner = [stored[n] and not last for n in range(order)]
+    return PackedLevel(
+        shape=shape,
+        child=None if last else _offsets([len(node.children) for node in nodes]),
+        row_offset=tuple(_offsets([len(node.rows[n]) for node in nodes]) for n in range(order)),
+        core=core, core_offset=core_offset, core_scale=scale, cell_offset=cell_offset,
+        cluster=tuple(c for c, _ in cluster), cluster_offset=tuple(o for _, o in cluster),
+        basis=tuple(b for b, _ in basis), basis_offset=tuple(o for _, o in basis),
+        part=tuple(_joined([_part(node, n) for node in nodes], np.uint16) if inner[n] else None for n in range(order)),
+        local=tuple(_joined([_local(node, n) for node in nodes], np.uint32) if inner[n] else None for n in range(order)),
+    )
+
+
+def _members(node: Node, n: int) -> NDArray[np.uint16]:
+    return np.zeros(0, np.uint16) if node.cells is None else node.cells.members[n]
+
+
+def _basis(node: Node, n: int) -> NDArray[np.float32]:
+    return np.zeros(0, np.float32) if node.cells is None else node.cells.bases[n]
+
+
+def _part(node: Node, n: int) -> NDArray[np.intp]:
+    return np.zeros(len(node.rows[n]), np.intp) if node.parts is None else node.parts[n]
+
+
+def _local(node: Node, n: int) -> NDArray[np.intp]:
+    """Position of each row among the rows of its part, in order; 0 in a leaf."""
+    local = np.zeros(len(node.rows[n]), np.intp)
+    if node.parts is not None:
+        for part in np.unique(node.parts[n]):
+            rows = np.flatnonzero(node.parts[n] == part)
+            local[rows] = np.arange(len(rows))
+    return local
+
+
+def _joined(pieces: Ragged, dtype: Any) -> NDArray[Any]:
+    return np.concatenate([piece.reshape(-1) for piece in pieces] or [np.zeros(0)]).astype(dtype)
+
+
+def _offsets(lengths: Sequence[int]) -> NDArray[np.uint32]:
+    return np.concatenate([[0], np.cumsum(lengths)]).astype(np.uint32)
+
+
+def _ragged(pieces: Ragged, dtype: Any) -> tuple[NDArray[Any], NDArray[np.uint32]]:
+    return _joined(pieces, dtype), _offsets([piece.size for piece in pieces])

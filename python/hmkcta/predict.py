@@ -1,0 +1,61 @@
+"""What a plan will cost, told before the work: bytes of the file and memory."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import prod
+
+from .plan import LevelSpec, Plan
+
+#: Bytes of memory for each element while fitting: the float32 tensor, its residual, a saved residual, working copies.
+MEMORY_AN_ELEMENT = 20
+#: Bytes of the header, with the metadata, for a file of four axes and few levels.
+HEADER_BYTES = 6144
+#: Bytes of tables: of a node besides its rows and cells, of a node for each mode, of a cell.
+_NODE, _NODE_MODE, _CELL = 12, 24, 4
+#: Bytes of tables for each row a node owns: a cluster number, and where it goes at the next level.
+_CLUSTER, _PART_LOCAL = 2, 6
+
+
+def fitting_memory(shape: Sequence[int]) -> int:
+    """Bytes that fitting an array of this shape takes at most.
+
+    >>> fitting_memory((72, 24, 96, 96)) / 2**20
+    303.75
+    """
+    return MEMORY_AN_ELEMENT * prod(shape)
+
+
+def predicted_bytes(plan: Plan, sizes: Sequence[int]) -> int | None:
+    """Bytes of the file; None where they follow from the data, as ranks of each node's own do for an SNR.
+
+    Counts every node and cell as if it carried something, so files come out at or below it.
+
+    >>> from hmkcta.plan import parse_plan
+    >>> modes = (("light",), ("view",), ("y",), ("x",))
+    >>> predicted_bytes(parse_plan("R=4,4,6,6", modes), (72, 24, 96, 96)) // 1024
+    10
+    """
+    if plan.levels[-1].own and plan.size is None:
+        return None
+    total = float(HEADER_BYTES)
+    nodes, rows = 1, [float(size) for size in sizes]  # rows of each mode that a node owns, on average
+    for number, level in enumerate(plan.levels, start=1):
+        if level.own:
+            break
+        spec = level.clamped([max(1, round(size)) for size in rows])
+        total += nodes * level_bytes(spec, rows, last=number == len(plan.levels))
+        nodes *= spec.cells
+        rows = [size / count for size, count in zip(rows, spec.clusters, strict=True)]
+    return round(total) if plan.size is None else plan.size
+
+
+def level_bytes(spec: LevelSpec, rows: Sequence[float], *, last: bool) -> float:
+    """Bytes of one node that owns so many rows of each mode."""
+    decomposed = [(size, k, c, r) for size, k, c, r in
+                  zip(rows, spec.mixture, spec.clusters, spec.ranks, strict=True) if r is not None]
+    core = prod(size if r is None else r for size, r in zip(rows, spec.ranks, strict=True))
+    numbers = spec.cells * core + sum(size * k * (spec.cells // c) * r for size, k, c, r in decomposed)
+    tables = _NODE + _NODE_MODE * len(rows) + _CELL * spec.cells
+    tables += sum(size * (_CLUSTER * k + (0 if last else _PART_LOCAL)) for size, k, _, _ in decomposed)
+    return 2 * numbers + tables

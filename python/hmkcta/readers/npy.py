@@ -1,0 +1,121 @@
+"""NumPy's own formats: `.npy` mapped, `.npz` members mapped where the archive stores them as they are."""
+
+from __future__ import annotations
+
+import struct
+import zipfile
+import zlib
+from pathlib import Path
+from tokenize import TokenError
+from typing import Any, BinaryIO, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import invalid
+from ..memory import check_memory
+from .source import Layout, check_numbers, check_shape, io_error, mapped, opened
+
+MAGIC = b"\x93NUMPY"
+ZIP_MAGICS = (b"PK\x03\x04", b"PK\x05\x06")  # an archive, an empty archive
+
+_HEADER_READERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+#: Bytes of a member's own header in a zip archive, and where in it the lengths of its name and of its extra field are.
+_LOCAL_HEADER, _LOCAL_LENGTHS = 30, 26
+
+
+def open_npy(path: Path) -> NDArray[Any]:
+    """Map a `.npy` file.
+
+    Raises:
+        HmkctaError: it is damaged, shorter or longer than its header says, or holds no real numbers.
+    """
+    with opened(path) as file:
+        size = file.seek(0, 2)
+        file.seek(0)
+        layout = _read_layout(file, str(path))
+        start = file.tell()
+    _check_length(layout, size - start, str(path))
+    return mapped(path, layout, start)
+
+
+def open_npz(path: Path, member: str | None = None) -> NDArray[Any]:
+    """Open a member of an `.npz` archive; the only one by default.
+
+    Raises:
+        HmkctaError: the archive is damaged, has no such member, or has several and none is chosen.
+    """
+    with opened(path) as file:
+        try:
+            with zipfile.ZipFile(file) as archive:
+                info = _member(archive, str(path), member)
+                where = f"{path}:{info.filename.removesuffix('.npy')}"
+                if info.compress_type == zipfile.ZIP_STORED and not info.flag_bits & 1:
+                    return _map_member(path, file, info, where)
+                return _read_member(archive, info, where)
+        except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, struct.error) as error:
+            # RuntimeError: encrypted; NotImplementedError, which is one: an unknown compression.
+            raise io_error("source-damaged", str(path), error, "a complete .npz archive", "fetch it again") from error
+
+
+def _read_layout(file: BinaryIO, where: str) -> Layout:
+    """Shape and number type from the header of a `.npy` file, checked."""
+    try:
+        version = cast("tuple[int, int]", tuple(np.lib.format.read_magic(file)))
+        if version not in _HEADER_READERS:  # 3.0 is for field names of structured arrays only
+            raise ValueError(f"version {version[0]}.{version[1]} of the .npy format")
+        shape, fortran, dtype = _HEADER_READERS[version](file)
+    except (ValueError, TypeError, SyntaxError, EOFError, RecursionError, TokenError) as error:
+        sentence = str(error).splitlines()[0].rstrip(".") if str(error) else type(error).__name__
+        raise io_error("source-damaged", where, sentence, "a complete .npy file", "fetch it again") from error
+    layout = Layout(tuple(shape), dtype, fortran)
+    check_numbers(dtype, where)
+    check_shape(layout, where)
+    return layout
+
+
+def _check_length(layout: Layout, found: int, where: str) -> None:
+    if found < layout.nbytes:
+        raise io_error("source-truncated", where, f"{found} bytes of numbers",
+                       f"{layout.nbytes} bytes for {layout}, as its header says", "fetch it again")
+    if found > layout.nbytes:
+        raise io_error("source-too-long", where, f"{found} bytes of numbers",
+                       f"{layout.nbytes} bytes for {layout}, as its header says", "save one array a file")
+
+
+def _member(archive: zipfile.ZipFile, where: str, name: str | None) -> zipfile.ZipInfo:
+    members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()
+               if info.filename.endswith(".npy")}
+    listed = ", ".join(sorted(members)) or "none"
+    if name is None:
+        if len(members) != 1:
+            raise invalid("npz-member", f"members of {where}", listed, "one, or the name of one",
+                          f"write {where}:NAME" if members else "")
+        return next(iter(members.values()))
+    if name not in members:
+        raise invalid("npz-member", f"member of {where}", repr(name), listed)
+    return members[name]
+
+
+def _map_member(path: Path, file: BinaryIO, info: zipfile.ZipInfo, where: str) -> NDArray[Any]:
+    """A member that the archive stores as it is lies in the file like a `.npy` file."""
+    file.seek(info.header_offset + _LOCAL_LENGTHS)
+    name, extra = struct.unpack("<HH", file.read(4))
+    start = info.header_offset + _LOCAL_HEADER + name + extra
+    file.seek(start)
+    layout = _read_layout(file, where)
+    _check_length(layout, start + info.file_size - file.tell(), where)
+    numbers = file.tell()
+    if file.seek(0, 2) < numbers + layout.nbytes:
+        raise io_error("source-truncated", where, "the end of the file within it", "a complete .npz archive")
+    return mapped(path, layout, numbers)
+
+
+def _read_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo, where: str) -> NDArray[Any]:
+    with archive.open(info) as stream:
+        file = cast("BinaryIO", stream)
+        layout = _read_layout(file, where)
+        _check_length(layout, info.file_size - file.tell(), where)
+        check_memory(2 * layout.nbytes, f"{where}, which is compressed", "save it as .npy: that is mapped, not read")
+        numbers = np.frombuffer(file.read(), layout.dtype)
+    return numbers.reshape(layout.shape, order="F" if layout.fortran else "C")

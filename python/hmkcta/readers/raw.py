@@ -1,0 +1,50 @@
+"""Raw binary: numbers without a header, described by the caller."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from ..errors import invalid
+from .source import Layout, check_numbers, check_shape, io_error, mapped, opened
+
+
+def open_raw(path: Path, shape: Sequence[int], dtype: DTypeLike, order: str, offset: int) -> NDArray[Any]:
+    """Map a raw file whose size must be exactly what shape, number type and offset say.
+
+    Raises:
+        HmkctaError: the description is not possible, or the file has another size.
+    """
+    layout = Layout(tuple(map(int, shape)), _number_type(dtype), _is_fortran(order))
+    check_numbers(layout.dtype, str(path))
+    check_shape(layout, str(path))
+    if offset < 0:
+        raise invalid("raw-offset", "offset", offset, "0 or more")
+    with opened(path) as file:
+        found = file.seek(0, 2) - offset
+    if found != layout.nbytes:
+        expected = f"{layout.nbytes} bytes for {layout}"
+        after = f" after the first {offset}" if offset else ""
+        hint = "check shape, dtype and offset"
+        if found < layout.nbytes:
+            held = f"{max(found, 0)} bytes{after}"
+            raise io_error("raw-too-short", str(path), held, expected, f"{hint}, or fetch the file again")
+        raise invalid("raw-too-long", str(path), f"{found} bytes{after}", expected, hint)
+    return mapped(path, layout, offset)
+
+
+def _number_type(dtype: DTypeLike) -> np.dtype[Any]:
+    try:
+        return np.dtype(dtype)
+    except (TypeError, ValueError, SyntaxError) as error:
+        raise invalid("raw-dtype", "dtype", repr(dtype), "a NumPy type such as float32, uint8 or >f4") from error
+
+
+def _is_fortran(order: str) -> bool:
+    if order not in ("C", "F"):
+        raise invalid("raw-order", "order", repr(order), "C (last axis fastest) or F (first axis fastest)")
+    return order == "F"

@@ -1,0 +1,52 @@
+"""Which sub-tensor of the next level each row goes to (paper, section 4.2).
+
+The error of row i approximated by its k-th cluster subset alone is |t_i|^2 - 2 x_ik b_ik + x_ik^T H_kk x_ik; the most
+significant scheme takes the subset with the least, the least significant the one with the largest.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import backends as kernels
+from .cells import Cells
+from .memberships import uniform_blocks
+
+F32 = NDArray[np.float32]
+
+
+def subdivide(cells: Cells, tensor: F32, scheme: str) -> list[NDArray[np.intp]]:
+    """For each mode the part `[I_n]` of every row, 0 <= part < C_n; tensor is what the cells were fitted to."""
+    parts: list[NDArray[np.intp]] = []
+    for n, (size, clusters, mixture) in enumerate(zip(cells.sizes, cells.spec.clusters, cells.spec.mixture, strict=True)):
+        if scheme == "uniform":
+            parts.append(uniform_blocks(size, clusters))
+        elif mixture == 1:
+            parts.append(cells.members[n][:, 0].astype(np.intp))
+        else:
+            errors = _subset_errors(cells, tensor, n)
+            slot = errors.argmin(axis=1) if scheme == "most" else errors.argmax(axis=1)
+            parts.append(np.take_along_axis(cells.members[n], slot[:, None], axis=1)[:, 0].astype(np.intp))
+    return parts
+
+
+def _subset_errors(cells: Cells, tensor: F32, n: int) -> NDArray[np.float64]:
+    """`[I_n, K_n]`: squared error of each row by each of its subsets alone, less |t_i|^2."""
+    rank, clusters = cells.ranks[n], cells.spec.clusters[n]
+    y = kernels.project_cells(cells, tensor, n)  # [PC, I_n, prod_{m != n} R_m]
+    cores = np.moveaxis(cells.cores, n + 1, 1).reshape(cells.spec.cells, rank, -1).astype(np.float64)
+    b = np.matmul(cores, y.transpose(0, 2, 1))  # [PC, R_n, I_n]
+    h = kernels.dictionary_gram(cells, n).reshape(cells.spec.cells, rank, cells.spec.cells, rank)
+    of_cluster = np.indices(cells.spec.clusters)[n].reshape(-1)
+    x = cells.bases[n].astype(np.float64)  # [I_n, K_n, PC_-n, R_n]
+    errors = np.empty(cells.members[n].shape)
+    for k in range(clusters):
+        at = np.flatnonzero(of_cluster == k)
+        side = len(at) * rank
+        h_kk = h[np.ix_(at, range(rank), at, range(rank))].reshape(side, side)
+        b_k = b[at].reshape(side, -1).T  # [I_n, PC_-n R_n]
+        rows, slots = np.nonzero(cells.members[n] == k)
+        x_k = x[rows, slots].reshape(len(rows), side)
+        errors[rows, slots] = np.einsum("iq,iq->i", x_k, x_k @ h_kk - 2.0 * b_k[rows])
+    return errors

@@ -1,0 +1,164 @@
+"""A plan for a goal, found by trial: organisation first, then blocks and undecomposed modes.
+
+A candidate is an organisation of the axes into modes, a grid that cuts axes into equal blocks, and the modes left
+undecomposed. Its worth is what the last level's choice of ranks (`allocation.py`) reaches on a sample of its blocks.
+Matrix PCA (two modes, no grid), HOSVD (no grid) and bricks (a grid, nothing merged) are among the candidates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+from math import ceil, prod
+
+import numpy as np
+
+from .axes import Axis, Organisation, mode_sizes
+from .hierarchy import Progress
+from .plan import LevelSpec, Plan
+from .source import Source
+from .trial import Candidate, Trial
+
+#: Elements looked at for a candidate: to rank organisations, to rank grids, and to settle the blocks.
+SURVEY, COMPARE, REFINE = (1 << 17, 1 << 19), 1 << 20, 1 << 24
+#: Block edges never fall below this.
+SMALLEST_EDGE = 4
+#: How many organisations and candidates are looked at closer, and most rounds of refinement.
+ORGANISATIONS, FINALISTS, ROUNDS = (12, 4), 4, 2
+
+Ranked = list[tuple[float, Candidate]]
+
+
+@dataclass
+class Search:
+    """Everything judged so far, each at the sample it was judged on."""
+
+    trial: Trial
+    seen: dict[tuple[Organisation, tuple[int, ...], int], Ranked] = field(
+        default_factory=dict[tuple[Organisation, tuple[int, ...], int], Ranked])
+
+    def best(self, organisation: Organisation, grid: tuple[int, ...], sample: int) -> tuple[float, Candidate]:
+        """The best candidate with this organisation and grid."""
+        key = (organisation, grid, sample)
+        if key not in self.seen:
+            self.seen[key] = self.trial.worths(*key)
+        return max(self.seen[key], key=lambda item: item[0], default=(0.0, Candidate(organisation, grid)))
+
+
+def tune(
+    source: Source, *, snr: float | None, size: int | None, ceiling: float | None, decode_cost: int,
+    organisation: Organisation | None, seed: int, threads: int, progress: Progress,
+) -> Plan:
+    """The best plan found for bytes (`size`) or for an SNR; with a `ceiling` in dB bytes are not spent beyond it."""
+    energy = sum(float(np.square(source.values((slice(i, i + 1),)), dtype=np.float64).sum()) for i in range(source.shape[0]))
+    search = Search(Trial(source, snr, size, decode_cost, seed, threads, energy))
+    choices = list(organisations(source.axes)) if organisation is None else [organisation]
+    worth, best = _settled(search, _finalists(search, choices, progress), progress)
+    if ceiling is not None and worth > ceiling:
+        return tune(source, snr=ceiling, size=None, ceiling=None, decode_cost=decode_cost, organisation=organisation,
+                    seed=seed, threads=threads, progress=progress)
+    return plan_of(source, best, snr, size, decode_cost)
+
+
+def _finalists(search: Search, choices: Sequence[Organisation], progress: Progress) -> list[Candidate]:
+    """Organisations by a survey over few grids, then more grids for the best of them."""
+    shape = search.trial.source.shape
+    left = list(choices)
+    for sample, most in zip(SURVEY, ORGANISATIONS, strict=True):
+        survey: list[tuple[float, Organisation]] = []
+        for number, modes in enumerate(left):
+            survey.append((max(search.best(modes, grid, sample)[0] for grid in _few_grids(shape)), modes))
+            progress("organisation", (number + 1) / len(left))
+        left = [modes for _, modes in sorted(survey, key=lambda item: -item[0])[:most]]
+    ranked: Ranked = []
+    grids = list(_many_grids(shape))
+    for number, grid in enumerate(grids):
+        ranked += [search.best(modes, grid, COMPARE) for modes in left]
+        progress("blocks", (number + 1) / len(grids))
+    ranked.sort(key=lambda item: -item[0])
+    return [candidate for _, candidate in ranked[:FINALISTS]]
+
+
+def _settled(search: Search, finalists: Sequence[Candidate], progress: Progress) -> tuple[float, Candidate]:
+    """Change the blocks along one axis at a time, from the best finalist, while that helps."""
+    best_worth, best = max((search.best(c.organisation, c.grid, REFINE) for c in finalists), key=lambda item: item[0])
+    for round_ in range(ROUNDS):
+        before = best_worth
+        for grid in _neighbours(best.grid, search.trial.source.shape):
+            worth, candidate = search.best(best.organisation, grid, REFINE)
+            if worth > best_worth + 0.02:
+                best_worth, best = worth, candidate
+        progress("finer choice of blocks", (round_ + 1) / ROUNDS)
+        if best_worth == before:
+            break
+    return best_worth, best
+
+
+def _few_grids(shape: Sequence[int]) -> list[tuple[int, ...]]:
+    """No blocks, and edges of about 64 and 32 along axes longer than 48."""
+    grids = [tuple(round(size / edge) if size > 48 else 1 for size in shape) for edge in (64, 32)]
+    return list(dict.fromkeys([(1,) * len(shape), *grids]))
+
+
+def _many_grids(shape: Sequence[int]) -> Iterator[tuple[int, ...]]:
+    """The three longest axes cut alike, by one common edge; axes of middle length whole or cut in two or three."""
+    longest = sorted(range(len(shape)), key=lambda n: -shape[n])[:3]
+    long = [n for n in longest if shape[n] >= 24]
+    middle = [n for n in range(len(shape)) if n not in long and shape[n] >= 24]
+    edges = sorted({shape[n] / count for n in long[:1] for count in (1, 2, 3, 4, 6, 8, 12)})
+    seen: set[tuple[int, ...]] = set()
+    for edge, cuts in product(edges, product((1, 2), repeat=len(middle))):
+        grid = [1] * len(shape)
+        for n in long:
+            grid[n] = max(1, round(shape[n] / edge))
+        for n, count in zip(middle, cuts, strict=True):
+            grid[n] = count
+        if tuple(grid) not in seen and edge >= SMALLEST_EDGE and prod(grid) <= 4096:
+            seen.add(tuple(grid))
+            yield tuple(grid)
+
+
+def _neighbours(grid: tuple[int, ...], shape: Sequence[int]) -> Iterator[tuple[int, ...]]:
+    for n, (count, size) in enumerate(zip(grid, shape, strict=True)):
+        for other in sorted({count + 1, 2 * count, ceil(count / 2)} - {count}):
+            if size / other >= SMALLEST_EDGE:
+                yield (*grid[:n], other, *grid[n + 1:])
+
+
+def organisations(axes: Sequence[Axis]) -> Iterator[Organisation]:
+    """Every way to merge axes into modes; axes of size 1 ride with the first."""
+    names = [axis.name for axis in axes if axis.size > 1]
+    single = tuple(axis.name for axis in axes if axis.size == 1)
+    for partition in _partitions(names):
+        modes = sorted((sorted(mode, key=names.index) for mode in partition), key=lambda mode: names.index(mode[0]))
+        organisation = [tuple(mode) for mode in modes] or [()]
+        organisation[0] = single + organisation[0]
+        if len(organisation) > 1 or len(names) < 2:
+            yield tuple(organisation)
+
+
+def _partitions(names: list[str]) -> Iterator[list[list[str]]]:
+    if not names:
+        yield []
+        return
+    for rest in _partitions(names[1:]):
+        yield [[names[0]], *rest]
+        for n, mode in enumerate(rest):
+            yield [*rest[:n], [names[0], *mode], *rest[n + 1:]]
+
+
+def plan_of(source: Source, best: Candidate, snr: float | None, size: int | None, decode_cost: int) -> Plan:
+    """The candidate as a plan: blocks are cells of one level, or nodes below a first level of rank one."""
+    sizes = mode_sizes(source.axes, best.organisation)
+    ones = (1,) * len(sizes)
+    grid = tuple((axis.name, count) for axis, count in zip(source.axes, best.grid, strict=True) if count > 1)
+    counts = dict(grid)
+    clusters = tuple(prod(counts.get(name, 1) for name in mode) for mode in best.organisation)
+    most = tuple(None if n in best.undecomposed else min(i, decode_cost, 1024) for n, i in enumerate(sizes))
+    if not grid:
+        return Plan(best.organisation, (LevelSpec(most, ones, ones, own=True),), snr, size)
+    if not best.carried:
+        return Plan(best.organisation, (LevelSpec(most, clusters, ones, "most", grid, own=True),), snr, size)
+    carrier = LevelSpec(tuple(None if rank is None else 1 for rank in most), clusters, ones, "most", grid)
+    return Plan(best.organisation, (carrier, LevelSpec(most, ones, ones, own=True)), snr, size)

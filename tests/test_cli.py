@@ -1,0 +1,240 @@
+"""The command line does what it says, for people and for programs."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import shlex
+from pathlib import Path
+
+import click
+import numpy as np
+import pytest
+
+import hmkcta
+from cli_tools import finish, report, run, saved, smooth, start
+from hmkcta.cli import main
+from hmkcta.cli import progress as progress_module
+from hmkcta.cli.progress import Progress
+
+PLAN = "R=2,2,3 / R=1,1,2 C=2 K=2"
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small array."""
+    return saved(tmp_path_factory.mktemp("source") / "wood.npy", smooth(6, 8, 10))
+
+
+@pytest.fixture(scope="module")
+def packed(source: Path) -> Path:
+    """It compressed by two levels."""
+    path = source.with_suffix(".hmk")
+    run("compress", source, "-o", path, "--plan", PLAN, "--axes", "view,y,x", "--seed", 7, "--quiet")
+    return path
+
+
+def test_compress_ends_with_a_table(source: Path, tmp_path: Path) -> None:
+    result = run("compress", source, "-o", tmp_path / "a.hmk", "--plan", PLAN)
+    header, first, second = result.stdout.splitlines()[:3]
+    assert re.split("  +", header) == ["level", "SNR dB", "MiB", "ratio", "decode cost", "seconds"]
+    assert (first.split()[0], second.split()[0]) == ("1", "2")
+    assert hmkcta.open(tmp_path / "a.hmk").shape == (6, 8, 10)
+
+
+def test_compress_for_programs(source: Path, tmp_path: Path) -> None:
+    found = report("compress", source, "-o", tmp_path / "a.hmk", "--plan", PLAN)
+    model = hmkcta.open(tmp_path / "a.hmk")
+    assert found["bytes"] == (tmp_path / "a.hmk").stat().st_size == model.nbytes
+    assert found["snr_db"] == pytest.approx(model.snr)
+    assert [level["decode_cost"] for level in found["levels"]] == [12, 12 + 2 * 2 * 2 * 2]
+    assert found["reached"]
+
+
+def test_one_seed_makes_one_file(source: Path, packed: Path, tmp_path: Path) -> None:
+    run("compress", source, "-o", tmp_path / "a.hmk", "--plan", PLAN, "--axes", "view,y,x", "--seed", 7, "--quiet")
+    assert (tmp_path / "a.hmk").read_bytes() == packed.read_bytes()
+
+
+def test_quiet_says_nothing(source: Path, tmp_path: Path) -> None:
+    assert run("compress", source, "-o", tmp_path / "a.hmk", "--plan", "R=1", "--quiet").output == ""
+
+
+def test_verbose_says_where_the_time_went(source: Path, tmp_path: Path) -> None:
+    assert "level 1" in run("compress", source, "-o", tmp_path / "a.hmk", "--plan", "R=1", "-v").stderr
+
+
+def test_goals_are_met(tmp_path: Path) -> None:
+    source = saved(tmp_path / "a.npy", smooth(12, 24, 24))
+    found = report("compress", source, "-o", tmp_path / "a.hmk", "--snr", 40, "--quality", "fast")
+    assert found["snr_db"] >= 40
+    found = report("compress", source, "-o", tmp_path / "b.hmk", "--size", "12KiB", "--quality", "fast")
+    assert found["bytes"] <= 12 * 1024
+
+
+@pytest.mark.parametrize("suffix", ["npz", "raw"])
+def test_other_inputs(suffix: str, tmp_path: Path) -> None:
+    values = smooth(4, 5, 6)
+    np.savez(tmp_path / "a.npz", one=values, two=2 * values)
+    (tmp_path / "a.raw").write_bytes(b"head" + values.astype(">f4").tobytes("F"))
+    words = {"npz": [f"{tmp_path}/a.npz:one"],
+             "raw": [tmp_path / "a.raw", "--shape", "4,5,6", "--dtype", ">f4", "--order", "F", "--offset", 4]}[suffix]
+    run("compress", *words, "-o", tmp_path / "a.hmk", "--plan", "R=4,5,6")
+    np.testing.assert_allclose(hmkcta.open(tmp_path / "a.hmk"), values, rtol=0.01)
+
+
+def test_info_names_everything(packed: Path) -> None:
+    text = run("info", packed).stdout
+    for part in ("view 6 (view), y 8 (space), x 10 (space)", "view, y, x", "identity", "seed 7", "lightfield",
+                 "float32", f"hmkcta {hmkcta.__version__}", "multiply-adds", "numbers", "tables", "header"):
+        assert part in text
+    found = report("info", packed)
+    assert found["bytes"]["file"] == packed.stat().st_size
+    assert found["bytes"]["numbers"] == 2 * sum(level.numbers() for level in hmkcta.open(packed).levels)
+    assert [level["nodes"] for level in found["levels"]] == [1, 1]
+    assert found["levels"][1]["C"] == [2, 2, 2]
+    assert found["levels"][1]["clusters"] == 8
+
+
+def test_info_counts_what_carries_nothing(tmp_path: Path) -> None:
+    source = saved(tmp_path / "a.npy", np.zeros((4, 6), np.float32))
+    run("compress", source, "-o", tmp_path / "a.hmk", "--plan", "R=1", "--quiet")
+    level = report("info", tmp_path / "a.hmk")["levels"][0]
+    assert level["nodes_that_carry_nothing"] == 1 or level["clusters_that_carry_nothing"] == level["clusters"]
+    assert "exact" in run("info", tmp_path / "a.hmk").stdout
+
+
+def test_transform_is_shown(tmp_path: Path) -> None:
+    source = saved(tmp_path / "a.npy", smooth(6, 8, 4))
+    run("compress", source, "-o", tmp_path / "a.hmk", "--plan", "R=2", "--transform", "log1p:0.5", "--quiet")
+    assert "log1p, scale 0.5" in run("info", tmp_path / "a.hmk").stdout
+    run("verify", tmp_path / "a.hmk", "--against", source)
+
+
+def test_verify_measures_again(source: Path, packed: Path) -> None:
+    found = report("verify", packed, "--against", source)
+    for level, quality in zip(found["levels"], hmkcta.open(packed).quality, strict=True):
+        assert level["snr_db"] == pytest.approx(quality.snr_db, abs=1e-9)
+        assert level["max_abs_error"] == pytest.approx(quality.max_abs_error)
+    assert run("verify", packed).stdout.endswith("as they should be.\n")
+    assert run("verify", packed, "--against", source).stdout.splitlines()[1].split()[:2] == ["level", "SNR"]
+
+
+def test_decompress(packed: Path, tmp_path: Path) -> None:
+    model = hmkcta.open(packed)
+    run("decompress", packed, "-o", tmp_path / "a.npy")
+    np.testing.assert_array_equal(np.load(tmp_path / "a.npy"), model.reconstruct())
+    assert "6,8,10 float32" in run("decompress", packed, "-o", tmp_path / "a.raw").stdout
+    np.testing.assert_array_equal(np.fromfile(tmp_path / "a.raw", "<f4").reshape(6, 8, 10), model.reconstruct())
+    run("decompress", packed, "-o", tmp_path / "coarse.npy", "--level", 1, "--max-memory", "1KiB", code=6)
+    run("decompress", packed, "-o", tmp_path / "coarse.npy", "--level", 1)
+    np.testing.assert_allclose(np.load(tmp_path / "coarse.npy"), model.at_level(1).reconstruct(), rtol=1e-5)
+
+
+def test_plan_prints_the_command_that_does_it(source: Path, packed: Path, tmp_path: Path) -> None:
+    text = run("plan", source, "--plan", PLAN, "--axes", "view,y,x", "--seed", 7).stdout
+    words = shlex.split(text.splitlines()[-1])
+    assert words[:2] == ["hmkcta", "compress"]
+    words[words.index("OUT.hmk")] = str(tmp_path / "a.hmk")
+    run(*words[1:], "--quiet")
+    assert (tmp_path / "a.hmk").read_bytes() == packed.read_bytes()
+
+
+def test_plan_for_a_goal_can_be_followed(source: Path, tmp_path: Path) -> None:
+    found = report("plan", source, "--snr", 30, "--decode-cost", 100)
+    assert found["decode_cost"] <= 100
+    words = shlex.split(found["command"])
+    words[words.index("OUT.hmk")] = str(tmp_path / "a.hmk")
+    run(*words[1:], "--quiet")
+    model = hmkcta.open(tmp_path / "a.hmk")
+    assert model.snr >= 29.995
+    assert model.decode_cost <= 100
+
+
+def test_plan_predicts_the_bytes(source: Path, packed: Path) -> None:
+    predicted = report("plan", source, "--plan", PLAN, "--axes", "view,y,x")["predicted_bytes"]
+    assert predicted == pytest.approx(packed.stat().st_size, rel=0.5)
+
+
+@pytest.mark.parametrize("command", ["", *main.commands])
+def test_help_opens_with_examples_and_fits_one_screen(command: str) -> None:
+    lines = run(*command.split(), "--help").stdout.splitlines()
+    assert lines[0] == "Examples:"
+    assert all(line.startswith("  hmkcta ") for line in lines[1:4])
+    assert len(lines) <= 40
+    assert max(map(len, lines)) <= 100
+
+
+def test_exit_codes_are_in_the_help() -> None:
+    text = run("--help").stdout
+    assert all(f"\n  {code} " in text for code in (0, 1, 2, 3, 4, 5, 6, 7, 130))
+
+
+def test_versions_can_be_pasted() -> None:
+    lines = run("--version").stdout.splitlines()
+    assert lines[0] == f"hmkcta {hmkcta.__version__}"
+    assert f"numpy {np.__version__}" in lines
+
+
+def test_a_line_now_and_then_without_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    spoken = progress_module.threading.Event()
+
+    def listen(text: str, err: bool) -> None:
+        assert err
+        said.append(text)
+        spoken.set()
+
+    monkeypatch.setattr(progress_module, "INTERVAL", 0.01)
+    monkeypatch.setattr(progress_module.click, "echo", listen)
+    with Progress() as progress:
+        progress("level 2", 0.5)
+        assert spoken.wait(10)
+    assert said[-1].startswith("hmkcta: ")
+
+
+class Terminal(io.StringIO):
+    """A stderr that is a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_bar_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    stderr = Terminal()
+    monkeypatch.setattr("sys.stderr", stderr)
+    monkeypatch.setenv("NO_COLOR", "1")
+    with Progress() as progress:
+        progress("level 1", 0.25)
+        progress("level 2", 0.5)
+    assert "level 2" in stderr.getvalue()
+    assert set(progress.stages) == {"level 1", "level 2"}
+
+
+def test_nothing_heavy_is_imported() -> None:
+    heavy = "{'rich', 'PIL', 'click', 'hmkcta.cli'}"
+    program = f"import hmkcta\nsys.stdout.write(str({heavy} & set(sys.modules)))\nraise SystemExit"
+    assert finish(start(before=program)) == (0, "set()", "")
+
+
+def test_module_is_the_command(packed: Path) -> None:
+    code, out, err = finish(start("info", packed, "--json"))
+    assert (code, err) == (0, "")
+    assert json.loads(out)["kind"] == "lightfield"
+
+
+def test_demo(tmp_path: Path) -> None:
+    pytest.importorskip("PIL")
+    text = run("demo", "--tiny", "-o", tmp_path / "out").stdout
+    assert "To try next:" in text
+    for name in ("material", "jet"):
+        for label in ("levels", "auto"):
+            assert (tmp_path / "out" / f"{name}-{label}.png").stat().st_size > 1000
+            hmkcta.open(tmp_path / "out" / f"{name}-{label}.hmk")
+    run("verify", tmp_path / "out" / "jet-auto.hmk", "--against", tmp_path / "out" / "jet.npy")
+
+
+def test_every_command_is_a_click_command() -> None:
+    assert set(main.commands) == {"compress", "plan", "info", "verify", "decompress", "demo"}
+    assert all(isinstance(command, click.Command) for command in main.commands.values())
