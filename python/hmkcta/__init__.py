@@ -7,4 +7,15 @@ from .errors import HmkctaError
 from .model import Model, open
 from .plan import LevelSpec, Plan, parse_plan
 
-__all__ = ["Axis", "HmkctaError", "LevelSpec", "Model", "Plan", "__version__", "choose_plan", "compress", "open", "parse_plan"]
+__all__ = [
+    "Axis",
+    "HmkctaError",
+    "LevelSpec",
+    "Model",
+    "Plan",
+    "__version__",
+    "choose_plan",
+    "compress",
+    "open",
+    "parse_plan",
+]

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from .allocation import Allocation, Spectrum, allocate, spectrum
 from .cells import zero_cells
-from .errors import HmkctaError, Kind
-from .fit import Effort, Labels
-from .hierarchy import Hierarchy, Node, Progress, backfit, fit_nodes, gather, in_parallel, squared_norm
+from .errors import invalid
+from .fit import Labels
+from .hierarchy import Hierarchy, LabelsOf, Run, backfit, fit_nodes, gather, in_parallel, squared_norm
 from .plan import LevelSpec
 from .tucker import core_energies
 
@@ -22,7 +22,7 @@ F32 = NDArray[np.float32]
 #: Most ranks a mode is examined at, by the order of the tensor: the tables hold their product.
 TABLE_LIMITS = {1: 4096, 2: 1024, 3: 160, 4: 48, 5: 20, 6: 12, 7: 8, 8: 6}
 #: How far above an SNR goal a fit may end, in dB, and how often a fit is repeated to land there.
-OVERSHOOT, ATTEMPTS = 0.2, 5
+OVERSHOOT, ATTEMPTS = 0.25, 6
 
 
 @dataclass
@@ -69,7 +69,9 @@ def node_spectrum(
     limits = table_limits(sizes, spec)
     table = summed(core_energies(block, limits, np.random.default_rng(seed)) for block in blocks if block.size)
     undecomposed = [r is None for r in spec.ranks]
-    return spectrum(table, energy, tensor.shape, undecomposed, decode_cost, spec.clusters if labels else None, hull=not alone)
+    return spectrum(
+        table, energy, tensor.shape, undecomposed, decode_cost, spec.clusters if labels else None, hull=not alone
+    )
 
 
 def cell_blocks(tensor: F32, labels: Labels, clusters: Sequence[int]) -> list[F32]:
@@ -82,100 +84,114 @@ def summed(tables: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
     """Sum of cumulative energy tables of different extents; beyond its extent a table stays at its last value."""
     parts = list(tables)
     shape = tuple(max(part.shape[n] for part in parts) for n in range(parts[0].ndim))
-    return sum(np.pad(part, [(0, most - size) for most, size in zip(shape, part.shape, strict=True)], mode="edge")
-               for part in parts) + np.zeros(shape)
+    return sum(
+        np.pad(part, [(0, most - size) for most, size in zip(shape, part.shape, strict=True)], mode="edge")
+        for part in parts
+    ) + np.zeros(shape)
 
 
 def fit_to_goal(
-    tree: Hierarchy, spec: LevelSpec, goal: Goal, decode_cost: int, effort: Effort, seed: int, threads: int,
-    progress: Progress, labels: Callable[[Node], Labels | None] = lambda _: None,
+    tree: Hierarchy, spec: LevelSpec, goal: Goal, decode_cost: int, run: Run, labels: LabelsOf = lambda _: None
 ) -> None:
     """Fit the deepest level with node shapes of its own, again with corrected ranks until the goal is met."""
     nodes = tree.levels[-1]
-    state = _Saved(tree)
     spectra: list[Spectrum | None] = [None] * len(nodes)
 
     def examine(s: int) -> None:
         tensor = gather(tree.residual, nodes[s])
-        spectra[s] = node_spectrum(tensor, spec, decode_cost, seed, labels(nodes[s]), alone=len(nodes) == 1)
+        spectra[s] = node_spectrum(tensor, spec, decode_cost, run.seed, labels(nodes[s]), alone=len(nodes) == 1)
 
-    in_parallel(examine, nodes, threads, "ranks of each node", progress)
+    in_parallel(examine, nodes, "ranks of each node", run)
     found = [(s, choices) for s, choices in enumerate(spectra) if choices is not None]
-    fixed = tree.error - sum(float(choices.error[0]) for _, choices in found)
-    if not found:
-        return
-    goal_error = goal.energy * 10 ** (-(goal.snr or 0.0) / 10)
-    budget = float(goal.size or 0)
-    for attempt in range(ATTEMPTS):
-        if goal.size is not None:
-            chosen = _within_bytes(tree, found, spec, goal, budget)
-        else:
-            chosen = allocate([c for _, c in found], error=max(goal_error - fixed, 0.0))
-        if attempt:
-            state.restore(tree)
-        fit_nodes(tree, _specs(len(nodes), found, chosen, spec), effort, seed, threads, progress, labels)
-        for _ in range(effort.backfits):
-            backfit(tree, 1, threads, progress)
-        if goal.snr is None:
-            if goal.file_bytes(tree) <= (goal.size or 0):
-                return
-            budget *= 0.99
-            continue
-        over = goal.snr_now(tree) - goal.snr
-        exhausted = bool((chosen.choice == [len(c.error) - 1 for _, c in found]).all())
-        if 0 <= over <= OVERSHOOT or (over < 0 and exhausted) or (over > 0 and not chosen.choice.any()):
-            return
-        # Land a little above: HOOI and back-fitting gain about as much at the next, nearby, choice of ranks.
-        goal_error *= 10 ** ((over - 0.4 * OVERSHOOT) / 10)
+    if found:
+        level = _LastLevel(tree, found, spec, goal, run, labels)
+        level.to_size(goal.size) if goal.size is not None else level.to_snr(goal.snr or 0.0)
 
 
-class _Saved:
-    """The fit before the last level, to start the next attempt from."""
+#: Numbers of the nodes that have something to store, with their choices.
+Found = Sequence[tuple[int, Spectrum]]
 
-    def __init__(self, tree: Hierarchy) -> None:
+
+class _LastLevel:
+    """The fit before the last level, and the choices of ranks from which each attempt starts afresh."""
+
+    def __init__(self, tree: Hierarchy, found: Found, spec: LevelSpec, goal: Goal, run: Run, labels: LabelsOf) -> None:
+        self.tree, self.found, self.spec, self.goal, self.run, self.labels = tree, found, spec, goal, run, labels
+        self.spectra = [choices for _, choices in found]
         self.residual = tree.residual.copy()
         self.cells = [[node.cells for node in nodes] for nodes in tree.levels]
+        #: Squared error outside the nodes that have choices, and bytes beside what the choices count.
+        self.elsewhere = tree.error - sum(float(choices.error[0]) for choices in self.spectra)
+        self.beside = goal.file_bytes(tree) - allocate(self.spectra, nbytes=0.0).nbytes
 
-    def restore(self, tree: Hierarchy) -> None:
-        tree.residual[...] = self.residual
-        for nodes, saved in zip(tree.levels, self.cells, strict=True):
+    def to_size(self, size: int) -> None:
+        """As much as fits into a file of `size` bytes."""
+        for budget in (size, 0.995 * size, 0.98 * size):
+            self._fit(self._within(budget))
+            if self.goal.file_bytes(self.tree) <= size:
+                return
+
+    def to_snr(self, snr: float) -> None:
+        """The least that reaches `snr`; ranks come in steps, so the last attempt is the best one that reached it."""
+        target, reached, tried = snr, None, set[bytes]()
+        for _ in range(ATTEMPTS):
+            error = self.goal.energy * 10 ** (-target / 10)
+            chosen = allocate(self.spectra, error=max(error - self.elsewhere, 0.0))
+            if chosen.choice.tobytes() in tried:
+                break
+            tried.add(chosen.choice.tobytes())
+            self._fit(chosen)
+            over = self.goal.snr_now(self.tree) - snr
+            if over >= 0 and (reached is None or over < reached[0]):
+                reached = (over, chosen)
+            if 0 <= over <= OVERSHOOT:
+                return
+            # Land a little above: HOOI and back-fitting gain about as much at the next, nearby, choice of ranks.
+            target -= over - 0.4 * OVERSHOOT
+        if reached is not None:
+            self._fit(reached[1])
+        else:
+            self._fit(allocate(self.spectra, error=0.0))
+
+    def _fit(self, chosen: Allocation) -> None:
+        self.tree.residual[...] = self.residual
+        for nodes, saved in zip(self.tree.levels, self.cells, strict=True):
             for node, cells in zip(nodes, saved, strict=True):
                 node.cells = cells
+        fit_nodes(self.tree, self._specs(chosen), self.run, self.labels)
+        for _ in range(self.run.effort.backfits if len(self.tree.levels) > 1 else 0):
+            backfit(self.tree, self.run)
 
+    def _specs(self, chosen: Allocation) -> list[LevelSpec | None]:
+        """Each node's chosen ranks."""
+        specs: list[LevelSpec | None] = [None] * len(self.tree.levels[-1])
+        for (s, choices), choice in zip(self.found, chosen.choice, strict=True):
+            if choice:
+                row = choices.ranks[choice]
+                ranks = tuple(None if r is None else int(v) for r, v in zip(self.spec.ranks, row, strict=True))
+                specs[s] = replace(self.spec, ranks=ranks, own=False)
+        return specs
 
-def _specs(
-    count: int, found: Sequence[tuple[int, Spectrum]], chosen: Allocation, spec: LevelSpec
-) -> list[LevelSpec | None]:
-    """Each node's chosen ranks."""
-    specs: list[LevelSpec | None] = [None] * count
-    for (s, choices), choice in zip(found, chosen.choice, strict=True):
-        if choice:
-            ranks = tuple(None if r is None else int(v) for r, v in zip(spec.ranks, choices.ranks[choice], strict=True))
-            specs[s] = replace(spec, ranks=ranks, own=False)
-    return specs
+    def _within(self, size: float) -> Allocation:
+        """The allocation whose file, tables and header counted exactly, is at most `size` bytes."""
+        fitting, exact = None, 0
+        for _ in range(4):
+            chosen = allocate(self.spectra, nbytes=size - self.beside)
+            exact = self.goal.file_bytes(self._dressed(chosen))
+            if exact <= size and (fitting is None or chosen.nbytes > fitting.nbytes):
+                fitting = chosen
+            self.beside = exact - chosen.nbytes
+        if fitting is None:
+            allowed = f"at least {exact} bytes for this plan"
+            raise invalid(
+                "size-too-small", "size", f"{int(size)} bytes", allowed, "ask for more or give a coarser --plan"
+            )
+        return fitting
 
-
-def _within_bytes(
-    tree: Hierarchy, found: Sequence[tuple[int, Spectrum]], spec: LevelSpec, goal: Goal, size: float
-) -> Allocation:
-    """The allocation whose file, tables and header counted exactly, is at most `size` bytes."""
-    spectra = [choices for _, choices in found]
-    fixed = goal.file_bytes(tree) - allocate(spectra, nbytes=0.0).nbytes
-    fitting = None
-    for _ in range(4):
-        chosen = allocate(spectra, nbytes=size - fixed)
-        exact = goal.file_bytes(_dressed(tree, _specs(len(tree.levels[-1]), found, chosen, spec)))
-        if exact <= size and (fitting is None or chosen.nbytes > fitting.nbytes):
-            fitting = chosen
-        fixed += exact - (chosen.nbytes + fixed)  # what the count of tables and header was off by
-    if fitting is None:
-        raise HmkctaError(Kind.INVALID_ARGUMENT, "size-too-small", "size", found=f"{int(size)} bytes",
-                          allowed=f"at least {exact} bytes for this plan", hint="ask for more bytes or give a coarser --plan")
-    return fitting
-
-
-def _dressed(tree: Hierarchy, specs: Sequence[LevelSpec | None]) -> Hierarchy:
-    """The hierarchy as it will be shaped, its last level all zeros: enough to count bytes."""
-    last = [replace(node, cells=None if spec is None else zero_cells(node.sizes, spec))
-            for node, spec in zip(tree.levels[-1], specs, strict=True)]
-    return Hierarchy(tree.residual, [*tree.levels[:-1], last])
+    def _dressed(self, chosen: Allocation) -> Hierarchy:
+        """The hierarchy as it will be shaped, its last level all zeros: enough to count bytes."""
+        last = [
+            replace(node, cells=None if spec is None else zero_cells(node.sizes, spec))
+            for node, spec in zip(self.tree.levels[-1], self._specs(chosen), strict=True)
+        ]
+        return Hierarchy(self.tree.residual, [*self.tree.levels[:-1], last], self.tree.schemes)

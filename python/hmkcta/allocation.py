@@ -49,8 +49,14 @@ def node_bytes(
 
 
 def spectrum(
-    table: F64, energy: float, sizes: Sequence[int], undecomposed: Sequence[bool], decode_cost: int,
-    clusters: Sequence[int] | None = None, *, hull: bool = True,
+    table: F64,
+    energy: float,
+    sizes: Sequence[int],
+    undecomposed: Sequence[bool],
+    decode_cost: int,
+    clusters: Sequence[int] | None = None,
+    *,
+    hull: bool = True,
 ) -> Spectrum:
     """The lower convex hull of (bytes, error) over all ranks within the decode cost.
 
@@ -71,7 +77,7 @@ def spectrum(
 
 @dataclass(frozen=True)
 class Choices:
-    """All ranks within a decode cost by ascending bytes; the first is to store nothing, the others have a table entry."""
+    """All ranks within a decode cost by ascending bytes: first to store nothing, then one for each table entry."""
 
     ranks: NDArray[np.int64]
     nbytes: F64
@@ -80,10 +86,13 @@ class Choices:
 
 @lru_cache(maxsize=32)
 def _choices(
-    extents: tuple[int, ...], sizes: tuple[int, ...], undecomposed: tuple[bool, ...], decode_cost: int,
+    extents: tuple[int, ...],
+    sizes: tuple[int, ...],
+    undecomposed: tuple[bool, ...],
+    decode_cost: int,
     clusters: tuple[int, ...],
 ) -> Choices:
-    ranks = np.stack(np.indices(extents), axis=-1).reshape(-1, len(extents)) + 1
+    ranks = (np.indices(extents, np.int64).reshape(len(extents), -1) + 1).T
     ranks[:, list(undecomposed)] = np.array(sizes)[list(undecomposed)]
     cost = np.prod(ranks[:, [not flag for flag in undecomposed]].astype(np.float64), axis=1)
     allowed = np.flatnonzero(cost <= decode_cost)
@@ -91,7 +100,9 @@ def _choices(
     order = np.argsort(nbytes, kind="stable")
     empty = empty_node_bytes(len(sizes), len(sizes) - sum(undecomposed))
     nothing = np.zeros((1, len(sizes)), np.int64)
-    return Choices(np.concatenate([nothing, ranks[allowed][order]]), np.concatenate([[empty], nbytes[order]]), allowed[order])
+    return Choices(
+        np.concatenate([nothing, ranks[allowed][order]]), np.concatenate([[empty], nbytes[order]]), allowed[order]
+    )
 
 
 def _hull(nbytes: F64, error: F64) -> NDArray[np.intp]:

@@ -59,9 +59,14 @@ def name_axes(shape: Sequence[int], names: Sequence[str] | None = None) -> tuple
         names = [f"axis{n}" for n in range(len(shape))]
     if len(names) != len(shape):
         shown = " x ".join(map(str, shape))
-        raise invalid("axis-count", "axes", f"{len(names)} names ({', '.join(names)})",
-                      f"{len(shape)}, one for each axis of the {shown} array", "give one name an axis, in array order")
-    axes = []
+        raise invalid(
+            "axis-count",
+            "axes",
+            f"{len(names)} names ({', '.join(names)})",
+            f"{len(shape)}, one for each axis of the {shown} array",
+            "give one name an axis, in array order",
+        )
+    axes: list[Axis] = []
     for text, size in zip(names, shape, strict=True):
         name, _, role = text.strip().partition(":")
         axes.append(Axis(name, int(size), role or _ROLE_OF_NAME.get(name.lower(), "other")))
@@ -89,8 +94,13 @@ def check_organisation(organisation: Organisation, axes: Sequence[Axis]) -> Orga
     listed = [name for mode in organisation for name in mode]
     known = [axis.name for axis in axes]
     if sorted(listed) != sorted(known):
-        raise invalid("organisation", "organisation", format_organisation(organisation),
-                      f"each of {', '.join(known)} exactly once", "merge axes with +, part modes with commas")
+        raise invalid(
+            "organisation",
+            "organisation",
+            format_organisation(organisation),
+            f"each of {', '.join(known)} exactly once",
+            "merge axes with +, part modes with commas",
+        )
     return organisation
 
 

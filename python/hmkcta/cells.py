@@ -86,15 +86,20 @@ def zero_cells(sizes: Sequence[int], spec: LevelSpec) -> Cells:
     spec = spec.clamped(sizes)
     members = [np.zeros((size, k), np.uint16) for size, k in zip(sizes, spec.mixture, strict=True)]
     ranks = [i if r is None else r for r, i in zip(spec.ranks, sizes, strict=True)]
-    bases = [np.zeros(0 if spec.ranks[n] is None else (sizes[n], spec.mixture[n], spec.cells // spec.clusters[n], ranks[n]),
-                      np.float32) for n in range(len(sizes))]
+    bases = [
+        np.zeros(
+            0 if spec.ranks[n] is None else (sizes[n], spec.mixture[n], spec.cells // spec.clusters[n], ranks[n]),
+            np.float32,
+        )
+        for n in range(len(sizes))
+    ]
     return Cells(tuple(sizes), spec, members, bases, np.zeros((spec.cells, *ranks), np.float32))
 
 
 def dense_basis(cells: Cells, n: int) -> F32:
     """U_n of all cells with its zero rows written out: `[PC, I_n, R_n]`."""
     clusters = cells.spec.clusters
-    before, after = prod(clusters[:n]), prod(clusters[n + 1:])
+    before, after = prod(clusters[:n]), prod(clusters[n + 1 :])
     size, rank = cells.sizes[n], cells.ranks[n]
     stored = cells.bases[n].reshape(size, -1, before, after, rank)
     dense = np.zeros((before, clusters[n], after, size, rank), np.float32)
@@ -107,9 +112,11 @@ def dense_basis(cells: Cells, n: int) -> F32:
 def store_basis(cells: Cells, n: int, dense: NDArray[np.floating]) -> None:
     """Keep the member rows of a dense basis `[PC, I_n, R_n]`."""
     clusters = cells.spec.clusters
-    before, after = prod(clusters[:n]), prod(clusters[n + 1:])
+    before, after = prod(clusters[:n]), prod(clusters[n + 1 :])
     size, rank = cells.sizes[n], cells.ranks[n]
     view = dense.reshape(before, clusters[n], after, size, rank)
     rows = np.arange(size)
     slots = [view[:, cells.members[n][:, k], :, rows] for k in range(cells.members[n].shape[1])]
-    cells.bases[n] = np.ascontiguousarray(np.stack(slots, axis=1).reshape(size, len(slots), before * after, rank), np.float32)
+    cells.bases[n] = np.ascontiguousarray(
+        np.stack(slots, axis=1).reshape(size, len(slots), before * after, rank), np.float32
+    )

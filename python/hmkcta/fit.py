@@ -96,7 +96,7 @@ def _hooi(tensor: F32, spec: LevelSpec, effort: Effort, rng: np.random.Generator
     for n, basis in enumerate(bases):
         if basis is not None:
             cells.bases[n][:] = 0
-            cells.bases[n][:, 0, 0, :basis.shape[1]] = basis
+            cells.bases[n][:, 0, 0, : basis.shape[1]] = basis
     cells.cores[:] = 0
     cells.cores[(0, *map(slice, core.shape))] = core
     residual = left_by(cells, tensor)

@@ -25,6 +25,16 @@ Rows = tuple[NDArray[np.intp], ...]
 Progress = Callable[[str, float], None]
 
 
+@dataclass(frozen=True)
+class Run:
+    """What every step of a fit shares: how long to try, where chance starts, threads, and whom to tell."""
+
+    effort: Effort
+    seed: int
+    threads: int
+    progress: Progress
+
+
 @dataclass(eq=False)
 class Node:
     """A sub-tensor of a level: its rows of every mode, what was fitted to it, and where its rows go next.
@@ -54,10 +64,14 @@ class Node:
 
 @dataclass(eq=False)
 class Hierarchy:
-    """Nodes by level, and the tensor minus all of them: `residual` is kept up to date by every step."""
+    """Nodes by level, and the tensor minus all of them: `residual` is kept up to date by every step.
+
+    `schemes` says how each level but the last was subdivided.
+    """
 
     residual: F32
     levels: list[list[Node]]
+    schemes: list[str] = field(default_factory=list[str])
 
     @property
     def error(self) -> float:
@@ -65,9 +79,14 @@ class Hierarchy:
         return squared_norm(self.residual)
 
 
+#: The disjoint memberships a node's cells start from; None: found by trial.
+LabelsOf = Callable[[Node], Labels | None]
+
+
 def squared_norm(tensor: F32) -> float:
     """Sum of squares in float64, slab by slab."""
-    return sum(float(np.square(slab, dtype=np.float64).sum()) for slab in tensor)
+    slabs: list[F32] = list(tensor)
+    return sum(float(np.square(slab, dtype=np.float64).sum()) for slab in slabs)
 
 
 def whole(tensor: F32) -> Hierarchy:
@@ -90,27 +109,24 @@ def scatter(tensor: F32, node: Node, values: F32) -> None:
         tensor[np.ix_(*node.rows)] = values
 
 
-def in_parallel(work: Callable[[int], None], nodes: Sequence[Node], threads: int, stage: str, progress: Progress) -> None:
+def in_parallel(work: Callable[[int], None], nodes: Sequence[Node], stage: str, run: Run) -> None:
     """Do the work for every node, largest first; nodes share no element, so their order changes nothing."""
     order = sorted(range(len(nodes)), key=lambda s: -nodes[s].elements)
     total, done = max(1, sum(node.elements for node in nodes)), 0
-    with ThreadPoolExecutor(max_workers=max(1, threads)) as pool:
+    with ThreadPoolExecutor(max_workers=run.threads) as pool:
         futures = [(s, pool.submit(work, s)) for s in order]
         try:
             for s, future in futures:
                 future.result()
                 done += nodes[s].elements
-                progress(stage, done / total)
+                run.progress(stage, done / total)
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)
             raise
 
 
-def fit_nodes(
-    tree: Hierarchy, specs: Sequence[LevelSpec | None], effort: Effort, seed: int, threads: int, progress: Progress,
-    labels: Callable[[Node], Labels | None] = lambda _: None,
-) -> None:
-    """Fit the deepest level, each node by its own spec (None: the node stays empty), from given disjoint memberships."""
+def fit_nodes(tree: Hierarchy, specs: Sequence[LevelSpec | None], run: Run, labels: LabelsOf = lambda _: None) -> None:
+    """Fit the deepest level, each node by its own spec (None: it stays empty), from given disjoint memberships."""
     nodes, depth = tree.levels[-1], len(tree.levels)
 
     def work(s: int) -> None:
@@ -120,10 +136,10 @@ def fit_nodes(
         tensor = gather(tree.residual, node)
         if not tensor.any():
             return
-        cells, left = fit_level(tensor, spec, effort, np.random.default_rng([seed, depth, s]), labels(node))
+        cells, left = fit_level(tensor, spec, run.effort, np.random.default_rng([run.seed, depth, s]), labels(node))
         scatter(tree.residual, node, _rounded(node, cells, left))
 
-    in_parallel(work, nodes, threads, f"level {depth}", progress)
+    in_parallel(work, nodes, f"level {depth}", run)
 
 
 def _rounded(node: Node, cells: Cells, left: F32) -> F32:
@@ -134,7 +150,7 @@ def _rounded(node: Node, cells: Cells, left: F32) -> F32:
     return left
 
 
-def descend(tree: Hierarchy, scheme: str, threads: int, progress: Progress) -> None:
+def descend(tree: Hierarchy, scheme: str, run: Run) -> None:
     """Subdivide every node of the deepest level: its children become the next level, not yet fitted."""
     nodes = tree.levels[-1]
 
@@ -147,18 +163,23 @@ def descend(tree: Hierarchy, scheme: str, threads: int, progress: Progress) -> N
         node.parts = subdivide(node.cells, tensor, scheme)
         node.children = list(_children(node, node.cells.spec.clusters))
 
-    in_parallel(work, nodes, threads, "subdivision", progress)
+    in_parallel(work, nodes, "subdivision", run)
     tree.levels.append([child for node in nodes for child in node.children])
+    tree.schemes.append(scheme)
 
 
 def _children(node: Node, clusters: Sequence[int]) -> Iterator[Node]:
     assert node.parts is not None
-    lists = [[rows[part == c] for c in range(count)] for rows, part, count in zip(node.rows, node.parts, clusters, strict=True)]
+    lists = [
+        [rows[part == c] for c in range(count)]
+        for rows, part, count in zip(node.rows, node.parts, clusters, strict=True)
+    ]
     return (Node(tuple(rows)) for rows in product(*lists))
 
 
 def ascend(tree: Hierarchy) -> None:
     """Take the deepest level away again, its part of the model back into the residual."""
+    tree.schemes.pop()
     for node in tree.levels.pop():
         if node.cells is not None:
             tensor = gather(tree.residual, node)
@@ -168,9 +189,10 @@ def ascend(tree: Hierarchy) -> None:
         node.parts, node.children = None, []
 
 
-def backfit(tree: Hierarchy, sweeps: int, threads: int, progress: Progress) -> None:
+def backfit(tree: Hierarchy, run: Run, sweeps: int = 1) -> None:
     """Refit every level in turn to what all the others leave; memberships stay."""
     for number, nodes in enumerate(tree.levels, start=1):
+
         def work(s: int, nodes: list[Node] = nodes) -> None:
             node = nodes[s]
             if node.cells is None:
@@ -186,16 +208,18 @@ def backfit(tree: Hierarchy, sweeps: int, threads: int, progress: Progress) -> N
             else:  # so close to the optimum that rounding outweighs the gain
                 node.cells = old
 
-        in_parallel(work, nodes, threads, f"back-fitting level {number}", progress)
+        in_parallel(work, nodes, f"back-fitting level {number}", run)
 
 
-def grid_labels(spec: LevelSpec, axes: Sequence[Axis], organisation: Organisation) -> Callable[[Node], Labels | None]:
+def grid_labels(spec: LevelSpec, axes: Sequence[Axis], organisation: Organisation) -> LabelsOf:
     """Disjoint memberships by equal blocks along the axes of the spec's grid; None for a spec without one."""
     counts, size = dict(spec.grid), {axis.name: axis.size for axis in axes}
 
     def labels(node: Node) -> Labels | None:
-        return [_block_numbers(rows, [(size[name], counts.get(name, 1)) for name in mode])
-                for rows, mode in zip(node.rows, organisation, strict=True)] if counts else None
+        if not counts:
+            return None
+        modes = zip(node.rows, organisation, strict=True)
+        return [_block_numbers(rows, [(size[name], counts.get(name, 1)) for name in mode]) for rows, mode in modes]
 
     return labels
 

@@ -16,8 +16,18 @@ F64 = NDArray[np.float64]
 FEATURES, SAMPLE = 12, 2_000_000
 #: Row normalisations f <- f |f|^(p-1) with size caps (times I/C), the most often best ones first.
 CANDIDATES: tuple[tuple[float, float | None], ...] = (
-    (0.2, 1.2), (0.5, 1.5), (1.0, None), (0.2, 1.05), (0.5, 1.2), (0.2, 1.5), (1.0, 1.5), (0.5, 1.05),
-    (1.0, 1.2), (0.5, None), (0.2, None), (1.0, 1.05),
+    (0.2, 1.2),
+    (0.5, 1.5),
+    (1.0, None),
+    (0.2, 1.05),
+    (0.5, 1.2),
+    (0.2, 1.5),
+    (1.0, 1.5),
+    (0.5, 1.05),
+    (1.0, 1.2),
+    (0.5, None),
+    (0.2, None),
+    (1.0, 1.05),
 )
 
 
@@ -39,15 +49,18 @@ def row_features(tensor: NDArray[Any], n: int) -> F64:
     unfolded = rows.reshape(len(rows), -1).astype(np.float64)
     if len(rows) <= unfolded.shape[1]:
         values, vectors = np.linalg.eigh(unfolded @ unfolded.T)
-        return vectors[:, :-FEATURES - 1:-1] * np.sqrt(np.maximum(values[:-FEATURES - 1:-1], 0))
+        return vectors[:, : -FEATURES - 1 : -1] * np.sqrt(np.maximum(values[: -FEATURES - 1 : -1], 0))
     values, vectors = np.linalg.eigh(unfolded.T @ unfolded)
-    return unfolded @ vectors[:, :-FEATURES - 1:-1]
+    return unfolded @ vectors[:, : -FEATURES - 1 : -1]
 
 
-def balanced_clusters(features: F64, clusters: int, cap: float | None, rng: np.random.Generator, restarts: int = 2) -> NDArray[np.intp]:
+def balanced_clusters(
+    features: F64, clusters: int, cap: float | None, rng: np.random.Generator, restarts: int = 2
+) -> NDArray[np.intp]:
     """K-means++ labels of the rows, no cluster larger than cap I/C (None: any size); best of several restarts."""
     most = len(features) if cap is None else int(np.ceil(cap * len(features) / clusters))
     best, best_cost = uniform_blocks(len(features), clusters), np.inf
+    labels = best
     for _ in range(restarts):
         centres = _spread_centres(features, clusters, rng)
         for _ in range(8):
@@ -119,13 +132,13 @@ def start_candidates(
     """Disjoint memberships to choose among: uniform blocks, then normalised rows under size caps."""
     yield [uniform_blocks(i, c) for i, c in zip(tensor.shape, clusters, strict=True)]
     features = [row_features(tensor, n) if c > 1 else None for n, c in enumerate(clusters)]
-    for power, cap in CANDIDATES[:count - 1]:
+    for power, cap in CANDIDATES[: count - 1]:
         labels: list[NDArray[np.intp]] = []
         for n, (f, c) in enumerate(zip(features, clusters, strict=True)):
             if f is None:
                 labels.append(np.zeros(tensor.shape[n], np.intp))
                 continue
-            norm = np.sqrt((f**2).sum(axis=1, keepdims=True))
+            norm = np.linalg.norm(f, axis=1, keepdims=True).astype(np.float64)
             scaled = f * np.where(norm > 0, norm, 1.0) ** (power - 1)
             labels.append(balanced_clusters(scaled, c, cap, rng))
         yield labels

@@ -17,7 +17,7 @@ Ragged = list[NDArray[Any]]
 
 def pack_levels(levels: Sequence[Sequence[Node]], undecomposed: Sequence[int]) -> tuple[PackedLevel, ...]:
     """Every level's nodes in order, as stored; `undecomposed` are mode numbers."""
-    return tuple(_pack(nodes, undecomposed, last=l + 1 == len(levels)) for l, nodes in enumerate(levels))
+    return tuple(_pack(nodes, undecomposed, last=nodes is levels[-1]) for nodes in levels)
 
 
 def bounds(level: PackedLevel, scheme: str) -> LevelBounds:
@@ -37,18 +37,29 @@ def _pack(nodes: Sequence[Node], undecomposed: Sequence[int], *, last: bool) -> 
     rounded = [None if node.cells is None else round_cores(node.cells.cores) for node in nodes]
     core, core_offset = _ragged([np.zeros(0) if r is None else r[0] for r in rounded], np.float16)
     scale, cell_offset = _ragged([np.zeros(0) if r is None else r[1] for r in rounded], np.float32)
-    cluster = [_ragged([_members(node, n) for node in nodes], np.uint16) if stored[n] else (None, None) for n in range(order)]
-    basis = [_ragged([_basis(node, n) for node in nodes], np.float16) if stored[n] else (None, None) for n in range(order)]
+    cluster = [
+        _ragged([_members(node, n) for node in nodes], np.uint16) if stored[n] else (None, None) for n in range(order)
+    ]
+    basis = [
+        _ragged([_basis(node, n) for node in nodes], np.float16) if stored[n] else (None, None) for n in range(order)
+    ]
     inner = [stored[n] and not last for n in range(order)]
     return PackedLevel(
         shape=shape,
         child=None if last else _offsets([len(node.children) for node in nodes]),
         row_offset=tuple(_offsets([len(node.rows[n]) for node in nodes]) for n in range(order)),
-        core=core, core_offset=core_offset, core_scale=scale, cell_offset=cell_offset,
-        cluster=tuple(c for c, _ in cluster), cluster_offset=tuple(o for _, o in cluster),
-        basis=tuple(b for b, _ in basis), basis_offset=tuple(o for _, o in basis),
+        core=core,
+        core_offset=core_offset,
+        core_scale=scale,
+        cell_offset=cell_offset,
+        cluster=tuple(c for c, _ in cluster),
+        cluster_offset=tuple(o for _, o in cluster),
+        basis=tuple(b for b, _ in basis),
+        basis_offset=tuple(o for _, o in basis),
         part=tuple(_joined([_part(node, n) for node in nodes], np.uint16) if inner[n] else None for n in range(order)),
-        local=tuple(_joined([_local(node, n) for node in nodes], np.uint32) if inner[n] else None for n in range(order)),
+        local=tuple(
+            _joined([_local(node, n) for node in nodes], np.uint32) if inner[n] else None for n in range(order)
+        ),
     )
 
 

@@ -65,8 +65,13 @@ class PackedLevel:
         yield "core_scale", self.core_scale
         for n in range(self.order):
             yield f"row_offset/{n}", self.row_offset[n]
-            per_mode = (("cluster", self.cluster[n]), ("cluster_offset", self.cluster_offset[n]),
-                        ("basis_offset", self.basis_offset[n]), ("part", self.part[n]), ("local", self.local[n]))
+            per_mode = (
+                ("cluster", self.cluster[n]),
+                ("cluster_offset", self.cluster_offset[n]),
+                ("basis_offset", self.basis_offset[n]),
+                ("part", self.part[n]),
+                ("local", self.local[n]),
+            )
             yield from ((f"{name}/{n}", array) for name, array in per_mode if array is not None)
 
     def coefficients(self) -> Iterator[tuple[str, F16]]:

@@ -7,7 +7,7 @@ one number stands for all modes, ``R=*`` leaves a mode undecomposed.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import comb, prod
 
 from .axes import Organisation
@@ -19,7 +19,7 @@ UNDECOMPOSED = None  # a rank of None: the mode keeps its identity basis
 #: Beyond this many cluster subsets in a mode the optimal search gives way to the greedy one (docs/design-notes.md).
 OPTIMAL_SUBSETS = 64
 
-#: Beyond this many cells the joint least squares gives way to Gauss-Seidel alone: its Gram matrix has (PC R_n)^2 numbers.
+#: Beyond this many cells joint least squares give way to Gauss-Seidel alone: their Gram matrix has (PC R_n)^2 numbers.
 GRAM_CELLS = 1536
 
 
@@ -27,8 +27,8 @@ GRAM_CELLS = 1536
 class LevelSpec:
     """R_n (None: undecomposed), C_n and K_n of one level, and how its residual is subdivided for the next.
 
-    `grid` lists axes that are cut into equal blocks, which then are the clusters; with `own` set every node gets ranks of
-    its own up to R, by one Lagrange multiplier over the level (`allocation.py`), as the plan's goal allows.
+    `grid` lists axes that are cut into equal blocks, which then are the clusters; with `own` set every node gets
+    ranks of its own up to R, by one Lagrange multiplier over the level (`allocation.py`), as the plan's goal allows.
 
     >>> LevelSpec((2, 2, None), (4, 3, 1), (2, 2, 1)).search
     'optimal'
@@ -51,9 +51,13 @@ class LevelSpec:
             if clusters < 1:
                 raise invalid("clusters-too-small", f"C of {mode}", clusters, "1 or more")
             if not 1 <= mixture <= min(clusters, 8):
-                raise invalid("mixture-out-of-range", f"K of {mode}", mixture, f"1 to {min(clusters, 8)} (C is {clusters})")
+                raise invalid(
+                    "mixture-out-of-range", f"K of {mode}", mixture, f"1 to {min(clusters, 8)} (C is {clusters})"
+                )
             if rank is None and clusters > 1:
-                raise invalid("undecomposed-clustered", f"C of {mode}", clusters, "1, as R=* leaves the mode undecomposed")
+                raise invalid(
+                    "undecomposed-clustered", f"C of {mode}", clusters, "1, as R=* leaves the mode undecomposed"
+                )
 
     @property
     def order(self) -> int:
@@ -87,14 +91,21 @@ class LevelSpec:
         clusters = tuple(min(c, max(i, 1)) for c, i in zip(self.clusters, sizes, strict=True))
         return LevelSpec(
             tuple(None if r is None else min(r, max(i, 1)) for r, i in zip(self.ranks, sizes, strict=True)),
-            clusters, tuple(min(k, c) for k, c in zip(self.mixture, clusters, strict=True)), self.scheme, self.grid, self.own,
+            clusters,
+            tuple(min(k, c) for k, c in zip(self.mixture, clusters, strict=True)),
+            self.scheme,
+            self.grid,
+            self.own,
         )
 
     def numbers(self, sizes: Sequence[int]) -> int:
         """Core and basis numbers of one node of the given mode sizes (`docs/format.md`, section 4)."""
         ranks = [i if r is None else r for r, i in zip(self.ranks, sizes, strict=True)]
-        basis = sum(i * k * self.cells // c * r for i, k, c, r, spec in
-                    zip(sizes, self.mixture, self.clusters, ranks, self.ranks, strict=True) if spec is not None)
+        basis = sum(
+            i * k * self.cells // c * r
+            for i, k, c, r, spec in zip(sizes, self.mixture, self.clusters, ranks, self.ranks, strict=True)
+            if spec is not None
+        )
         return self.cells * prod(ranks) + basis
 
     def __str__(self) -> str:
@@ -128,12 +139,21 @@ def parse_level(text: str, organisation: Organisation, scheme: str = "most") -> 
     for word in text.split():
         key, equals, values = word.partition("=")
         if not equals or key not in ("R", "R<", "C", "K", "grid") or key in words:
-            raise invalid("plan-syntax", "plan", repr(word), "R=.., R<=.., C=.., K=.., grid=.. once a level, levels parted by /")
+            raise invalid(
+                "plan-syntax", "plan", repr(word), "R=.., R<=.., C=.., K=.., grid=.. once a level, levels parted by /"
+            )
         words[key] = values
     if ("R" in words) == ("R<" in words) or ("C" in words and "grid" in words):
-        raise invalid("plan-syntax", "plan", repr(text.strip()), "either R=.. or R<=.. in each level, and not both C=.. and grid=..")
+        raise invalid(
+            "plan-syntax",
+            "plan",
+            repr(text.strip()),
+            "either R=.. or R<=.. in each level, and not both C=.. and grid=..",
+        )
     own = "R<" in words
-    ranks = tuple(None if word == "*" else _number("R", word) for word in _words("R", words.get("R", words.get("R<", "")), order))
+    ranks = tuple(
+        None if word == "*" else _number("R", word) for word in _words("R", words.get("R", words.get("R<", "")), order)
+    )
     grid = _grid(words.get("grid", ""), organisation)
     counts = dict(grid)
     clusters = tuple(prod(counts.get(axis, 1) for axis in mode) for mode in organisation)
@@ -152,7 +172,9 @@ def _grid(text: str, organisation: Organisation) -> tuple[tuple[str, int], ...]:
     for word in text.split(",") if text else []:
         axis, _, count = word.partition(":")
         if axis not in axes or axis in dict(grid):
-            raise invalid("plan-grid", "grid of the plan", repr(word), f"AXIS:COUNT, each axis of {', '.join(axes)} at most once")
+            raise invalid(
+                "plan-grid", "grid of the plan", repr(word), f"AXIS:COUNT, each axis of {', '.join(axes)} at most once"
+            )
         grid.append((axis, _number("grid", count)))
     return tuple(grid)
 
@@ -168,7 +190,9 @@ def _words(key: str, text: str, order: int) -> list[str]:
 
 def _number(key: str, word: str) -> int:
     if not (word.isascii() and word.isdigit()) or len(word) > 9:
-        raise invalid("plan-number", f"{key} of the plan", repr(word), "whole numbers" + (" or *" if key == "R" else ""))
+        raise invalid(
+            "plan-number", f"{key} of the plan", repr(word), "whole numbers" + (" or *" if key == "R" else "")
+        )
     return int(word)
 
 

@@ -45,7 +45,8 @@ class Coding:
         diagonal += RIDGE * diagonal.mean() + np.finfo(np.float64).tiny
         b = self.b[np.ix_(at, rows)]
         x = np.linalg.solve(system, b)
-        return x, np.einsum("qi,qi->i", b, x)
+        gain: F64 = np.sum(b * x, axis=0)
+        return x.astype(np.float64), gain
 
     def consider(self, subset: Subset, rows: NDArray[np.intp]) -> None:
         """Give the subset to those rows whose gain it raises; ties go to the subset seen first."""
@@ -84,8 +85,14 @@ def _coding(cells: Cells, tensor: F32, n: int) -> Coding:
     columns = (order[:, None] * rank + np.arange(rank)).reshape(-1)  # grouped by the mode's cluster
     h = kernels.dictionary_gram(cells, n)[np.ix_(columns, columns)]
     size = cells.sizes[n]
-    return Coding(h, b.reshape(-1, size)[columns], len(columns) // clusters, np.full(size, -1.0),
-                  subset=[()] * size, coefficients=[np.zeros(0)] * size)
+    return Coding(
+        h,
+        b.reshape(-1, size)[columns],
+        len(columns) // clusters,
+        np.full(size, -1.0),
+        subset=[()] * size,
+        coefficients=[np.zeros(0)] * size,
+    )
 
 
 def _patterns(members: NDArray[np.uint16]) -> Iterable[tuple[Subset, NDArray[np.intp]]]:
@@ -113,7 +120,7 @@ def _store(cells: Cells, n: int, coding: Coding, mixture: int) -> None:
     others, rank, size = cells.spec.cells // cells.spec.clusters[n], cells.ranks[n], cells.sizes[n]
     cells.members[n] = np.array(coding.subset, np.uint16).reshape(size, mixture)
     cells.bases[n] = np.array(coding.coefficients, np.float32).reshape(size, mixture, others, rank)
-    cells.spec = replace(cells.spec, mixture=(*cells.spec.mixture[:n], mixture, *cells.spec.mixture[n + 1:]))
+    cells.spec = replace(cells.spec, mixture=(*cells.spec.mixture[:n], mixture, *cells.spec.mixture[n + 1 :]))
 
 
 def extend(cells: Cells, residual: F32, n: int) -> None:
@@ -130,9 +137,10 @@ def extend(cells: Cells, residual: F32, n: int) -> None:
     fresh = np.zeros((size, 1, cells.spec.cells // clusters, rank), np.float32)
     order = np.argsort(joined, axis=1)
     cells.bases[n] = np.ascontiguousarray(
-        np.take_along_axis(np.concatenate([cells.bases[n], fresh], axis=1), order[:, :, None, None], axis=1))
+        np.take_along_axis(np.concatenate([cells.bases[n], fresh], axis=1), order[:, :, None, None], axis=1)
+    )
     cells.members[n] = np.take_along_axis(joined, order, axis=1)
-    cells.spec = replace(cells.spec, mixture=(*cells.spec.mixture[:n], joined.shape[1], *cells.spec.mixture[n + 1:]))
+    cells.spec = replace(cells.spec, mixture=(*cells.spec.mixture[:n], joined.shape[1], *cells.spec.mixture[n + 1 :]))
 
 
 def orthonormalise(cells: Cells, n: int) -> None:

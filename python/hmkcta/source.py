@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,7 +85,7 @@ def prepare(array: Any, axes: Sequence[Axis] | Sequence[str] | None, transform: 
         HmkctaError: not an array of 1 to 8 axes of real numbers, empty, not finite with `nan` None, beyond float32's
             range, names that do not fit, or values outside the transform's domain.
     """
-    array = array if isinstance(array, np.ndarray) else np.asarray(array)
+    array = cast(NDArray[Any], np.asanyarray(array))
     if array.dtype.kind not in "fiu":
         raise invalid("dtype", "array", f"dtype {array.dtype}", "floating point or integers")
     if not 1 <= array.ndim <= 8 or array.size == 0:
@@ -95,7 +95,9 @@ def prepare(array: Any, axes: Sequence[Axis] | Sequence[str] | None, transform: 
         raise invalid("nan-fill", "nan", nan, "a finite number")
     digest, bad = _scan(array, nan)
     value_transform = parse(transform)
-    return Source(array, named, array.dtype.newbyteorder("=").name, nan if bad else None, value_transform, {"sha256": digest})
+    return Source(
+        array, named, array.dtype.newbyteorder("=").name, nan if bad else None, value_transform, {"sha256": digest}
+    )
 
 
 def _named(shape: tuple[int, ...], axes: Sequence[Axis] | Sequence[str] | None) -> tuple[Axis, ...]:
@@ -116,7 +118,7 @@ def _scan(array: NDArray[Any], nan: float | None) -> tuple[str, bool]:
     count, first, start = 0, None, 0
     for part in slabs(array.shape, _SLAB):
         values = np.ascontiguousarray(array[part], array.dtype.newbyteorder("="))
-        digest.update(values)
+        digest.update(values.data)
         if values.dtype.kind == "f":
             limit = np.finfo(np.float32).max
             bad = ~(np.abs(values) <= limit)
@@ -127,8 +129,11 @@ def _scan(array: NDArray[Any], nan: float | None) -> tuple[str, bool]:
     if count and nan is None:
         assert first is not None
         index = tuple(int(i) for i in np.unravel_index(first, array.shape))
-        raise invalid("not-finite", "array", f"{count} values that are NaN, infinite or beyond float32, the first at index {index}",
-                      "finite numbers", "give a value to put there, --nan fill=0")
+        raise invalid(
+            "not-finite",
+            "array",
+            f"{count} values that are NaN, infinite or beyond float32, the first at index {index}",
+            "finite numbers",
+            "give a value to put there, --nan fill=0",
+        )
     return digest.hexdigest(), bool(count)
-
-

@@ -19,7 +19,9 @@ F32 = NDArray[np.float32]
 def subdivide(cells: Cells, tensor: F32, scheme: str) -> list[NDArray[np.intp]]:
     """For each mode the part `[I_n]` of every row, 0 <= part < C_n; tensor is what the cells were fitted to."""
     parts: list[NDArray[np.intp]] = []
-    for n, (size, clusters, mixture) in enumerate(zip(cells.sizes, cells.spec.clusters, cells.spec.mixture, strict=True)):
+    for n, (size, clusters, mixture) in enumerate(
+        zip(cells.sizes, cells.spec.clusters, cells.spec.mixture, strict=True)
+    ):
         if scheme == "uniform":
             parts.append(uniform_blocks(size, clusters))
         elif mixture == 1:
@@ -44,7 +46,7 @@ def _subset_errors(cells: Cells, tensor: F32, n: int) -> NDArray[np.float64]:
     for k in range(clusters):
         at = np.flatnonzero(of_cluster == k)
         side = len(at) * rank
-        h_kk = h[np.ix_(at, range(rank), at, range(rank))].reshape(side, side)
+        h_kk = h[at][:, :, at].reshape(side, side)
         b_k = b[at].reshape(side, -1).T  # [I_n, PC_-n R_n]
         rows, slots = np.nonzero(cells.members[n] == k)
         x_k = x[rows, slots].reshape(len(rows), side)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import combinations
 from math import log2, log10, prod
 
@@ -22,6 +22,8 @@ from .tucker import core_energies
 
 F64 = NDArray[np.float64]
 
+#: Worse than any number of bytes, in octaves.
+OUT_OF_REACH = 1000.0
 #: Modes longer than this are never left undecomposed: their core would outgrow any basis.
 LONGEST_UNDECOMPOSED = 128
 
@@ -29,7 +31,6 @@ LONGEST_UNDECOMPOSED = 128
 def header_bytes(order: int, levels: int) -> int:
     """About what the header of a file takes: names, shapes and checksums of every array."""
     return 1500 + 900 * order + (levels - 1) * (1300 + 1050 * order)
-
 
 
 @dataclass(frozen=True)
@@ -72,12 +73,12 @@ class Trial:
     energy: float
 
     def worths(self, organisation: Organisation, grid: tuple[int, ...], sample: int) -> list[tuple[float, Candidate]]:
-        """Every candidate with this organisation and grid, with dB at the goal's bytes or minus octaves of bytes at its SNR."""
+        """Every candidate with this organisation and grid: dB at the goal's bytes, or minus octaves of bytes."""
         blocks = list(_sample_blocks(self.source, grid, sample, self.seed))
         share = sum(prod(axis.size for axis in block.axes) for block in blocks) / prod(self.source.shape)
         with ThreadPoolExecutor(self.threads) as pool:
-            tables = list(pool.map(lambda block: self._table(organisation, block), blocks))
-        tables = [entry for entry in tables if entry[1] > 0]
+            examined = pool.map(partial(self._table, organisation), blocks)
+            tables = [entry for entry in examined if entry[1] > 0]
         counts = {axis.name: count for axis, count in zip(self.source.axes, grid, strict=True)}
         clusters = tuple(prod(counts[name] for name in mode) for mode in organisation)
         sizes = mode_sizes(self.source.axes, organisation)
@@ -89,9 +90,20 @@ class Trial:
                 nodes = [_spectrum(*entry, choice, self.decode_cost - 1) for entry in tables]
                 fixed = header_bytes(len(sizes), 2) + carrier_bytes(sizes, clusters, choice)
                 found.append((self._worth(nodes, share, fixed), Candidate(organisation, grid, choice)))
-            whole = _spectrum(summed(t for t, _, _ in tables) / share, sum(e for _, e, _ in tables) / share, sizes,
-                              choice, self.decode_cost, clusters)
-            found.append((self._worth([whole], 1.0, header_bytes(len(sizes), 1)), Candidate(organisation, grid, choice, carried=False)))
+            whole = _spectrum(
+                summed(t for t, _, _ in tables) / share,
+                sum(e for _, e, _ in tables) / share,
+                sizes,
+                choice,
+                self.decode_cost,
+                clusters,
+            )
+            found.append(
+                (
+                    self._worth([whole], 1.0, header_bytes(len(sizes), 1)),
+                    Candidate(organisation, grid, choice, carried=False),
+                )
+            )
         return found
 
     def _table(self, organisation: Organisation, block: Block) -> tuple[F64, float, tuple[int, ...]]:
@@ -108,8 +120,9 @@ class Trial:
         assert self.snr is not None
         error = self.energy * 10 ** (-self.snr / 10) * share
         chosen = allocate(spectra, error=error)
-        # A goal out of reach counts like bytes at the usual 4 dB an octave.
-        return -log2(chosen.nbytes / share + fixed) - max(0.0, decibels(chosen.error, error)) / 4
+        short = max(0.0, decibels(chosen.error, error))
+        # Candidates that cannot reach the goal come after all that can, the nearest first.
+        return -OUT_OF_REACH - short if short > 0.01 else -log2(chosen.nbytes / share + fixed)
 
 
 def decibels(signal: float, error: float) -> float:
@@ -118,7 +131,11 @@ def decibels(signal: float, error: float) -> float:
 
 
 def _spectrum(
-    table: F64, energy: float, sizes: tuple[int, ...], undecomposed: tuple[int, ...], decode_cost: int,
+    table: F64,
+    energy: float,
+    sizes: tuple[int, ...],
+    undecomposed: tuple[int, ...],
+    decode_cost: int,
     clusters: tuple[int, ...] | None = None,
 ) -> Spectrum:
     """The choices of ranks, bytes counted at the true sizes."""
@@ -150,14 +167,26 @@ def _sample_blocks(source: Source, grid: tuple[int, ...], sample: int, seed: int
     number, elements = prod(grid), prod(source.shape)
     # Few large blocks would be chance: at least four, thinned.
     wanted = int(min(number, max(4, round(sample * number / elements))))
-    for flat in sorted(rng.permutation(number)[:wanted]):
-        rows = [np.flatnonzero(uniform_blocks(length, count) == index) for index, count, length in
-                zip(np.unravel_index(flat, grid), grid, source.shape, strict=True)]
+    for flat in np.sort(rng.permutation(number)[:wanted]).tolist():
+        place = [int(index) for index in np.unravel_index(flat, grid)]
+        rows = [
+            np.flatnonzero(uniform_blocks(length, count) == index)
+            for index, count, length in zip(place, grid, source.shape, strict=True)
+        ]
         lengths = [len(r) for r in rows]
         steps = _thinning(lengths, 4 * sample // wanted)
         part = tuple(slice(int(r[0]), int(r[-1]) + 1, step) for r, step in zip(rows, steps, strict=True))
         values = source.values(part)
         yield Block(values, _resized(source.axes, lengths), _resized(source.axes, values.shape))
+
+
+def _unravelled(flat: int, grid: Sequence[int]) -> list[int]:
+    """Block indices along each axis of the flat-th block in C order."""
+    place: list[int] = []
+    for count in reversed(grid):
+        flat, index = divmod(flat, count)
+        place.insert(0, index)
+    return place
 
 
 def _thinning(lengths: Sequence[int], limit: int) -> list[int]:

@@ -34,16 +34,16 @@ def leading_subspace(tensor: F32, n: int, rank: int, rng: np.random.Generator) -
     rank = min(rank, *matrix.shape)
     if len(matrix) <= min(EXACT_SIDE, matrix.shape[1]):
         _, vectors = np.linalg.eigh(_gram(matrix))
-        return np.ascontiguousarray(vectors[:, :-rank - 1:-1], np.float32)
+        return np.ascontiguousarray(vectors[:, : -rank - 1 : -1], np.float32)
     if matrix.shape[1] <= EXACT_SIDE:
         _, vectors = np.linalg.eigh(_gram(matrix.T))
-        return _orthonormal(matrix @ vectors[:, :-rank - 1:-1].astype(np.float32))
+        return _orthonormal(matrix @ vectors[:, : -rank - 1 : -1].astype(np.float32))
     sample = matrix @ rng.standard_normal((matrix.shape[1], min(rank + 12, *matrix.shape)), np.float32)
     for _ in range(3):
         sample = matrix @ (matrix.T @ _orthonormal(sample))
     basis = _orthonormal(sample)
     _, vectors = np.linalg.eigh(_gram(basis.T @ matrix))
-    return basis @ vectors[:, :-rank - 1:-1].astype(np.float32)
+    return basis @ vectors[:, : -rank - 1 : -1].astype(np.float32)
 
 
 def _gram(matrix: NDArray[np.floating]) -> F64:
@@ -51,7 +51,7 @@ def _gram(matrix: NDArray[np.floating]) -> F64:
     gram = np.zeros((len(matrix), len(matrix)))
     step = max(1, 2**22 // max(1, len(matrix)))
     for start in range(0, matrix.shape[1], step):
-        chunk = matrix[:, start:start + step].astype(np.float64)
+        chunk = matrix[:, start : start + step].astype(np.float64)
         gram += chunk @ chunk.T
     return gram
 
@@ -68,7 +68,9 @@ def st_hosvd(tensor: F32, ranks: Sequence[int | None], rng: np.random.Generator)
     """
     bases: list[F32 | None] = [None] * tensor.ndim
     core = tensor
-    decomposed = [(rank / size, n, rank) for n, (rank, size) in enumerate(zip(ranks, tensor.shape, strict=True)) if rank]
+    decomposed = [
+        (rank / size, n, rank) for n, (rank, size) in enumerate(zip(ranks, tensor.shape, strict=True)) if rank
+    ]
     for _, n, rank in sorted(decomposed):
         basis = leading_subspace(core, n, rank, rng)
         bases[n] = basis
@@ -83,10 +85,12 @@ def core_energies(tensor: F32, limits: Sequence[int | None], rng: np.random.Gene
     the energy is that of the truncated core, the error of the truncated reconstruction.
     """
     bases = [None if limit is None else leading_subspace(tensor, n, limit, rng) for n, limit in enumerate(limits)]
-    core = tensor
-    for n in np.argsort([1 if u is None else u.shape[1] / u.shape[0] for u in bases]):
+    core: NDArray[np.floating] = tensor
+    kept = [1.0 if basis is None else basis.shape[1] / basis.shape[0] for basis in bases]
+    for n in sorted(range(tensor.ndim), key=kept.__getitem__):
         basis = bases[n]
-        core = core if basis is None else mode_product(core, basis.T, int(n))
+        if basis is not None:
+            core = mode_product(core, basis.T, n)
     table = np.square(core, dtype=np.float64)
     for n, basis in enumerate(bases):
         table = table.sum(axis=n, keepdims=True) if basis is None else table.cumsum(axis=n)

@@ -15,7 +15,7 @@ from math import ceil, prod
 import numpy as np
 
 from .axes import Axis, Organisation, mode_sizes
-from .hierarchy import Progress
+from .hierarchy import Progress, Run
 from .plan import LevelSpec, Plan
 from .source import Source
 from .trial import Candidate, Trial
@@ -36,7 +36,8 @@ class Search:
 
     trial: Trial
     seen: dict[tuple[Organisation, tuple[int, ...], int], Ranked] = field(
-        default_factory=dict[tuple[Organisation, tuple[int, ...], int], Ranked])
+        default_factory=dict[tuple[Organisation, tuple[int, ...], int], Ranked]
+    )
 
     def best(self, organisation: Organisation, grid: tuple[int, ...], sample: int) -> tuple[float, Candidate]:
         """The best candidate with this organisation and grid."""
@@ -47,17 +48,25 @@ class Search:
 
 
 def tune(
-    source: Source, *, snr: float | None, size: int | None, ceiling: float | None, decode_cost: int,
-    organisation: Organisation | None, seed: int, threads: int, progress: Progress,
+    source: Source,
+    run: Run,
+    *,
+    snr: float | None,
+    size: int | None,
+    ceiling: float | None,
+    decode_cost: int,
+    organisation: Organisation | None,
 ) -> Plan:
     """The best plan found for bytes (`size`) or for an SNR; with a `ceiling` in dB bytes are not spent beyond it."""
-    energy = sum(float(np.square(source.values((slice(i, i + 1),)), dtype=np.float64).sum()) for i in range(source.shape[0]))
-    search = Search(Trial(source, snr, size, decode_cost, seed, threads, energy))
+    slabs = (source.values((slice(i, i + 1),)) for i in range(source.shape[0]))
+    energy = sum(float(np.square(slab, dtype=np.float64).sum()) for slab in slabs)
+    search = Search(Trial(source, snr, size, decode_cost, run.seed, run.threads, energy))
     choices = list(organisations(source.axes)) if organisation is None else [organisation]
-    worth, best = _settled(search, _finalists(search, choices, progress), progress)
+    worth, best = _settled(search, _finalists(search, choices, run.progress), run.progress)
     if ceiling is not None and worth > ceiling:
-        return tune(source, snr=ceiling, size=None, ceiling=None, decode_cost=decode_cost, organisation=organisation,
-                    seed=seed, threads=threads, progress=progress)
+        return tune(
+            source, run, snr=ceiling, size=None, ceiling=None, decode_cost=decode_cost, organisation=organisation
+        )
     return plan_of(source, best, snr, size, decode_cost)
 
 
@@ -123,7 +132,7 @@ def _neighbours(grid: tuple[int, ...], shape: Sequence[int]) -> Iterator[tuple[i
     for n, (count, size) in enumerate(zip(grid, shape, strict=True)):
         for other in sorted({count + 1, 2 * count, ceil(count / 2)} - {count}):
             if size / other >= SMALLEST_EDGE:
-                yield (*grid[:n], other, *grid[n + 1:])
+                yield (*grid[:n], other, *grid[n + 1 :])
 
 
 def organisations(axes: Sequence[Axis]) -> Iterator[Organisation]:
@@ -145,7 +154,7 @@ def _partitions(names: list[str]) -> Iterator[list[list[str]]]:
     for rest in _partitions(names[1:]):
         yield [[names[0]], *rest]
         for n, mode in enumerate(rest):
-            yield [*rest[:n], [names[0], *mode], *rest[n + 1:]]
+            yield [*rest[:n], [names[0], *mode], *rest[n + 1 :]]
 
 
 def plan_of(source: Source, best: Candidate, snr: float | None, size: int | None, decode_cost: int) -> Plan:

@@ -1,0 +1,170 @@
+"""Follow a plan: fit its levels one after another (paper, figure 3), refit them together, measure what is stored."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import inf, log10
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ._version import __version__
+from .adaptive import Goal, fit_to_goal
+from .errors import invalid
+from .fit import EFFORTS
+from .hierarchy import Hierarchy, Run, ascend, backfit, descend, fit_nodes, grid_labels, squared_norm, whole
+from .hmkfile import encoded_size
+from .measure import measure
+from .model import Model
+from .pack import bounds, pack_levels
+from .packed import LevelQuality, Metadata, PackedLevel
+from .plan import SCHEMES, LevelSpec, Plan
+from .source import Source
+
+F32 = NDArray[np.float32]
+
+#: Bytes kept free for the digits of the quality figures, which are not known while the file's size is counted.
+HEADER_SLACK = 160
+#: Stand-in for those figures: numbers with as many digits.
+_UNKNOWN = LevelQuality(100 / 3, 1 / 3, 1 / 3)
+
+
+@dataclass(frozen=True)
+class Task:
+    """A plan to follow on a source: subdivision scheme (``auto``: the best of three), decode cost, kind of data."""
+
+    source: Source
+    plan: Plan
+    scheme: str
+    decode_cost: int
+    kind: str
+    run: Run
+
+
+def follow(task: Task) -> Model:
+    """The fitted model, its quality measured on the stored numbers.
+
+    Raises:
+        HmkctaError: the plan does not fit the tensor, or its goal is below what it can do.
+    """
+    plan, run = task.plan, task.run
+    tensor = task.source.tensor(plan.organisation)
+    _check(plan, tensor.shape)
+    tree = whole(tensor.copy())
+    goal = _goal(task, tensor)
+    for number, spec in enumerate(plan.levels):
+        if number:
+            _descend(task, tree, plan.levels[number - 1], spec)
+            if not tree.levels[-1]:  # nothing is left to approximate
+                tree.levels.pop()
+                break
+        labels = grid_labels(spec, task.source.axes, plan.organisation)
+        if spec.own:
+            above = sum(level.decode_cost() for level in plan.levels[:number])
+            fit_to_goal(tree, spec, goal, max(1, task.decode_cost - above), run, labels)
+        else:
+            fit_nodes(tree, [spec] * len(tree.levels[-1]), run, labels)
+            if plan.snr is not None and goal.snr_now(tree) >= plan.snr:
+                break
+    if not plan.levels[-1].own and len(tree.levels) > 1:
+        for _ in range(run.effort.backfits):
+            backfit(tree, run)
+    return _measured(task, tree, tensor)
+
+
+def _check(plan: Plan, sizes: Sequence[int]) -> None:
+    first = plan.levels[0]
+    for number, level in enumerate(plan.levels, start=1):
+        if [r is None for r in level.ranks] != [r is None for r in first.ranks]:
+            allowed = "* for the same modes in every level"
+            raise invalid("undecomposed-differ", f"R of level {number}", str(level), allowed)
+        if level.own and (number < len(plan.levels) or (plan.snr is None and plan.size is None)):
+            allowed = "R<= in the last level only, together with a goal"
+            raise invalid("own-ranks-place", f"level {number}", str(level), allowed, "add --snr or --size")
+    for n, (rank, clusters, size) in enumerate(zip(first.ranks, first.clusters, sizes, strict=True)):
+        if rank is not None and rank > size and not first.own:
+            allowed = f"1 to {size}, or * for an undecomposed mode"
+            raise invalid("rank-too-large", f"R of mode {n + 1}", rank, allowed)
+        if clusters > size:
+            allowed = f"1 to {size}, the number of its rows"
+            raise invalid("more-clusters-than-rows", f"C of mode {n + 1}", clusters, allowed)
+
+
+def _goal(task: Task, tensor: F32) -> Goal:
+    energy = squared_norm(tensor)
+    return Goal(
+        task.plan.size,
+        task.plan.snr,
+        energy,
+        file_bytes=lambda tree: encoded_size(*_described(task, tree)) + HEADER_SLACK,
+        snr_now=lambda tree: _snr(task, tensor, tree, energy),
+    )
+
+
+def _descend(task: Task, tree: Hierarchy, above: LevelSpec, below: LevelSpec) -> None:
+    """Subdivide; for ``auto`` all three schemes are tried with a fast fit of the level below."""
+    run = task.run
+    if task.scheme != "auto" or above.grid or below.own or above.cells == 1:
+        descend(tree, above.scheme, run)
+        return
+    left: dict[str, float] = {}
+    saved = tree.residual.copy()
+    for scheme in SCHEMES:
+        descend(tree, scheme, run)
+        fit_nodes(tree, [below] * len(tree.levels[-1]), replace(run, effort=EFFORTS["fast"]))
+        left[scheme] = tree.error
+        tree.residual[...] = saved
+        tree.levels[-1].clear()
+        ascend(tree)
+    descend(tree, min(left, key=lambda scheme: left[scheme]), run)
+
+
+def _snr(task: Task, tensor: F32, tree: Hierarchy, energy: float) -> float:
+    """SNR in dB, in the domain of the source values."""
+    transform = task.source.value_transform
+    error = tree.error
+    if transform.name != "identity":
+        error = energy = 0.0
+        for values, left in zip(tensor, tree.residual, strict=True):
+            original = transform.inverse(values.astype(np.float64))
+            energy += float(np.square(original).sum())
+            error += float(np.square(original - transform.inverse(values.astype(np.float64) - left)).sum())
+    return _decibels(energy, error)
+
+
+def _decibels(energy: float, error: float) -> float:
+    return inf if error == 0 else -inf if energy == 0 else 10 * log10(energy / error)
+
+
+def _described(
+    task: Task, tree: Hierarchy, quality: Sequence[LevelQuality] | None = None
+) -> tuple[Metadata, tuple[PackedLevel, ...]]:
+    undecomposed = tuple(n for n, rank in enumerate(task.plan.levels[0].ranks) if rank is None)
+    levels = pack_levels(tree.levels, undecomposed)
+    schemes = [tree.schemes[number] if number < len(tree.schemes) else "most" for number in range(len(levels))]
+    metadata = Metadata(
+        source_dtype=task.source.dtype,
+        axes=task.source.axes,
+        organisation=task.plan.organisation,
+        levels=tuple(bounds(level, scheme) for level, scheme in zip(levels, schemes, strict=True)),
+        undecomposed=undecomposed,
+        kind=task.kind,
+        transform=task.source.transform,
+        quality=tuple(quality or [_UNKNOWN] * len(levels)),
+        source=task.source.fingerprint,
+        writer=f"hmkcta {__version__}",
+        seed=task.run.seed,
+    )
+    return metadata, levels
+
+
+def _measured(task: Task, tree: Hierarchy, tensor: F32) -> Model:
+    """The model with its quality, decoded from the stored numbers and compared with the source."""
+    metadata, levels = _described(task, tree)
+    source = task.source
+    if source.value_transform.name != "identity":
+        transformed = _decibels(squared_norm(tensor), tree.error)
+        metadata = replace(metadata, source={**metadata.source, "transformed_snr_db": round(transformed, 6)})
+    quality = measure(Model(metadata, levels), source.array, nan=source.nan, progress=task.run.progress)
+    return Model(replace(metadata, quality=quality), levels)
