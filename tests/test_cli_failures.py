@@ -68,7 +68,7 @@ def test_constant_data(value: float, goal: tuple[str, ...], tmp_path: Path) -> N
 @pytest.mark.parametrize("goal", [("--plan", "R=2"), ("--plan", "R=2 C=2 K=2"), ("--snr", "30")], ids=" ".join)
 def test_very_small_and_large_numbers(factor: float, goal: tuple[str, ...], tmp_path: Path) -> None:
     source = saved(tmp_path / "a.npy", np.float32(factor) * smooth(6, 8, 10))
-    assert report("compress", source, "-o", tmp_path / "a.hmk", *goal, "--quality", "fast")["snr_db"] > 10
+    assert report("compress", source, "-o", tmp_path / "a.hmk", *goal, "--quality", "fast")["snr_db"] > 7
     run("verify", tmp_path / "a.hmk", "--against", source)
 
 

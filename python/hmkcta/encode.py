@@ -16,6 +16,7 @@ from .hierarchy import Progress, Run
 from .memory import check_memory
 from .model import Model
 from .plan import SCHEMES, Plan, parse_plan
+from .predict import fitting_memory
 from .source import Source, prepare
 from .tuning import tune
 
@@ -131,9 +132,9 @@ def _run(quality: str, scheme: str, decode_cost: int, seed: int, threads: int | 
 
 def _source(array: Any, axes: Any, transform: str, nan: float | None, max_memory: int | None) -> Source:
     source = prepare(array, axes, transform, nan)
-    # The tensor, its residual, a saved residual and one node's working copies, in float32.
-    needed = 5 * 4 * prod(source.shape)
-    check_memory(needed, "compressing this array", "raise --max-memory or compress a part", max_memory)
+    check_memory(
+        fitting_memory(source.shape), "compressing this array", "raise --max-memory or compress a part", max_memory
+    )
     return source
 
 

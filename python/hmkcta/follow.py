@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import inf, log10
+from math import inf, isinf, log10
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from .errors import invalid
 from .fit import EFFORTS
 from .hierarchy import Hierarchy, Run, ascend, backfit, descend, fit_nodes, grid_labels, squared_norm, whole
 from .hmkfile import encoded_size
-from .measure import measure
+from .measure import measure_both
 from .model import Model
 from .pack import bounds, pack_levels
 from .packed import LevelQuality, Metadata, PackedLevel
@@ -70,7 +70,7 @@ def follow(task: Task) -> Model:
     if not plan.levels[-1].own and len(tree.levels) > 1:
         for _ in range(run.effort.backfits):
             backfit(tree, run)
-    return _measured(task, tree, tensor)
+    return _measured(task, tree)
 
 
 def _check(plan: Plan, sizes: Sequence[int]) -> None:
@@ -126,10 +126,11 @@ def _snr(task: Task, tensor: F32, tree: Hierarchy, energy: float) -> float:
     error = tree.error
     if transform.name != "identity":
         error = energy = 0.0
+        unit = np.float64(task.source.unit)
         for values, left in zip(tensor, tree.residual, strict=True):
-            original = transform.inverse(values.astype(np.float64))
+            original = transform.inverse(unit * values)
             energy += float(np.square(original).sum())
-            error += float(np.square(original - transform.inverse(values.astype(np.float64) - left)).sum())
+            error += float(np.square(original - transform.inverse(unit * (values - left))).sum())
     return _decibels(energy, error)
 
 
@@ -141,7 +142,7 @@ def _described(
     task: Task, tree: Hierarchy, quality: Sequence[LevelQuality] | None = None
 ) -> tuple[Metadata, tuple[PackedLevel, ...]]:
     undecomposed = tuple(n for n, rank in enumerate(task.plan.levels[0].ranks) if rank is None)
-    levels = pack_levels(tree.levels, undecomposed)
+    levels = pack_levels(tree.levels, undecomposed, task.source.unit)
     schemes = [tree.schemes[number] if number < len(tree.schemes) else "most" for number in range(len(levels))]
     metadata = Metadata(
         source_dtype=task.source.dtype,
@@ -159,12 +160,12 @@ def _described(
     return metadata, levels
 
 
-def _measured(task: Task, tree: Hierarchy, tensor: F32) -> Model:
+def _measured(task: Task, tree: Hierarchy) -> Model:
     """The model with its quality, decoded from the stored numbers and compared with the source."""
     metadata, levels = _described(task, tree)
-    source = task.source
+    model, source = Model(metadata, levels), task.source
+    quality, transformed = measure_both(model, source.array, nan=source.nan, progress=task.run.progress)
     if source.value_transform.name != "identity":
-        transformed = _decibels(squared_norm(tensor), tree.error)
-        metadata = replace(metadata, source={**metadata.source, "transformed_snr_db": round(transformed, 6)})
-    quality = measure(Model(metadata, levels), source.array, nan=source.nan, progress=task.run.progress)
+        in_its_domain = [None if isinf(level.snr_db) else round(level.snr_db, 6) for level in transformed]
+        metadata = replace(metadata, source={**metadata.source, "transformed_snr_db": in_its_domain})
     return Model(replace(metadata, quality=quality), levels)

@@ -113,6 +113,7 @@ def in_parallel(work: Callable[[int], None], nodes: Sequence[Node], stage: str, 
     """Do the work for every node, largest first; nodes share no element, so their order changes nothing."""
     order = sorted(range(len(nodes)), key=lambda s: -nodes[s].elements)
     total, done = max(1, sum(node.elements for node in nodes)), 0
+    run.progress(stage, 0.0)
     with ThreadPoolExecutor(max_workers=run.threads) as pool:
         futures = [(s, pool.submit(work, s)) for s in order]
         try:

@@ -15,9 +15,11 @@ from .packed import LevelBounds, PackedLevel
 Ragged = list[NDArray[Any]]
 
 
-def pack_levels(levels: Sequence[Sequence[Node]], undecomposed: Sequence[int]) -> tuple[PackedLevel, ...]:
-    """Every level's nodes in order, as stored; `undecomposed` are mode numbers."""
-    return tuple(_pack(nodes, undecomposed, last=nodes is levels[-1]) for nodes in levels)
+def pack_levels(
+    levels: Sequence[Sequence[Node]], undecomposed: Sequence[int], unit: float = 1.0
+) -> tuple[PackedLevel, ...]:
+    """Every level's nodes in order, as stored; `undecomposed`: mode numbers, `unit`: what cores are multiples of."""
+    return tuple(_pack(nodes, undecomposed, unit, last=nodes is levels[-1]) for nodes in levels)
 
 
 def bounds(level: PackedLevel, scheme: str) -> LevelBounds:
@@ -27,7 +29,7 @@ def bounds(level: PackedLevel, scheme: str) -> LevelBounds:
     return LevelBounds(clusters, mixture, ranks, scheme)
 
 
-def _pack(nodes: Sequence[Node], undecomposed: Sequence[int], *, last: bool) -> PackedLevel:
+def _pack(nodes: Sequence[Node], undecomposed: Sequence[int], unit: float, *, last: bool) -> PackedLevel:
     order = len(nodes[0].rows) if nodes else 0
     stored = [n not in undecomposed for n in range(order)]
     shape = np.zeros((len(nodes), 3, order), np.uint32)
@@ -37,6 +39,7 @@ def _pack(nodes: Sequence[Node], undecomposed: Sequence[int], *, last: bool) -> 
     rounded = [None if node.cells is None else round_cores(node.cells.cores) for node in nodes]
     core, core_offset = _ragged([np.zeros(0) if r is None else r[0] for r in rounded], np.float16)
     scale, cell_offset = _ragged([np.zeros(0) if r is None else r[1] for r in rounded], np.float32)
+    scale = (scale * unit).astype(np.float32)
     cluster = [
         _ragged([_members(node, n) for node in nodes], np.uint16) if stored[n] else (None, None) for n in range(order)
     ]

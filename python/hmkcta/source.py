@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
@@ -17,6 +17,8 @@ from .transform import Transform, parse
 
 F32 = NDArray[np.float32]
 _SLAB = 1 << 22
+#: Sums of a few such values still fit float32.
+_LARGEST = 1e37
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +32,7 @@ class Source:
         nan: what NaN and infinity are read as, None: there are none.
         value_transform: applied before fitting.
         fingerprint: identifies the values, stored in the file.
+        unit: power of two near the largest transformed value; fitting works in multiples of it.
     """
 
     array: NDArray[Any]
@@ -38,6 +41,7 @@ class Source:
     nan: float | None
     value_transform: Transform
     fingerprint: dict[str, Any]
+    unit: float = 1.0
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -65,13 +69,21 @@ class Source:
         return separate(self.axes) if text is None else parse_organisation(text, self.axes)
 
     def values(self, part: tuple[slice, ...] = ()) -> F32:
-        """The transformed values of a slab or strided block, float32, in the array's axes."""
+        """The transformed values of a slab or strided block in multiples of the unit, float32, in the array's axes.
+
+        What is below 2^-60 of the unit is zero: its squares would underflow.
+        """
+        scaled = np.ascontiguousarray(self.transformed(part) / self.unit, np.float32)
+        scaled[np.abs(scaled) < 2.0**-60] = 0
+        return scaled
+
+    def transformed(self, part: tuple[slice, ...]) -> NDArray[Any]:
+        """The values of a slab or strided block after the value transform."""
         values = np.asarray(self.array[part])
+        values = values if values.dtype.itemsize >= 4 and values.dtype.kind == "f" else values.astype(np.float64)
         if self.nan is not None:
             values = np.where(np.isfinite(values), values, self.nan)
-        if self.value_transform.name != "identity":
-            values = self.value_transform.forward(values)
-        return np.ascontiguousarray(values, np.float32)
+        return values if self.value_transform.name == "identity" else self.value_transform.forward(values)
 
     def tensor(self, organisation: Organisation) -> F32:
         """The whole tensor of the organisation's modes."""
@@ -95,9 +107,12 @@ def prepare(array: Any, axes: Sequence[Axis] | Sequence[str] | None, transform: 
         raise invalid("nan-fill", "nan", nan, "a finite number")
     digest, bad = _scan(array, nan)
     value_transform = parse(transform)
-    return Source(
-        array, named, array.dtype.newbyteorder("=").name, nan if bad else None, value_transform, {"sha256": digest}
+    fingerprint = {"sha256": digest}
+    source = Source(
+        array, named, array.dtype.newbyteorder("=").name, nan if bad else None, value_transform, fingerprint
     )
+    peak = max(float(np.abs(source.transformed(part)).max()) for part in slabs(array.shape, _SLAB))
+    return replace(source, unit=2.0 ** float(np.floor(np.log2(peak))) if peak > 0 else 1.0)
 
 
 def _named(shape: tuple[int, ...], axes: Sequence[Axis] | Sequence[str] | None) -> tuple[Axis, ...]:
@@ -115,25 +130,21 @@ def _named(shape: tuple[int, ...], axes: Sequence[Axis] | Sequence[str] | None) 
 def _scan(array: NDArray[Any], nan: float | None) -> tuple[str, bool]:
     """SHA-256 of the values in C order, and whether any is not finite."""
     digest = hashlib.sha256(f"{array.dtype.newbyteorder('=').name} {array.shape}".encode())
-    count, first, start = 0, None, 0
+    count, first, start = 0, 0, 0
     for part in slabs(array.shape, _SLAB):
         values = np.ascontiguousarray(array[part], array.dtype.newbyteorder("="))
         digest.update(values.data)
         if values.dtype.kind == "f":
-            limit = np.finfo(np.float32).max
-            bad = ~(np.abs(values) <= limit)
+            bad = ~np.isfinite(values)
             if bad.any():
-                first = start + int(np.flatnonzero(bad)[0]) if first is None else first
+                first = first if count else start + int(np.flatnonzero(bad)[0])
                 count += int(bad.sum())
+            if values.itemsize > 2 and (np.abs(values[~bad]) > _LARGEST).any():
+                allowed = f"magnitudes up to {_LARGEST:.0e}, that float32 can hold"
+                raise invalid("too-large", "array", f"{np.abs(values[~bad]).max():.3g}", allowed, "scale the array")
         start += values.size
     if count and nan is None:
-        assert first is not None
         index = tuple(int(i) for i in np.unravel_index(first, array.shape))
-        raise invalid(
-            "not-finite",
-            "array",
-            f"{count} values that are NaN, infinite or beyond float32, the first at index {index}",
-            "finite numbers",
-            "give a value to put there, --nan fill=0",
-        )
+        found = f"{count} values that are NaN or infinite, the first at index {index}"
+        raise invalid("not-finite", "array", found, "finite numbers", "give a value to put there, --nan fill=0")
     return digest.hexdigest(), bool(count)

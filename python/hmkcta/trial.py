@@ -167,8 +167,8 @@ def _sample_blocks(source: Source, grid: tuple[int, ...], sample: int, seed: int
     number, elements = prod(grid), prod(source.shape)
     # Few large blocks would be chance: at least four, thinned.
     wanted = int(min(number, max(4, round(sample * number / elements))))
-    for flat in np.sort(rng.permutation(number)[:wanted]).tolist():
-        place = [int(index) for index in np.unravel_index(flat, grid)]
+    for flat in sorted(int(block) for block in rng.permutation(number)[:wanted]):
+        place = _unravelled(flat, grid)
         rows = [
             np.flatnonzero(uniform_blocks(length, count) == index)
             for index, count, length in zip(place, grid, source.shape, strict=True)

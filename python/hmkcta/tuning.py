@@ -116,7 +116,8 @@ def _many_grids(shape: Sequence[int]) -> Iterator[tuple[int, ...]]:
     long = [n for n in longest if shape[n] >= 24]
     middle = [n for n in range(len(shape)) if n not in long and shape[n] >= 24]
     edges = sorted({shape[n] / count for n in long[:1] for count in (1, 2, 3, 4, 6, 8, 12)})
-    seen: set[tuple[int, ...]] = set()
+    seen = {(1,) * len(shape)}
+    yield (1,) * len(shape)
     for edge, cuts in product(edges, product((1, 2), repeat=len(middle))):
         grid = [1] * len(shape)
         for n in long:
