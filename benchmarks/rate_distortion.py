@@ -75,7 +75,7 @@ def sets(folder: Path | None, wanted: Sequence[str]) -> Iterator[tuple[str, F32]
 
 def _values(path: Path) -> NDArray[Any] | None:
     with np.load(path) as archive:
-        return archive["values"] if "values" in archive else None
+        return archive["values"] if "values" in archive.files else None
 
 
 def measure(name: str, values: F32, rate: int, allowance: int = ALLOWANCE, threads: int | None = None) -> list[Row]:
@@ -85,29 +85,57 @@ def measure(name: str, values: F32, rate: int, allowance: int = ALLOWANCE, threa
     model = hmkcta.compress(values, size=budget, decode_cost=DECODE_COST, threads=threads)
     spent = time.perf_counter() - start
     how = f"{format_organisation(model.metadata.organisation)}: " + " / ".join(
-        f"C={','.join(map(str, level.clusters))} R<={','.join(map(str, level.ranks))}" for level in model.bounds)
-    rows = [Row(name, rate, budget, OURS, round(model.snr, 3), model.nbytes, model.decode_cost, round(spent, 1), how,
-                machine)]
+        f"C={','.join(map(str, level.clusters))} R<={','.join(map(str, level.ranks))}" for level in model.bounds
+    )
+    rows = [
+        Row(
+            name,
+            rate,
+            budget,
+            OURS,
+            round(model.snr, 3),
+            model.nbytes,
+            model.decode_cost,
+            round(spent, 1),
+            how,
+            machine,
+        )
+    ]
     for method, fit in METHODS.items():
         start = time.perf_counter()
         result = fit(values, budget, DECODE_COST)
         spent = time.perf_counter() - start
-        rows.append(Row(name, rate, budget, method, round(result.snr_db, 3), result.nbytes, result.cost,
-                        round(spent, 1), result.detail, machine))
+        rows.append(
+            Row(
+                name,
+                rate,
+                budget,
+                method,
+                round(result.snr_db, 3),
+                result.nbytes,
+                result.cost,
+                round(spent, 1),
+                result.detail,
+                machine,
+            )
+        )
     return rows
 
 
 def markdown(rows: Sequence[Row]) -> str:
     """A line for each data set and budget: ours, the best peer, and by how much we are better."""
-    lines = ["| data | budget | hmkcta | decode cost | best peer | decode cost | difference |",
-             "| --- | --- | --- | --- | --- | --- | --- |"]
+    lines = [
+        "| data | budget | hmkcta | decode cost | best peer | decode cost | difference |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+    ]
     for (data, rate), group in groupby(rows, key=lambda row: (row.data, row.rate)):
         fits = list(group)
         ours = next(row for row in fits if row.method == OURS)
         peer = max((row for row in fits if row.method != OURS), key=lambda row: row.snr_db)
         lines.append(
             f"| {data} | 1/{rate}, {ours.budget / 1024:.0f} KiB | {ours.snr_db:.2f} dB | {ours.decode_cost} "
-            f"| {peer.method} {peer.snr_db:.2f} dB | {peer.decode_cost} | {ours.snr_db - peer.snr_db:+.2f} dB |")
+            f"| {peer.method} {peer.snr_db:.2f} dB | {peer.decode_cost} | {ours.snr_db - peer.snr_db:+.2f} dB |"
+        )
     return "\n".join(lines)
 
 
@@ -123,9 +151,21 @@ def write(rows: Sequence[Row], path: Path) -> None:
 def read(path: Path = RESULTS) -> list[Row]:
     """The rows of a CSV that `write` wrote."""
     with path.open(newline="", encoding="utf-8") as file:
-        return [Row(row["data"], int(row["rate"]), int(row["budget"]), row["method"], float(row["snr_db"]),
-                    int(row["bytes"]), int(row["decode_cost"]), float(row["seconds"]), row["detail"], row["machine"])
-                for row in csv.DictReader(file)]
+        return [
+            Row(
+                row["data"],
+                int(row["rate"]),
+                int(row["budget"]),
+                row["method"],
+                float(row["snr_db"]),
+                int(row["bytes"]),
+                int(row["decode_cost"]),
+                float(row["seconds"]),
+                row["detail"],
+                row["machine"],
+            )
+            for row in csv.DictReader(file)
+        ]
 
 
 def main() -> None:
@@ -133,10 +173,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=str(__doc__).partition("\n")[0])
     parser.add_argument("data", nargs="?", type=Path, help="folder of .npz files; default: synthetic data")
     parser.add_argument("--sets", nargs="*", default=[], help="only sets whose names begin so")
-    parser.add_argument("--rates", nargs="*", type=int, default=RATES, help="shares of the float32 bytes, 400 for 1/400")
+    parser.add_argument("--rates", nargs="*", type=int, default=RATES, help="400: 1/400 of the float32 bytes")
     parser.add_argument("--allowance", type=int, default=ALLOWANCE, help="bytes on top, for everyone (8192)")
     parser.add_argument("--threads", type=int, help="threads of our fits; default: all cores")
-    parser.add_argument("-o", "--output", type=Path, help="CSV to write; default: results/rate_distortion[-synthetic].csv")
+    parser.add_argument("-o", "--output", type=Path, help="CSV to write; default: in benchmarks/results")
     given = parser.parse_args()
     rows: list[Row] = []
     output = given.output or (RESULTS if given.data else RESULTS.with_stem("rate_distortion-synthetic"))

@@ -12,7 +12,7 @@ sys.path.insert(0, str(FOLDER.parent.parent / "python"))
 from hmkcta import compress, pictures, synthetic  # noqa: E402 - found through the path above
 
 #: Shares of the float32 bytes to show.
-SHARES = (400, 100, 30)
+SHARES = (400, 200, 100)
 
 
 def material(path: Path) -> Path:
@@ -24,7 +24,7 @@ def material(path: Path) -> Path:
         label = f"{model.nbytes / 1024:.0f} KiB, {data.nbytes / model.nbytes:.0f} times smaller, {model.snr:.1f} dB"
         rows.append((label, pictures.slice_image(model, data.axes, data.kind)))
     original = pictures.slice_image(data.values, data.axes, data.kind)
-    title = f"A material under 16 lights from 12 views, {data.nbytes / 2**20:.1f} MiB as float32: one of its 192 pictures"
+    title = f"One of 192 pictures of a material, {data.nbytes / 2**20:.1f} MiB as float32"
     return pictures.comparison_sheet(original, rows, path, title=title, kind=data.kind)
 
 

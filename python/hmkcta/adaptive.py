@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from .tucker import core_energies
 F32 = NDArray[np.float32]
 
 #: Most ranks a mode is examined at, by the order of the tensor: the tables hold their product.
-TABLE_LIMITS = {1: 4096, 2: 1024, 3: 160, 4: 48, 5: 20, 6: 12, 7: 8, 8: 6}
+TABLE_LIMITS = {1: 4096, 2: 400, 3: 160, 4: 48, 5: 20, 6: 12, 7: 8, 8: 6}
 #: How far above an SNR goal a fit may end, in dB, and how often a fit is repeated to land there.
 OVERSHOOT, ATTEMPTS = 0.25, 6
 
@@ -44,18 +45,26 @@ class Goal:
     snr_now: Callable[[Hierarchy], float]
 
 
-def table_limits(sizes: Sequence[int], spec: LevelSpec) -> list[int | None]:
-    """Ranks to examine of each mode: up to R, what the node has, and what the table holds."""
+def table_limits(sizes: Sequence[int], spec: LevelSpec, nbytes: float = inf) -> list[int | None]:
+    """Ranks to examine of each mode: up to R, what the node has, what the table holds, and what `nbytes` can store."""
     most = TABLE_LIMITS[len(sizes)]
     limits: list[int | None] = []
     for n, rank in enumerate(spec.ranks):
         rest = int(min(np.prod([float(s) for m, s in enumerate(sizes) if m != n]), 2.0**31))
-        limits.append(None if rank is None else min(rank, sizes[n], rest, most))
+        affordable = int(min(nbytes / (2 * sizes[n]), most)) + 1
+        limits.append(None if rank is None else min(rank, sizes[n], rest, most, affordable))
     return limits
 
 
 def node_spectrum(
-    tensor: F32, spec: LevelSpec, decode_cost: int, seed: int, labels: Labels | None = None, *, alone: bool = False
+    tensor: F32,
+    spec: LevelSpec,
+    decode_cost: int,
+    seed: int,
+    labels: Labels | None = None,
+    *,
+    alone: bool = False,
+    nbytes: float = inf,
 ) -> Spectrum | None:
     """The node's choices of ranks, its cells' being the same; None where there is nothing to store.
 
@@ -66,7 +75,7 @@ def node_spectrum(
         return None
     blocks = [tensor] if labels is None else cell_blocks(tensor, labels, spec.clusters)
     sizes = [max(block.shape[n] for block in blocks) for n in range(tensor.ndim)]
-    limits = table_limits(sizes, spec)
+    limits = table_limits(sizes, spec, nbytes)
     table = summed(core_energies(block, limits, np.random.default_rng(seed)) for block in blocks if block.size)
     undecomposed = [r is None for r in spec.ranks]
     return spectrum(
@@ -99,7 +108,9 @@ def fit_to_goal(
 
     def examine(s: int) -> None:
         tensor = gather(tree.residual, nodes[s])
-        spectra[s] = node_spectrum(tensor, spec, decode_cost, run.seed, labels(nodes[s]), alone=len(nodes) == 1)
+        spectra[s] = node_spectrum(
+            tensor, spec, decode_cost, run.seed, labels(nodes[s]), alone=len(nodes) == 1, nbytes=goal.size or inf
+        )
 
     in_parallel(examine, nodes, "ranks of each node", run)
     found = [(s, choices) for s, choices in enumerate(spectra) if choices is not None]

@@ -85,8 +85,10 @@ LabelsOf = Callable[[Node], Labels | None]
 
 def squared_norm(tensor: F32) -> float:
     """Sum of squares in float64, slab by slab."""
-    slabs: list[F32] = list(tensor)
-    return sum(float(np.square(slab, dtype=np.float64).sum()) for slab in slabs)
+    total = 0.0
+    for i in range(tensor.shape[0]):
+        total += float(np.square(tensor[i : i + 1], dtype=np.float64).sum())
+    return total
 
 
 def whole(tensor: F32) -> Hierarchy:

@@ -138,7 +138,7 @@ def start_candidates(
             if f is None:
                 labels.append(np.zeros(tensor.shape[n], np.intp))
                 continue
-            norm = np.linalg.norm(f, axis=1, keepdims=True).astype(np.float64)
+            norm: F64 = np.sqrt(np.sum(np.square(f), axis=1, keepdims=True))
             scaled = f * np.where(norm > 0, norm, 1.0) ** (power - 1)
             labels.append(balanced_clusters(scaled, c, cap, rng))
         yield labels

@@ -73,6 +73,9 @@ def joint_rows(cells: Cells, tensor: F32, n: int, mixture: int, search: str) -> 
             coding.consider(subset, everyone)
     else:
         _grow(coding, clusters, mixture, everyone)
+        if cells.members[n].shape[1] == mixture:  # what was there stays where growing leads to worse
+            for subset, rows in _patterns(cells.members[n]):
+                coding.consider(subset, rows)
     _store(cells, n, coding, mixture)
 
 

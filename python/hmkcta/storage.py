@@ -20,7 +20,8 @@ def paper_bytes(levels: Sequence[LevelSpec], sizes: Sequence[int]) -> int:
         sizes: of the modes; the paper's colour is folded into the light mode.
 
     >>> from hmkcta.plan import parse_plan
-    >>> wh4 = parse_plan("R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2 / R=2,2,3,3 C=3,3,4,4 K=2", (("l",), ("v",), ("x",), ("y",)))
+    >>> modes = (("light",), ("view",), ("x",), ("y",))
+    >>> wh4 = parse_plan("R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2 / R=2,2,3,3 C=3,3,4,4 K=2", modes)
     >>> round(paper_bytes(wh4.levels, (174, 58, 400, 380)) / 2**20, 2)
     22.29
     """

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import combinations
-from math import log2, log10, prod
+from math import inf, log2, log10, prod
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,9 +109,11 @@ class Trial:
     def _table(self, organisation: Organisation, block: Block) -> tuple[F64, float, tuple[int, ...]]:
         tensor = np.ascontiguousarray(organise(block.values, block.thinned, organisation))
         spec = LevelSpec(tuple(tensor.shape), (1,) * tensor.ndim, (1,) * tensor.ndim)
-        table = core_energies(tensor, table_limits(tensor.shape, spec), np.random.default_rng(self.seed))
+        sizes = mode_sizes(block.axes, organisation)
+        limits = table_limits(tensor.shape, spec, (self.size or inf) * tensor.size / prod(sizes))
+        table = core_energies(tensor, limits, np.random.default_rng(self.seed))
         energy = float(np.square(tensor, dtype=np.float64).sum())
-        return table, energy, mode_sizes(block.axes, organisation)
+        return table, energy, sizes
 
     def _worth(self, spectra: Sequence[Spectrum], share: float, fixed: float) -> float:
         energy = sum(float(s.error[0]) for s in spectra)

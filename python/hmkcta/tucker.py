@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-#: Up to this side a Gram matrix is decomposed exactly; beyond it by randomised subspace iteration.
-EXACT_SIDE = 768
+#: Up to this side a Gram matrix is decomposed exactly; beyond it by randomised subspace iteration, and already beyond
+#: the smaller one where few vectors of many are wanted.
+EXACT_SIDE, SMALL_SIDE = 768, 160
 
 
 def unfold(tensor: NDArray[np.floating], n: int) -> NDArray[np.floating]:
@@ -32,10 +33,11 @@ def leading_subspace(tensor: F32, n: int, rank: int, rng: np.random.Generator) -
     """Leading left singular vectors of the mode-n unfolding: `[I_n, min(rank, its rank at most)]`, orthonormal."""
     matrix = unfold(tensor, n)
     rank = min(rank, *matrix.shape)
-    if len(matrix) <= min(EXACT_SIDE, matrix.shape[1]):
+    exact = EXACT_SIDE if 6 * rank > min(matrix.shape) else SMALL_SIDE
+    if len(matrix) <= min(exact, matrix.shape[1]):
         _, vectors = np.linalg.eigh(_gram(matrix))
         return np.ascontiguousarray(vectors[:, : -rank - 1 : -1], np.float32)
-    if matrix.shape[1] <= EXACT_SIDE:
+    if matrix.shape[1] <= exact:
         _, vectors = np.linalg.eigh(_gram(matrix.T))
         return _orthonormal(matrix @ vectors[:, : -rank - 1 : -1].astype(np.float32))
     sample = matrix @ rng.standard_normal((matrix.shape[1], min(rank + 12, *matrix.shape)), np.float32)

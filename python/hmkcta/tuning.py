@@ -62,15 +62,16 @@ def tune(
     energy = sum(float(np.square(slab, dtype=np.float64).sum()) for slab in slabs)
     search = Search(Trial(source, snr, size, decode_cost, run.seed, run.threads, energy))
     choices = list(organisations(source.axes)) if organisation is None else [organisation]
-    worth, best = _settled(search, _finalists(search, choices, run.progress), run.progress)
-    if ceiling is not None and worth > ceiling:
+    finalists = _finalists(search, choices, run.progress)
+    if ceiling is not None and finalists[0][0] > ceiling:
         return tune(
             source, run, snr=ceiling, size=None, ceiling=None, decode_cost=decode_cost, organisation=organisation
         )
+    best = _settled(search, [candidate for _, candidate in finalists], run.progress)
     return plan_of(source, best, snr, size, decode_cost)
 
 
-def _finalists(search: Search, choices: Sequence[Organisation], progress: Progress) -> list[Candidate]:
+def _finalists(search: Search, choices: Sequence[Organisation], progress: Progress) -> Ranked:
     """Organisations by a survey over few grids, then more grids for the best of them."""
     shape = search.trial.source.shape
     left = list(choices)
@@ -86,10 +87,10 @@ def _finalists(search: Search, choices: Sequence[Organisation], progress: Progre
         ranked += [search.best(modes, grid, COMPARE) for modes in left]
         progress("blocks", (number + 1) / len(grids))
     ranked.sort(key=lambda item: -item[0])
-    return [candidate for _, candidate in ranked[:FINALISTS]]
+    return ranked[:FINALISTS]
 
 
-def _settled(search: Search, finalists: Sequence[Candidate], progress: Progress) -> tuple[float, Candidate]:
+def _settled(search: Search, finalists: Sequence[Candidate], progress: Progress) -> Candidate:
     """Change the blocks along one axis at a time, from the best finalist, while that helps."""
     best_worth, best = max((search.best(c.organisation, c.grid, REFINE) for c in finalists), key=lambda item: item[0])
     for round_ in range(ROUNDS):
@@ -101,7 +102,7 @@ def _settled(search: Search, finalists: Sequence[Candidate], progress: Progress)
         progress("finer choice of blocks", (round_ + 1) / ROUNDS)
         if best_worth == before:
             break
-    return best_worth, best
+    return best
 
 
 def _few_grids(shape: Sequence[int]) -> list[tuple[int, ...]]:

@@ -1,5 +1,10 @@
 //! The cells (clusters c = c_1..c_N) of one node: which rows belong to a cell and where its basis rows are stored.
 
+use crate::sorting::Sorting;
+
+/// Rows transposed at a time, so that a cache line is used up before it is dropped.
+const TILE: usize = 64;
+
 /// One node's model at one level: shapes, memberships, bases `[I_n, K_n, PC_-n, R_n]`, cores `[PC, R_1, .., R_N]`.
 pub struct Node<'a> {
     pub sizes: Vec<usize>,
@@ -8,20 +13,58 @@ pub struct Node<'a> {
     pub ranks: Vec<usize>,
     /// Undecomposed modes have an identity basis that is not stored.
     pub undecomposed: Vec<bool>,
-    /// Distinct cluster subsets of each row, `[I_n, K_n]` for each mode.
-    pub members: Vec<&'a [u16]>,
+    /// Distinct cluster subsets S_n(i) of each row, `[I_n, K_n]` for each mode.
+    members: Vec<&'a [u16]>,
+    /// Rows of each cluster subset of each mode, ascending, and the slot `i K_n + k` of each.
+    subsets: Vec<Vec<Subset>>,
 }
 
-/// Rows of one cell in each mode, and the slot `i K_n + k` where the row's basis numbers lie.
+/// The rows of one cluster subset of one mode.
+#[derive(Clone, Default)]
+struct Subset {
+    rows: Vec<u32>,
+    slots: Vec<u32>,
+}
+
+/// C, K, R and mode sizes as Python passes them: `(sizes, clusters, mixture, ranks, undecomposed)`.
+pub type Shape = (Vec<usize>, Vec<usize>, Vec<usize>, Vec<usize>, Vec<bool>);
+
+/// One cell: its number in C order, its subset of each mode, and flat(c_-n), where its bases lie among the others.
+#[derive(Clone)]
 pub struct Cell {
     pub number: usize,
-    pub rows: Vec<Vec<u32>>,
-    slots: Vec<Vec<usize>>,
-    /// Position of this cell among the combinations of the other modes' subsets: flat(c_-n).
+    pub subset: Vec<usize>,
     others: Vec<usize>,
 }
 
-impl Node<'_> {
+impl<'a> Node<'a> {
+    /// A node of which every promise the kernels rely on has been checked; the message names what is broken.
+    pub fn new(shape: Shape, members: Vec<&'a [u16]>) -> Result<Self, String> {
+        let (sizes, clusters, mixture, ranks, undecomposed) = shape;
+        let order = sizes.len();
+        let lengths = [clusters.len(), mixture.len(), ranks.len(), undecomposed.len(), members.len()];
+        if order == 0 || lengths.iter().any(|&length| length != order) {
+            return Err(format!(
+                "a node of order {order} needs as many C, K, R, flags and memberships, got {lengths:?}"
+            ));
+        }
+        for n in 0..order {
+            let (size, c, k, r) = (sizes[n], clusters[n], mixture[n], ranks[n]);
+            let mode = n + 1;
+            if size == 0 || c == 0 || k == 0 || k > c || r == 0 {
+                return Err(format!(
+                    "mode {mode} needs a row, R >= 1 and 1 <= K <= C, got {size} rows, R={r} C={c} K={k}"
+                ));
+            }
+            if undecomposed[n] && (r != size || c != 1) {
+                return Err(format!("mode {mode} is undecomposed and needs R = {size} and C = 1, got R={r} C={c}"));
+            }
+            check_members(members[n], size, c, k).map_err(|what| format!("memberships of mode {mode}: {what}"))?;
+        }
+        let subsets = (0..order).map(|n| invert(members[n], clusters[n], mixture[n])).collect();
+        Ok(Node { sizes, clusters, mixture, ranks, undecomposed, members, subsets })
+    }
+
     pub fn order(&self) -> usize {
         self.sizes.len()
     }
@@ -34,12 +77,18 @@ impl Node<'_> {
         self.ranks.iter().product()
     }
 
-    /// All cells in C order.
-    pub fn each_cell(&self) -> Vec<Cell> {
-        (0..self.cells()).map(|number| self.cell(number)).collect()
+    /// Numbers stored for the bases of mode `n`.
+    pub fn basis_size(&self, n: usize) -> usize {
+        if self.undecomposed[n] { 0 } else { self.members[n].len() * self.combinations(n) * self.ranks[n] }
     }
 
-    fn cell(&self, number: usize) -> Cell {
+    /// PC_-n, the combinations of the other modes' subsets.
+    fn combinations(&self, n: usize) -> usize {
+        self.cells() / self.clusters[n]
+    }
+
+    /// The cell of the given number.
+    pub fn cell(&self, number: usize) -> Cell {
         let order = self.order();
         let mut subset = vec![0; order];
         let mut rest = number;
@@ -47,44 +96,148 @@ impl Node<'_> {
             subset[n] = rest % self.clusters[n];
             rest /= self.clusters[n];
         }
-        let mut cell = Cell { number, rows: vec![vec![]; order], slots: vec![vec![]; order], others: vec![0; order] };
-        for n in 0..order {
-            for m in (0..order).filter(|&m| m != n) {
-                cell.others[n] = cell.others[n] * self.clusters[m] + subset[m];
-            }
-            for (slot, &member) in self.members[n].iter().enumerate() {
-                if member as usize == subset[n] {
-                    cell.rows[n].push((slot / self.mixture[n]) as u32);
-                    cell.slots[n].push(slot);
-                }
+        let flat = |n: usize| (0..order).filter(|&m| m != n).fold(0, |at, m| at * self.clusters[m] + subset[m]);
+        let others = (0..order).map(flat).collect();
+        Cell { number, subset, others }
+    }
+
+    /// Rows of mode `n` that belong to cluster subset `k`, ascending.
+    pub fn rows(&self, n: usize, k: usize) -> &[u32] {
+        &self.subsets[n][k].rows
+    }
+
+    /// Rows of the cell in every mode.
+    pub fn cell_rows(&self, cell: &Cell) -> Vec<&[u32]> {
+        (0..self.order()).map(|n| self.rows(n, cell.subset[n])).collect()
+    }
+
+    /// Sort the rows of the last clustered mode from `first` on by their subsets.
+    ///
+    /// From now on `rows` means places in a tensor sorted like that. Nothing changes where that gains nothing.
+    pub fn sort_rows(&mut self, first: usize) -> Option<Sorting> {
+        let clustered = |&n: &usize| self.mixture[n] < self.clusters[n];
+        let n = (first..self.order()).rev().find(clustered)?;
+        let sorting = Sorting::new(self.members[n], self.mixture[n], self.sizes[n + 1..].iter().product())?;
+        let places = sorting.places();
+        for Subset { rows, slots } in &mut self.subsets[n] {
+            let mut sorted: Vec<(u32, u32)> =
+                rows.iter().map(|&row| places[row as usize]).zip(slots.iter().copied()).collect();
+            sorted.sort_unstable();
+            (*rows, *slots) = sorted.into_iter().unzip();
+        }
+        Some(sorting)
+    }
+
+    /// Whether no element belongs to the cell.
+    pub fn is_empty(&self, cell: &Cell) -> bool {
+        (0..self.order()).any(|n| self.rows(n, cell.subset[n]).is_empty())
+    }
+
+    /// Where row `i`'s numbers of the cell's basis of mode `n` start, if the row belongs to the cell.
+    pub fn place(&self, cell: &Cell, n: usize, i: usize) -> Option<usize> {
+        let mixture = self.mixture[n];
+        let subsets = &self.members[n][i * mixture..(i + 1) * mixture];
+        let k = subsets.iter().position(|&k| usize::from(k) == cell.subset[n])?;
+        Some(self.offset(cell, n, i * mixture + k))
+    }
+
+    fn offset(&self, cell: &Cell, n: usize, slot: usize) -> usize {
+        (slot * self.combinations(n) + cell.others[n]) * self.ranks[n]
+    }
+
+    /// Read the cell's basis of mode `n`, member rows only, transposed: `[R_n, m_n]`.
+    pub fn load_basis(&self, cell: &Cell, n: usize, stored: &[f32]) -> Vec<f32> {
+        let slots = &self.subsets[n][cell.subset[n]].slots;
+        let (rank, rows) = (self.ranks[n], slots.len());
+        let mut basis = vec![0.0; rank * rows];
+        for (tile, slots) in slots.chunks(TILE).enumerate() {
+            for r in 0..rank {
+                let numbers = basis[r * rows + tile * TILE..].iter_mut().zip(slots);
+                numbers.for_each(|(to, &slot)| *to = stored[self.offset(cell, n, slot as usize) + r]);
             }
         }
-        cell
+        basis
+    }
+
+    /// Store the cell's basis `[R_n, m_n]` of mode `n`.
+    pub fn store_basis(&self, cell: &Cell, n: usize, basis: &[f32], stored: &mut [f32]) {
+        let slots = &self.subsets[n][cell.subset[n]].slots;
+        let (rank, rows) = (self.ranks[n], slots.len());
+        for (tile, slots) in slots.chunks(TILE).enumerate() {
+            for r in 0..rank {
+                let numbers = basis[r * rows + tile * TILE..].iter().zip(slots);
+                numbers.for_each(|(&value, &slot)| stored[self.offset(cell, n, slot as usize) + r] = value);
+            }
+        }
     }
 }
 
-impl Cell {
-    pub fn is_empty(&self) -> bool {
-        self.rows.iter().any(Vec::is_empty)
+/// K_n distinct subsets below C_n for each of `size` rows.
+fn check_members(members: &[u16], size: usize, clusters: usize, mixture: usize) -> Result<(), String> {
+    if members.len() != size * mixture {
+        return Err(format!("{size} x {mixture} numbers expected, got {}", members.len()));
     }
-
-    /// Where in the stored basis of mode `n` the numbers of the cell's rows start.
-    fn places<'a>(&'a self, node: &'a Node, n: usize) -> impl Iterator<Item = usize> + 'a {
-        let combinations = node.cells() / node.clusters[n];
-        self.slots[n].iter().map(move |slot| (slot * combinations + self.others[n]) * node.ranks[n])
-    }
-
-    /// This cell's basis matrix of mode `n`, member rows only: `[m, R_n]`.
-    pub fn basis(&self, node: &Node, n: usize, stored: &[f32]) -> Vec<f32> {
-        let rank = node.ranks[n];
-        self.places(node, n).flat_map(|place| stored[place..place + rank].iter().copied()).collect()
-    }
-
-    /// Store the basis matrix `[m, R_n]` of mode `n`.
-    pub fn store_basis(&self, node: &Node, n: usize, basis: &[f32], stored: &mut [f32]) {
-        let rank = node.ranks[n];
-        for (row, place) in basis.chunks_exact(rank).zip(self.places(node, n)) {
-            stored[place..place + rank].copy_from_slice(row);
+    for (i, subsets) in members.chunks_exact(mixture).enumerate() {
+        let repeated = (1..mixture).any(|k| subsets[..k].contains(&subsets[k]));
+        if repeated || subsets.iter().any(|&k| usize::from(k) >= clusters) {
+            return Err(format!("row {i} has {subsets:?}, distinct numbers below {clusters} expected"));
         }
+    }
+    Ok(())
+}
+
+/// From the subsets of each row to the rows of each subset.
+fn invert(members: &[u16], clusters: usize, mixture: usize) -> Vec<Subset> {
+    let mut subsets = vec![Subset::default(); clusters];
+    for (slot, &k) in members.iter().enumerate() {
+        let subset = &mut subsets[usize::from(k)];
+        subset.rows.push((slot / mixture) as u32);
+        subset.slots.push(slot as u32);
+    }
+    subsets
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn shape() -> Shape {
+        (vec![3, 2], vec![2, 1], vec![1, 1], vec![1, 2], vec![false, true])
+    }
+
+    #[test]
+    fn basis_survives_storing() {
+        let node = Node::new(
+            (vec![3, 2], vec![2, 3], vec![2, 1], vec![2, 1], vec![false; 2]),
+            vec![&[0, 1, 1, 0, 0, 1], &[0, 2]],
+        )
+        .unwrap();
+        let mut stored = vec![0.0; node.basis_size(0)];
+        assert_eq!(stored.len(), 3 * 2 * 3 * 2);
+        for number in 0..node.cells() {
+            let cell = node.cell(number);
+            let basis: Vec<f32> = (0..6).map(|i| (10 * number + i) as f32).collect();
+            node.store_basis(&cell, 0, &basis, &mut stored);
+            assert_eq!(node.load_basis(&cell, 0, &stored), basis);
+        }
+        assert!(stored.iter().skip(1).all(|&x| x != 0.0), "every number belongs to one cell");
+    }
+
+    #[test]
+    fn broken_shapes_are_refused() {
+        assert!(Node::new(shape(), vec![&[0, 1, 0], &[0, 0]]).is_ok());
+        assert!(Node::new(shape(), vec![&[0, 2, 0], &[0, 0]]).is_err_and(|e| e.contains("row 1")));
+        assert!(Node::new(shape(), vec![&[0, 1], &[0, 0]]).is_err());
+        let mut wrong = shape();
+        wrong.3[1] = 1;
+        assert!(Node::new(wrong, vec![&[0, 1, 0], &[0, 0]]).is_err_and(|e| e.contains("undecomposed")));
+    }
+
+    #[test]
+    fn cells_without_rows_are_empty() {
+        let node = Node::new(shape(), vec![&[1, 1, 1], &[0, 0]]).unwrap();
+        assert!(node.is_empty(&node.cell(0)) && !node.is_empty(&node.cell(1)));
+        assert_eq!(node.place(&node.cell(1), 0, 2), Some(2));
+        assert_eq!(node.place(&node.cell(0), 0, 2), None);
     }
 }

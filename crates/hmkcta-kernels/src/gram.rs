@@ -1,115 +1,216 @@
-//! What the joint update of one mode's rows needs: projections of the data and inner products of dictionaries.
+//! Inner products of dictionaries in float64.
 
-use crate::cells::{Cell, Node};
-use crate::tensor::{gather, project};
+use crate::cells::Node;
+use crate::threads::for_each;
+use pulp::{Arch, Simd, WithSimd};
 
-/// `Y_n[c] = T x_{m != n} U_{m,c}^T` for all rows of mode `n`: `[PC, I_n, prod_{m != n} R_m]`, zero for empty cells.
-pub fn project_cells(node: &Node, tensor: &[f32], bases: &[&[f32]], n: usize) -> Vec<f32> {
-    let (order, rows) = (node.order(), node.sizes[n]);
-    let columns = node.core_size() / node.ranks[n];
-    let mut all = vec![0.0f32; node.cells() * rows * columns];
-    for cell in node.each_cell() {
-        let mut lists = cell.rows.clone();
-        lists[n] = (0..rows as u32).collect();
-        if lists.iter().any(Vec::is_empty) {
-            continue;
-        }
-        let mut sizes: Vec<usize> = lists.iter().map(Vec::len).collect();
-        let mut y = gather(tensor, &node.sizes, &lists);
-        for m in (0..order).filter(|&m| m != n && !node.undecomposed[m]) {
-            y = project(&y, &mut sizes, m, &cell.basis(node, m, bases[m]), node.ranks[m]);
-        }
-        let y = crate::tensor::unfold(&y, &sizes, n);
-        all[cell.number * rows * columns..(cell.number + 1) * rows * columns].copy_from_slice(&y);
-    }
-    all
-}
-
-/// `M_m(c, c') = U_{m,c}^T U_{m,c'}` over the rows both cells share, `[R_m, R_m]`; None if they share none.
-fn basis_gram(a: &Cell, b: &Cell, bases: (&[f64], &[f64]), m: usize, rank: usize) -> Option<Vec<f64>> {
-    let mut gram = vec![0.0f64; rank * rank];
-    let (mut i, mut j, mut shared) = (0, 0, false);
-    while i < a.rows[m].len() && j < b.rows[m].len() {
-        let (left, right) = (a.rows[m][i], b.rows[m][j]);
-        if left == right {
-            shared = true;
-            for r in 0..rank {
-                for q in 0..rank {
-                    gram[r * rank + q] += bases.0[i * rank + r] * bases.1[j * rank + q];
-                }
-            }
-        }
-        i += usize::from(left <= right);
-        j += usize::from(right <= left);
-    }
-    shared.then_some(gram)
-}
-
-/// `z x_m M` in float64 for a core seen as `[before, R_m, after]` and `M` `[R_m, R_m]`.
-fn mode_product(z: &[f64], ranks: &[usize], m: usize, gram: &[f64]) -> Vec<f64> {
-    let after: usize = ranks[m + 1..].iter().product();
-    let rank = ranks[m];
-    let mut y = vec![0.0f64; z.len()];
-    for (from, to) in z.chunks_exact(rank * after).zip(y.chunks_exact_mut(rank * after)) {
-        for r in 0..rank {
-            for q in 0..rank {
-                let weight = gram[r * rank + q];
-                for (t, s) in to[q * after..(q + 1) * after].iter_mut().zip(&from[r * after..(r + 1) * after]) {
-                    *t += weight * s;
-                }
-            }
-        }
-    }
-    y
-}
-
-/// `unf_n(x) unf_n(z)^T`, `[R_n, R_n]`.
-fn contract_all_but(x: &[f64], z: &[f64], ranks: &[usize], n: usize) -> Vec<f64> {
-    let after: usize = ranks[n + 1..].iter().product();
-    let rank = ranks[n];
-    let mut h = vec![0.0f64; rank * rank];
-    for (a, b) in x.chunks_exact(rank * after).zip(z.chunks_exact(rank * after)) {
-        for r in 0..rank {
-            for q in 0..rank {
-                let (left, right) = (&a[r * after..(r + 1) * after], &b[q * after..(q + 1) * after]);
-                h[r * rank + q] += left.iter().zip(right).map(|(s, t)| s * t).sum::<f64>();
-            }
-        }
-    }
-    h
-}
+/// Pairs of cells from which on several threads pay.
+const PARALLEL_PAIRS: usize = 4096;
+/// More numbers than any vector has.
+const SLACK: usize = 16;
 
 /// `H_n[c,c'] = unf_n(Z_c) (kron_{m != n} M_m(c,c')) unf_n(Z_c')^T` for all pairs: `[PC R_n, PC R_n]`, symmetric.
 ///
 /// Rows share a dictionary whatever their own memberships, so mode `n` itself puts no condition on a pair.
+/// `M_m(c, c') = U_{m,c}^T U_{m,c'}`, over the rows both cells share.
 pub fn dictionary_gram(node: &Node, bases: &[&[f32]], cores: &[f32], n: usize) -> Vec<f64> {
-    let (order, size, rank) = (node.order(), node.core_size(), node.ranks[n]);
-    let cells = node.each_cell();
-    let side = cells.len() * rank;
-    let wide = |x: &[f32]| x.iter().map(|&v| f64::from(v)).collect::<Vec<f64>>();
-    let cores = wide(cores);
-    let decomposed: Vec<usize> = (0..order).filter(|&m| m != n && !node.undecomposed[m]).collect();
-    let cell_bases: Vec<Vec<Vec<f64>>> = cells
-        .iter()
-        .map(|cell| decomposed.iter().map(|&m| wide(&cell.basis(node, m, bases[m]))).collect())
-        .collect();
+    let (cells, rank) = (node.cells(), node.ranks[n]);
+    let side = cells * rank;
+    let dictionaries = Dictionaries::new(node, bases, cores, n);
     let mut h = vec![0.0f64; side * side];
-    for (c, cell) in cells.iter().enumerate() {
-        for (d, other) in cells.iter().enumerate().skip(c) {
-            let mut x = Some(cores[c * size..(c + 1) * size].to_vec());
-            for (at, &m) in decomposed.iter().enumerate() {
-                let gram = basis_gram(cell, other, (&cell_bases[c][at], &cell_bases[d][at]), m, node.ranks[m]);
-                x = x.zip(gram).map(|(x, gram)| mode_product(&x, &node.ranks, m, &gram));
+    let tasks = h.chunks_mut(rank * side).enumerate().collect();
+    for_each(cells * cells >= PARALLEL_PAIRS, tasks, |(cell, rows)| {
+        Arch::new().dispatch(Row { dictionaries: &dictionaries, cell, rows });
+    });
+    mirror(&mut h, side);
+    h
+}
+
+/// All cells side by side, so that the lanes of a vector are cells.
+struct Dictionaries<'a> {
+    node: &'a Node<'a>,
+    n: usize,
+    cells: usize,
+    /// Modes whose bases count.
+    modes: Vec<usize>,
+    /// For each of those, `[I_m, R_m, PC]`, zero where a row is not the cell's.
+    bases: Vec<Vec<f64>>,
+    /// `[PC, R_1, .., R_N]`
+    cores: Vec<f64>,
+    /// `[R_1, .., R_N, PC]`
+    cores_last: Vec<f64>,
+}
+
+impl<'a> Dictionaries<'a> {
+    fn new(node: &'a Node, stored: &[&[f32]], cores: &[f32], n: usize) -> Self {
+        let (cells, size) = (node.cells(), node.core_size());
+        let modes: Vec<usize> = (0..node.order()).filter(|&m| m != n && !node.undecomposed[m]).collect();
+        let room = |m: usize| vec![0.0; node.sizes[m] * node.ranks[m] * cells + SLACK];
+        let mut bases: Vec<Vec<f64>> = modes.iter().map(|&m| room(m)).collect();
+        let mut cores_last = vec![0.0; size * cells + SLACK];
+        for c in 0..cells {
+            let cell = node.cell(c);
+            for (&m, dense) in modes.iter().zip(&mut bases) {
+                let basis = node.load_basis(&cell, m, stored[m]);
+                let rows = node.rows(m, cell.subset[m]);
+                for (at, &value) in basis.iter().enumerate() {
+                    let (r, i) = (at / rows.len(), rows[at % rows.len()] as usize);
+                    dense[(i * node.ranks[m] + r) * cells + c] = f64::from(value);
+                }
             }
-            let Some(x) = x else { continue };
-            let pair = contract_all_but(&x, &cores[d * size..(d + 1) * size], &node.ranks, n);
-            for r in 0..rank {
-                for q in 0..rank {
-                    h[(c * rank + r) * side + d * rank + q] = pair[r * rank + q];
-                    h[(d * rank + q) * side + c * rank + r] = pair[r * rank + q];
+            for (z, &value) in cores[c * size..(c + 1) * size].iter().enumerate() {
+                cores_last[z * cells + c] = f64::from(value);
+            }
+        }
+        let cores = cores.iter().map(|&z| f64::from(z)).collect();
+        Dictionaries { node, n, cells, modes, bases, cores, cores_last }
+    }
+}
+
+/// Inner products of one cell with those from it on, into rows `[R_n, PC, R_n]` of the result.
+struct Row<'a> {
+    dictionaries: &'a Dictionaries<'a>,
+    cell: usize,
+    rows: &'a mut [f64],
+}
+
+impl WithSimd for Row<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Row { dictionaries: d, cell, rows } = self;
+        let ranks = &d.node.ranks;
+        let size = d.node.core_size();
+        let (mut x, mut y) = (vec![simd.splat_f64s(0.0); size], vec![simd.splat_f64s(0.0); size]);
+        let largest = ranks.iter().max().map_or(0, |r| r * r);
+        let mut gram = vec![simd.splat_f64s(0.0); largest];
+        let subset = d.node.cell(cell).subset;
+        for other in (cell..d.cells).step_by(S::F64_LANES) {
+            x.iter_mut().zip(&d.cores[cell * size..]).for_each(|(x, &z)| *x = simd.splat_f64s(z));
+            for (&m, basis) in d.modes.iter().zip(&d.bases) {
+                let shared = d.node.rows(m, subset[m]);
+                basis_gram(simd, basis, shared, (ranks[m], d.cells), (cell, other), &mut gram);
+                mode_product(simd, &x, ranks[m], ranks[m + 1..].iter().product(), &gram, &mut y);
+                std::mem::swap(&mut x, &mut y);
+            }
+            contract(simd, &x, d, other, rows);
+        }
+    }
+}
+
+/// `M_m(c, c')`, `[R_m, R_m]`, for as many cells c' as there are lanes, from `other` on.
+#[inline(always)]
+fn basis_gram<S: Simd>(
+    simd: S,
+    basis: &[f64],
+    rows: &[u32],
+    (rank, cells): (usize, usize),
+    (cell, other): (usize, usize),
+    gram: &mut [S::f64s],
+) {
+    for q in 0..rank {
+        for r in 0..rank {
+            let mut sum = simd.splat_f64s(0.0);
+            for &i in rows {
+                let row = &basis[i as usize * rank * cells..];
+                sum = simd.mul_add_e_f64s(
+                    simd.splat_f64s(row[r * cells + cell]),
+                    read(simd, row, q * cells + other),
+                    sum,
+                );
+            }
+            gram[r * rank + q] = sum;
+        }
+    }
+}
+
+/// `y = x x_m M` for `x` `[before, R_m, after]`.
+#[inline(always)]
+fn mode_product<S: Simd>(simd: S, x: &[S::f64s], rank: usize, after: usize, gram: &[S::f64s], y: &mut [S::f64s]) {
+    for (x, y) in x.chunks_exact(rank * after).zip(y.chunks_exact_mut(rank * after)) {
+        for q in 0..rank {
+            for a in 0..after {
+                let mut sum = simd.splat_f64s(0.0);
+                for r in 0..rank {
+                    sum = simd.mul_add_e_f64s(x[r * after + a], gram[r * rank + q], sum);
+                }
+                y[q * after + a] = sum;
+            }
+        }
+    }
+}
+
+/// `unf_n(x) unf_n(Z_c')^T` for the cells c' from `other` on into rows `[R_n, PC, R_n]`.
+#[inline(always)]
+fn contract<S: Simd>(simd: S, x: &[S::f64s], d: &Dictionaries, other: usize, rows: &mut [f64]) {
+    let rank = d.node.ranks[d.n];
+    let after: usize = d.node.ranks[d.n + 1..].iter().product();
+    let lanes = S::F64_LANES.min(d.cells - other);
+    for r in 0..rank {
+        for q in 0..rank {
+            let mut sum = simd.splat_f64s(0.0);
+            for before in 0..x.len() / (rank * after) {
+                for a in 0..after {
+                    let at = |s: usize| (before * rank + s) * after + a;
+                    sum = simd.mul_add_e_f64s(x[at(r)], read(simd, &d.cores_last, at(q) * d.cells + other), sum);
+                }
+            }
+            let sums = [sum];
+            let sums: &[f64] = pulp::bytemuck::cast_slice(&sums);
+            for (lane, &sum) in sums.iter().enumerate().take(lanes) {
+                rows[(r * d.cells + other + lane) * rank + q] = sum;
+            }
+        }
+    }
+}
+
+/// The vector that starts at `at`.
+#[inline(always)]
+fn read<S: Simd>(_: S, x: &[f64], at: usize) -> S::f64s {
+    S::as_simd_f64s(&x[at..at + S::F64_LANES]).0[0]
+}
+
+/// Copy the upper triangle to the lower one, tile by tile.
+fn mirror(h: &mut [f64], side: usize) {
+    const TILE: usize = 32;
+    for top in (0..side).step_by(TILE) {
+        for left in (0..=top).step_by(TILE) {
+            for i in top..side.min(top + TILE) {
+                for j in left..i.min(left + TILE) {
+                    h[i * side + j] = h[j * side + i];
                 }
             }
         }
     }
-    h
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::numbers;
+
+    #[test]
+    fn agrees_with_explicit_dictionaries() {
+        let (sizes, ranks) = (vec![3, 4, 2], vec![2, 3, 2]);
+        let members: [&[u16]; 3] = [&[0, 1, 1], &[0, 1, 1, 0, 0, 1, 1, 0], &[0, 0]];
+        let shape = (sizes.clone(), vec![2, 2, 1], vec![1, 2, 1], ranks.clone(), vec![false, false, true]);
+        let node = Node::new(shape, members.to_vec()).unwrap();
+        let stored: Vec<Vec<f32>> = (0..3).map(|n| numbers(node.basis_size(n), n as u64 + 1)).collect();
+        let stored: Vec<&[f32]> = stored.iter().map(|b| b.as_slice()).collect();
+        let cores = numbers(node.cells() * node.core_size(), 9);
+        let h = dictionary_gram(&node, &stored, &cores, 0);
+        // Column (c, r): sum_s z_c[r, s, t] U_{2,c}[j, s] at every (j, t).
+        let column = |c: usize, r: usize, j: usize, t: usize| -> f64 {
+            let cell = node.cell(c);
+            let Some(at) = node.place(&cell, 1, j) else { return 0.0 };
+            (0..3).map(|s| f64::from(cores[c * 12 + (r * 3 + s) * 2 + t]) * f64::from(stored[1][at + s])).sum()
+        };
+        for (at, &value) in h.iter().enumerate() {
+            let (i, j) = (at / 8, at % 8);
+            let expected: f64 =
+                (0..8).map(|at| column(i / 2, i % 2, at / 2, at % 2) * column(j / 2, j % 2, at / 2, at % 2)).sum();
+            assert!((value - expected).abs() < 1e-12, "{i} {j}: {value} instead of {expected}");
+        }
+    }
 }

@@ -1,28 +1,64 @@
 //! Native kernels of hmkcta. Each has a readable NumPy twin in `hmkcta.backends.reference`.
 
+mod block;
 mod cells;
+mod chain;
+mod dots;
 mod gauss_seidel;
+mod gemm;
 mod gram;
-mod tensor;
+mod hooi;
+mod pick;
+mod project;
+mod reconstruct;
+mod sorting;
+mod subspace;
+#[cfg(test)]
+mod testing;
+mod threads;
+mod tree;
+mod tucker;
 
-use cells::Node;
+use cells::{Node, Shape};
 use gauss_seidel::Effort;
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadwriteArray1};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
 type Members<'py> = Vec<PyReadonlyArray1<'py, u16>>;
 
-/// C, K, R and mode sizes as Python passes them: `(sizes, clusters, mixture, ranks, undecomposed)`.
-type Shape = (Vec<usize>, Vec<usize>, Vec<usize>, Vec<usize>, Vec<bool>);
-
 fn node<'a>(shape: Shape, members: &'a Members) -> PyResult<Node<'a>> {
-    let (sizes, clusters, mixture, ranks, undecomposed) = shape;
     let members = members.iter().map(|m| m.as_slice()).collect::<Result<_, _>>()?;
-    Ok(Node { sizes, clusters, mixture, ranks, undecomposed, members })
+    Node::new(shape, members).map_err(PyValueError::new_err)
+}
+
+/// Refuse arrays that do not hold what the node's shape says.
+fn check_length(what: &str, length: usize, expected: usize) -> PyResult<()> {
+    if length == expected {
+        return Ok(());
+    }
+    Err(PyValueError::new_err(format!("{what} must hold {expected} numbers, got {length}")))
+}
+
+fn check_bases(node: &Node, lengths: &[usize]) -> PyResult<()> {
+    check_length("the list of bases", lengths.len(), node.order())?;
+    lengths
+        .iter()
+        .enumerate()
+        .try_for_each(|(n, &length)| check_length(&format!("basis {}", n + 1), length, node.basis_size(n)))
+}
+
+fn check_tensor(node: &Node, length: usize) -> PyResult<()> {
+    check_length("the tensor", length, node.sizes.iter().product())
+}
+
+fn check_cores(node: &Node, length: usize) -> PyResult<()> {
+    check_length("the cores", length, node.cells() * node.core_size())
 }
 
 /// Fit all cells by Gauss-Seidel sweeps in place; `residual` is data minus model on entry and on return.
 #[pyfunction]
+#[allow(clippy::too_many_arguments, reason = "what a node is made of, as Python has it")]
 fn fit_cells(
     py: Python,
     shape: Shape,
@@ -37,7 +73,10 @@ fn fit_cells(
     let residual = residual.as_slice_mut()?;
     let mut bases = bases.iter_mut().map(|b| b.as_slice_mut()).collect::<Result<Vec<_>, _>>()?;
     let cores = cores.as_slice_mut()?;
-    py.detach(|| gauss_seidel::sweep(&node, residual, &mut bases, cores, Effort { sweeps, iterations }));
+    check_tensor(&node, residual.len())?;
+    check_bases(&node, &bases.iter().map(|b| b.len()).collect::<Vec<_>>())?;
+    check_cores(&node, cores.len())?;
+    py.detach(|| gauss_seidel::fit(node, residual, &mut bases, cores, Effort { sweeps, iterations }));
     Ok(())
 }
 
@@ -56,7 +95,10 @@ fn accumulate(
     let tensor = tensor.as_slice_mut()?;
     let bases = bases.iter().map(|b| b.as_slice()).collect::<Result<Vec<_>, _>>()?;
     let cores = cores.as_slice()?;
-    py.detach(|| gauss_seidel::accumulate(&node, tensor, &bases, cores, weight));
+    check_tensor(&node, tensor.len())?;
+    check_bases(&node, &bases.iter().map(|b| b.len()).collect::<Vec<_>>())?;
+    check_cores(&node, cores.len())?;
+    py.detach(|| reconstruct::accumulate(node, tensor, &bases, cores, weight));
     Ok(())
 }
 
@@ -73,7 +115,10 @@ fn project_cells<'py>(
     let node = node(shape, &members)?;
     let tensor = tensor.as_slice()?;
     let bases = bases.iter().map(|b| b.as_slice()).collect::<Result<Vec<_>, _>>()?;
-    Ok(py.detach(|| gram::project_cells(&node, tensor, &bases, mode)).into_pyarray(py))
+    check_tensor(&node, tensor.len())?;
+    check_bases(&node, &bases.iter().map(|b| b.len()).collect::<Vec<_>>())?;
+    check_mode(&node, mode)?;
+    Ok(py.detach(|| project::project_cells(node, tensor, &bases, mode)).into_pyarray(py))
 }
 
 /// `H_n` of all pairs of cells, flat.
@@ -89,7 +134,23 @@ fn dictionary_gram<'py>(
     let node = node(shape, &members)?;
     let bases = bases.iter().map(|b| b.as_slice()).collect::<Result<Vec<_>, _>>()?;
     let cores = cores.as_slice()?;
+    check_bases(&node, &bases.iter().map(|b| b.len()).collect::<Vec<_>>())?;
+    check_cores(&node, cores.len())?;
+    check_mode(&node, mode)?;
     Ok(py.detach(|| gram::dictionary_gram(&node, &bases, cores, mode)).into_pyarray(py))
+}
+
+fn check_mode(node: &Node, mode: usize) -> PyResult<()> {
+    if mode < node.order() {
+        return Ok(());
+    }
+    Err(PyValueError::new_err(format!("mode must be below {}, got {mode}", node.order())))
+}
+
+/// How many threads large nodes are worked on by; 0 stands for all cores. Results do not depend on it.
+#[pyfunction]
+fn set_threads(count: usize) {
+    threads::set_threads(count);
 }
 
 #[pymodule]
@@ -98,5 +159,6 @@ fn _native(module: &Bound<PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(accumulate, module)?)?;
     module.add_function(wrap_pyfunction!(project_cells, module)?)?;
     module.add_function(wrap_pyfunction!(dictionary_gram, module)?)?;
+    module.add_function(wrap_pyfunction!(set_threads, module)?)?;
     Ok(())
 }

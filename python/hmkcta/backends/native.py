@@ -1,4 +1,8 @@
-"""The Rust kernels behind NumPy signatures."""
+"""The Rust kernels (`crates/hmkcta-kernels`) behind the signatures of `reference.py`, which says what each computes.
+
+Arrays are worked on in place and without the interpreter lock, so nodes may be fitted in threads. Large nodes are
+themselves worked on by several threads; results do not depend on how many.
+"""
 
 from __future__ import annotations
 
@@ -6,31 +10,73 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _native
-from ..cells import Cells
+from ..cells import F32, Cells
+from ..errors import invalid
 
-F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+Shape = tuple[list[int], list[int], list[int], list[int], list[bool]]
+
+name = "native"
 
 
-def _node(cells: Cells) -> tuple[object, list[NDArray[np.uint16]]]:
-    shape = (list(cells.sizes), list(cells.spec.clusters), list(cells.spec.mixture), list(cells.ranks), list(cells.undecomposed))
-    return shape, [m.reshape(-1) for m in cells.members]
+def set_threads(count: int) -> None:
+    """How many threads work on large nodes from now on; 0: all cores."""
+    if count < 0:
+        raise invalid("threads-negative", "threads", count, "0 (all cores) or more")
+    _native.set_threads(count)
 
 
 def fit_cells(cells: Cells, residual: F32, sweeps: int, iterations: int) -> None:
-    _native.fit_cells(*_node(cells), residual.reshape(-1), [b.reshape(-1) for b in cells.bases], cells.cores.reshape(-1), sweeps, iterations)
+    """Gauss-Seidel sweeps of HOOI over the cells, in place."""
+    target = _in_place(residual, cells)
+    # What is fitted must be arrays of its own that the kernel may write to.
+    cells.bases = [np.require(basis, np.float32, ["C", "W"]) for basis in cells.bases]
+    cells.cores = np.require(cells.cores, np.float32, ["C", "W"])
+    _native.fit_cells(*_node(cells), target, _bases(cells), cells.cores.reshape(-1), sweeps, iterations)
 
 
 def accumulate(cells: Cells, tensor: F32, weight: float) -> None:
-    _native.accumulate(*_node(cells), tensor.reshape(-1), [b.reshape(-1) for b in cells.bases], cells.cores.reshape(-1), weight)
+    """`tensor += weight * model`, in place."""
+    _native.accumulate(*_node(cells), _in_place(tensor, cells), _bases(cells), _flat(cells.cores), weight)
 
 
 def project_cells(cells: Cells, tensor: F32, n: int) -> F32:
-    y = _native.project_cells(*_node(cells), tensor.reshape(-1), [b.reshape(-1) for b in cells.bases], n)
+    """`Y_n[c] = T x_{m != n} U_{m,c}^T`: `[PC, I_n, prod_{m != n} R_m]`."""
+    _check_shape(tensor, cells)
+    y = _native.project_cells(*_node(cells), _flat(tensor), _bases(cells), n)
     return y.reshape(cells.spec.cells, cells.sizes[n], -1)
 
 
 def dictionary_gram(cells: Cells, n: int) -> F64:
-    h = _native.dictionary_gram(*_node(cells), [b.reshape(-1) for b in cells.bases], cells.cores.reshape(-1), n)
+    """`H_n = D_n^T D_n` of the dictionaries of all cells: `[PC R_n, PC R_n]`."""
     side = cells.spec.cells * cells.ranks[n]
-    return h.reshape(side, side)
+    return _native.dictionary_gram(*_node(cells), _bases(cells), _flat(cells.cores), n).reshape(side, side)
+
+
+def _node(cells: Cells) -> tuple[Shape, list[NDArray[np.uint16]]]:
+    spec = cells.spec
+    shape = (list(cells.sizes), list(spec.clusters), list(spec.mixture), list(cells.ranks), list(cells.undecomposed))
+    return shape, [np.ascontiguousarray(members, np.uint16).reshape(-1) for members in cells.members]
+
+
+def _bases(cells: Cells) -> list[F32]:
+    nothing = (np.zeros(0, np.float32) for _ in cells.bases)
+    return [none if skip else _flat(b) for b, skip, none in zip(cells.bases, cells.undecomposed, nothing, strict=True)]
+
+
+def _flat(array: F32) -> F32:
+    return np.ascontiguousarray(array, np.float32).reshape(-1)
+
+
+def _in_place(array: F32, cells: Cells) -> F32:
+    """The array as one row of numbers that the kernel may write to, never a copy."""
+    _check_shape(array, cells)
+    if array.dtype != np.float32 or not (array.flags.c_contiguous and array.flags.writeable):
+        found = f"{array.dtype}, strides {array.strides}, writeable: {array.flags.writeable}"
+        raise invalid("not-in-place", "tensor", found, "writeable float32 in C order")
+    return array.reshape(-1)
+
+
+def _check_shape(array: F32, cells: Cells) -> None:
+    if array.shape != cells.sizes:
+        raise invalid("wrong-shape", "tensor", array.shape, str(cells.sizes))

@@ -1,0 +1,199 @@
+//! Mode products of small dense tensors in C order, one after the other.
+//!
+//! A tensor is a slice and its mode sizes. Seen from mode n it is `[before, I_n, after]`. Bases are kept transposed,
+//! `[R_n, m_n]`.
+
+use crate::dots::dots;
+use crate::gemm::{Matrix, multiply};
+use crate::threads::room;
+
+/// `x x_n U^T` (project) or `z x_n U` (expand).
+struct Step<'a> {
+    before: usize,
+    rows: usize,
+    rank: usize,
+    after: usize,
+    basis: &'a [f32],
+    expand: bool,
+}
+
+/// Mode products to be done in a row on tensors of one shape.
+pub struct Chain<'a> {
+    steps: Vec<Step<'a>>,
+    input: usize,
+}
+
+impl<'a> Chain<'a> {
+    /// Project the listed modes of a tensor of the given sizes on their bases; updates the sizes.
+    pub fn project(
+        sizes: &mut [usize],
+        modes: impl Iterator<Item = usize>,
+        bases: &'a [Option<Vec<f32>>],
+    ) -> Chain<'a> {
+        Chain::new(sizes, modes, bases, false)
+    }
+
+    /// Expand the listed modes of a tensor of the given sizes by their bases; updates the sizes.
+    pub fn expand(sizes: &mut [usize], modes: impl Iterator<Item = usize>, bases: &'a [Option<Vec<f32>>]) -> Chain<'a> {
+        Chain::new(sizes, modes, bases, true)
+    }
+
+    /// Modes without a basis, undecomposed ones, stay as they are.
+    fn new(
+        sizes: &mut [usize],
+        modes: impl Iterator<Item = usize>,
+        bases: &'a [Option<Vec<f32>>],
+        expand: bool,
+    ) -> Chain<'a> {
+        let input = sizes.iter().product();
+        let mut steps = vec![];
+        for n in modes {
+            let Some(basis) = &bases[n] else { continue };
+            let (before, after) = (sizes[..n].iter().product(), sizes[n + 1..].iter().product());
+            let size = sizes[n];
+            let other = basis.len() / size;
+            let (rows, rank) = if expand { (other, size) } else { (size, other) };
+            sizes[n] = other;
+            steps.push(Step { before, rows, rank, after, basis, expand });
+        }
+        Chain { steps, input }
+    }
+
+    /// Whether nothing is to be done.
+    pub fn is_identity(&self) -> bool {
+        self.steps.is_empty()
+    }
+
+    /// Numbers that come out for one tensor that goes in.
+    pub fn output(&self) -> usize {
+        self.steps.last().map_or(self.input, Step::output)
+    }
+
+    /// Apply the steps to as many tensors as lie in `x`, the results one behind the other.
+    pub fn run(&self, x: &[f32], out: &mut [f32], scratch: &mut [Vec<f32>; 2]) {
+        self.finish(x, out, scratch, false);
+    }
+
+    /// Apply the steps and add the results to what `out` holds.
+    pub fn add(&self, x: &[f32], out: &mut [f32], scratch: &mut [Vec<f32>; 2]) {
+        self.finish(x, out, scratch, true);
+    }
+
+    fn finish(&self, x: &[f32], out: &mut [f32], scratch: &mut [Vec<f32>; 2], add: bool) {
+        let Some((last, first)) = self.steps.split_last() else {
+            return out.iter_mut().zip(x).for_each(|(to, &value)| *to = if add { *to + value } else { value });
+        };
+        let times = x.len() / self.input.max(1);
+        let [ping, pong] = scratch;
+        let (mut from, mut to) = (ping, pong);
+        for (number, step) in first.iter().enumerate() {
+            let input = if number == 0 { x } else { &from[..times * first[number - 1].output()] };
+            step.run(times, input, room(to, times * step.output()), false);
+            std::mem::swap(&mut from, &mut to);
+        }
+        last.run(times, first.last().map_or(x, |step| &from[..times * step.output()]), out, add);
+    }
+}
+
+impl Step<'_> {
+    fn output(&self) -> usize {
+        self.before * self.after * if self.expand { self.rows } else { self.rank }
+    }
+
+    fn run(&self, times: usize, x: &[f32], out: &mut [f32], add: bool) {
+        let &Step { rows, rank, after, basis, expand, .. } = self;
+        let basis = Matrix::new(basis, rank, rows);
+        match (expand, after) {
+            (false, 1) => dots(x, self.basis, rows, out, add),
+            (true, 1) => multiply(Matrix::new(x, times * self.before, rank), basis, add, out),
+            (false, _) => multiply(basis, Matrix::new(x, rows, after), add, out),
+            (true, _) => multiply(basis.transposed(), Matrix::new(x, rank, after), add, out),
+        }
+    }
+}
+
+/// The mode-n unfolding `[I_n, rest]`, rest in C order.
+pub fn unfold(x: &[f32], sizes: &[usize], n: usize, out: &mut [f32]) {
+    let (rows, after) = (sizes[n], sizes[n + 1..].iter().product());
+    let rest = x.len() / rows;
+    if after == 1 {
+        return transpose(x, rows, out);
+    }
+    for (i, row) in out.chunks_exact_mut(rest).enumerate() {
+        for (a, piece) in row.chunks_exact_mut(after).enumerate() {
+            piece.copy_from_slice(&x[(a * rows + i) * after..][..after]);
+        }
+    }
+}
+
+/// The transpose of a matrix of `columns` columns.
+pub fn transpose(x: &[f32], columns: usize, out: &mut [f32]) {
+    const TILE: usize = 32;
+    let rows = x.len() / columns;
+    for top in (0..rows).step_by(TILE) {
+        let tile = TILE.min(rows - top);
+        for j in 0..columns {
+            let column = x[top * columns + j..].iter().step_by(columns);
+            out[j * rows + top..][..tile].iter_mut().zip(column).for_each(|(to, &value)| *to = value);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{close, numbers};
+
+    /// `sum_i U[i, r] x[.., i, ..]` or `sum_r U[i, r] x[.., r, ..]`, term by term.
+    fn mode_product(x: &[f32], sizes: &mut [usize], n: usize, basis: &[f32], expand: bool) -> Vec<f32> {
+        let (before, after): (usize, usize) = (sizes[..n].iter().product(), sizes[n + 1..].iter().product());
+        let (size, other) = (sizes[n], basis.len() / sizes[n]);
+        let mut y = vec![0.0; before * other * after];
+        for (at, value) in y.iter_mut().enumerate() {
+            let (b, o, a) = (at / (other * after), at / after % other, at % after);
+            let number = |s: usize| if expand { basis[s * other + o] } else { basis[o * size + s] };
+            *value = (0..size).map(|s| number(s) * x[(b * size + s) * after + a]).sum();
+        }
+        sizes[n] = other;
+        y
+    }
+
+    #[test]
+    fn chains_agree_with_mode_products_one_by_one() {
+        for expand in [false, true] {
+            let (rows, ranks) = ([5, 3, 4, 9], [2, 3, 4, 3]);
+            let bases: Vec<Option<Vec<f32>>> =
+                (0..4).map(|n| (n != 2).then(|| numbers(rows[n] * ranks[n], n as u64))).collect();
+            let mut sizes = if expand { ranks } else { rows };
+            let x = numbers(2 * sizes.iter().product::<usize>(), 9);
+            let chain_modes = [3, 1, 2, 0];
+            let mut after = sizes;
+            let chain = Chain::new(&mut after, chain_modes.into_iter(), &bases, expand);
+            let mut out = vec![7.0; 2 * chain.output()];
+            chain.run(&x, &mut out, &mut Default::default());
+            let mut sum = vec![1.0; out.len()];
+            chain.add(&x, &mut sum, &mut Default::default());
+            let mut expected = x;
+            let mut twice = [2, sizes[0], sizes[1], sizes[2], sizes[3]];
+            for n in chain_modes {
+                if let Some(basis) = &bases[n] {
+                    expected = mode_product(&expected, &mut twice, n + 1, basis, expand);
+                }
+            }
+            sizes.copy_from_slice(&twice[1..]);
+            assert_eq!(after, sizes);
+            out.iter().zip(&expected).for_each(|(&value, &expected)| close(value, f64::from(expected)));
+            sum.iter().zip(&expected).for_each(|(&value, &expected)| close(value, f64::from(expected) + 1.0));
+        }
+    }
+
+    #[test]
+    fn unfolding_brings_a_mode_to_the_front() {
+        let x: Vec<f32> = (0..24).map(|i| i as f32).collect();
+        let mut y = vec![0.0; 24];
+        unfold(&x, &[2, 3, 4], 1, &mut y);
+        assert_eq!(y[..10], [0.0, 1.0, 2.0, 3.0, 12.0, 13.0, 14.0, 15.0, 4.0, 5.0]);
+        unfold(&x, &[2, 3, 4], 2, &mut y);
+        assert_eq!(y[..8], [0.0, 4.0, 8.0, 12.0, 16.0, 20.0, 1.0, 5.0]);
+    }
+}

@@ -1,0 +1,263 @@
+//! Matrix products `C (+)= A B` in which A may be strided and the rows of B and C are contiguous: the lanes run along
+//! the columns. Tiles of the result stay in registers. The instruction set is chosen at run time by `pulp`.
+
+use pulp::{Arch, MemMask, Simd, WithSimd};
+
+/// Rows of B worked off before the next columns: 256 rows of a tile's columns fit the level 1 or 2 cache.
+const DEPTH: usize = 256;
+/// Rows of a tile.
+const ROWS: usize = 4;
+/// Vectors of a row of a tile where there are 32 registers, and where there are 16.
+const WIDE: usize = 4;
+const NARROW: usize = 2;
+
+/// A matrix within a slice.
+#[derive(Clone, Copy)]
+pub struct Matrix<'a> {
+    data: &'a [f32],
+    rows: usize,
+    columns: usize,
+    row_step: usize,
+    column_step: usize,
+}
+
+impl<'a> Matrix<'a> {
+    /// A matrix whose rows lie one behind the other.
+    pub fn new(data: &'a [f32], rows: usize, columns: usize) -> Self {
+        Matrix { data, rows, columns, row_step: columns, column_step: 1 }
+    }
+
+    /// The same with rows that start `step` numbers apart.
+    pub fn with_row_step(self, step: usize) -> Self {
+        Matrix { row_step: step, ..self }
+    }
+
+    /// The transpose.
+    pub fn transposed(self) -> Self {
+        let Matrix { data, rows, columns, row_step, column_step } = self;
+        Matrix { data, rows: columns, columns: rows, row_step: column_step, column_step: row_step }
+    }
+
+    /// `count` columns from `first` on.
+    pub fn columns(self, first: usize, count: usize) -> Self {
+        Matrix { data: &self.data[first * self.column_step..], columns: count, ..self }
+    }
+
+    /// The place of the last number.
+    fn last(&self) -> usize {
+        (self.rows - 1) * self.row_step + (self.columns - 1) * self.column_step
+    }
+}
+
+/// `C = A B` or `C += A B`; B has contiguous rows.
+///
+/// Where `out` has room for several C, there are as many B one behind the other, and each is multiplied.
+pub fn multiply(a: Matrix, b: Matrix, add: bool, out: &mut [f32]) {
+    let size = a.rows * b.columns;
+    assert!(a.columns == b.rows && b.column_step == 1 && out.len().is_multiple_of(size.max(1)));
+    if out.is_empty() {
+        return;
+    }
+    if a.columns == 0 {
+        out.fill(if add { return } else { 0.0 });
+        return;
+    }
+    let last = (out.len() / size - 1) * b.rows * b.row_step + b.last();
+    assert!(a.last() < a.data.len() && last < b.data.len());
+    Arch::new().dispatch(Run { a, b, add, out });
+}
+
+struct Run<'a> {
+    a: Matrix<'a>,
+    b: Matrix<'a>,
+    add: bool,
+    out: &'a mut [f32],
+}
+
+impl WithSimd for Run<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Run { a, b, add, out } = self;
+        for (number, out) in out.chunks_exact_mut(a.rows * b.columns).enumerate() {
+            for k in (0..a.columns).step_by(DEPTH) {
+                let panel = Panel {
+                    a: a.data[k * a.column_step..].as_ptr(),
+                    a_steps: (a.row_step, a.column_step),
+                    b: b.data[(number * b.rows + k) * b.row_step..].as_ptr(),
+                    b_row: b.row_step,
+                    out: out.as_mut_ptr(),
+                    m: a.rows,
+                    n: b.columns,
+                    depth: DEPTH.min(a.columns - k),
+                    add: add || k > 0,
+                };
+                // SAFETY: `multiply` has checked that all rows and columns lie within the slices.
+                unsafe {
+                    if S::REGISTER_COUNT >= 32 { panel.run::<S, WIDE>(simd) } else { panel.run::<S, NARROW>(simd) }
+                }
+            }
+        }
+    }
+}
+
+/// One product over at most `DEPTH` rows of B.
+#[derive(Clone, Copy)]
+struct Panel {
+    a: *const f32,
+    a_steps: (usize, usize),
+    b: *const f32,
+    b_row: usize,
+    out: *mut f32,
+    m: usize,
+    n: usize,
+    depth: usize,
+    add: bool,
+}
+
+impl Panel {
+    /// All columns, `MAX` vectors at a time, then what is left.
+    #[inline(always)]
+    unsafe fn run<S: Simd, const MAX: usize>(self, simd: S) {
+        let wide = MAX * S::F32_LANES;
+        let whole = self.n - self.n % wide;
+        let full = simd.mask_between_m32s(0, S::F32_LANES as u32);
+        for column in (0..whole).step_by(wide) {
+            unsafe { self.columns::<S, MAX>(simd, column, MemMask::new(full.mask())) };
+        }
+        let rest = self.n - whole;
+        if rest > 0 {
+            let vectors = rest.div_ceil(S::F32_LANES);
+            let last = simd.mask_between_m32s(0, (rest - (vectors - 1) * S::F32_LANES) as u32);
+            // A plain mask: pulp's own carries jump addresses that cost more than they save here.
+            let last = MemMask::new(last.mask());
+            unsafe {
+                match vectors {
+                    1 => self.columns::<S, 1>(simd, whole, last),
+                    2 => self.columns::<S, 2>(simd, whole, last),
+                    3 => self.columns::<S, 3>(simd, whole, last),
+                    _ => self.columns::<S, 4>(simd, whole, last),
+                }
+            }
+        }
+    }
+
+    /// `V` vectors of columns, the last one masked, of all rows of C.
+    #[inline(always)]
+    unsafe fn columns<S: Simd, const V: usize>(self, simd: S, column: usize, last: MemMask<S::m32s>) {
+        let mut row = 0;
+        unsafe {
+            while row + ROWS <= self.m {
+                self.tile::<S, ROWS, V>(simd, row, column, last);
+                row += ROWS;
+            }
+            match self.m - row {
+                0 => (),
+                1 => self.tile::<S, 1, V>(simd, row, column, last),
+                2 => self.tile::<S, 2, V>(simd, row, column, last),
+                _ => self.tile::<S, 3, V>(simd, row, column, last),
+            }
+        }
+    }
+
+    /// `M` rows by `V` vectors of C, kept in registers.
+    #[inline(always)]
+    unsafe fn tile<S: Simd, const M: usize, const V: usize>(
+        self,
+        simd: S,
+        row: usize,
+        column: usize,
+        last: MemMask<S::m32s>,
+    ) {
+        let mut sums = [[simd.splat_f32s(0.0); V]; M];
+        unsafe {
+            let out = self.out.add(row * self.n + column);
+            if self.add {
+                for (i, line) in sums.iter_mut().enumerate() {
+                    *line = load::<S, V>(simd, out.add(i * self.n), last);
+                }
+            }
+            let mut a = self.a.add(row * self.a_steps.0);
+            let mut b = self.b.add(column);
+            for _ in 0..self.depth {
+                let values = load::<S, V>(simd, b, last);
+                for (i, line) in sums.iter_mut().enumerate() {
+                    let weight = simd.splat_f32s(*a.add(i * self.a_steps.0));
+                    for (sum, &value) in line.iter_mut().zip(&values) {
+                        *sum = simd.mul_add_e_f32s(weight, value, *sum);
+                    }
+                }
+                // The last step may leave the slice, which only wrapping arithmetic may.
+                a = a.wrapping_add(self.a_steps.1);
+                b = b.wrapping_add(self.b_row);
+            }
+            for (i, line) in sums.iter().enumerate() {
+                store(simd, out.add(i * self.n), line, last);
+            }
+        }
+    }
+}
+
+/// `V` vectors of which the last one is masked.
+#[inline(always)]
+unsafe fn load<S: Simd, const V: usize>(simd: S, from: *const f32, last: MemMask<S::m32s>) -> [S::f32s; V] {
+    let mut values = [simd.splat_f32s(0.0); V];
+    unsafe {
+        for (v, value) in values.iter_mut().enumerate().take(V - 1) {
+            *value = from.add(v * S::F32_LANES).cast::<S::f32s>().read_unaligned();
+        }
+        values[V - 1] = simd.mask_load_ptr_f32s(last, from.add((V - 1) * S::F32_LANES));
+    }
+    values
+}
+
+#[inline(always)]
+unsafe fn store<S: Simd, const V: usize>(simd: S, to: *mut f32, values: &[S::f32s; V], last: MemMask<S::m32s>) {
+    unsafe {
+        for (v, &value) in values.iter().enumerate().take(V - 1) {
+            to.add(v * S::F32_LANES).cast::<S::f32s>().write_unaligned(value);
+        }
+        simd.mask_store_ptr_f32s(last, to.add((V - 1) * S::F32_LANES), values[V - 1]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{close, numbers};
+
+    #[test]
+    fn agrees_with_the_definition() {
+        for (seed, &(m, k, n, batch)) in [
+            (1, 1, 1, 1),
+            (4, 7, 64, 2),
+            (5, 3, 100, 3),
+            (3, 600, 17, 1),
+            (9, 257, 49, 2),
+            (2, 0, 5, 1),
+            (7, 2, 130, 1),
+        ]
+        .iter()
+        .enumerate()
+        {
+            for (turned, b_row, add) in [(false, n, false), (true, n + 3, true)] {
+                let (a, b) = (numbers(m * k, seed as u64), numbers(batch * k * b_row, seed as u64 + 100));
+                let before = numbers(batch * m * n, seed as u64 + 200);
+                let mut out = before.clone();
+                let left = if turned { Matrix::new(&a, k, m).transposed() } else { Matrix::new(&a, m, k) };
+                multiply(left, Matrix::new(&b, k, n).with_row_step(b_row), add, &mut out);
+                for (at, &value) in out.iter().enumerate() {
+                    let (t, i, j) = (at / (m * n), at / n % m, at % n);
+                    let sum: f64 = (0..k)
+                        .map(|q| {
+                            f64::from(if turned { a[q * m + i] } else { a[i * k + q] })
+                                * f64::from(b[(t * k + q) * b_row + j])
+                        })
+                        .sum();
+                    close(value, if add { sum + f64::from(before[at]) } else { sum });
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,19 @@
+//! What the unit tests share.
+
+/// Deterministic numbers in -0.5..0.5.
+pub fn numbers(count: usize, seed: u64) -> Vec<f32> {
+    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
+    let mut next = || {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        (state >> 40) as f32 / (1u64 << 24) as f32 - 0.5
+    };
+    (0..count).map(|_| next()).collect()
+}
+
+/// Equal up to float32's rounding of sums of some hundred numbers below 1.
+#[track_caller]
+pub fn close(value: f32, expected: f64) {
+    assert!((f64::from(value) - expected).abs() < 2e-5 * (1.0 + expected.abs()), "{value} instead of {expected}");
+}

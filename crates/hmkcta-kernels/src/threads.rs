@@ -1,0 +1,74 @@
+//! The threads kernels run on, and the buffers each of them keeps.
+
+use rayon::prelude::*;
+use rayon::{ThreadPool, ThreadPoolBuilder};
+use std::cell::RefCell;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Tensors from this size on are worth several threads.
+pub const PARALLEL: usize = 200_000;
+
+/// The pool, of which process (threads do not survive a fork), and how many threads were asked for (0: all cores).
+struct State {
+    pool: Option<(u32, Arc<ThreadPool>)>,
+    wanted: usize,
+}
+
+static STATE: Mutex<State> = Mutex::new(State { pool: None, wanted: 0 });
+
+/// How many threads large tensors are worked on by; 0 stands for all cores.
+pub fn set_threads(wanted: usize) {
+    *STATE.lock().unwrap_or_else(PoisonError::into_inner) = State { pool: None, wanted };
+}
+
+/// The pool to run on; None for one thread, or where no thread can be started.
+fn pool() -> Option<Arc<ThreadPool>> {
+    let mut state = STATE.lock().unwrap_or_else(PoisonError::into_inner);
+    let process = std::process::id();
+    if state.pool.as_ref().is_none_or(|(owner, _)| *owner != process) {
+        let threads = match state.wanted {
+            0 => std::thread::available_parallelism().map_or(1, usize::from),
+            wanted => wanted,
+        };
+        let build = || ThreadPoolBuilder::new().num_threads(threads).thread_name(|i| format!("hmkcta-{i}")).build();
+        // A pool of a parent process must not be dropped: its threads do not exist here.
+        std::mem::forget(state.pool.take());
+        state.pool = Some((process, Arc::new(build().ok()?)));
+    }
+    state.pool.as_ref().map(|(_, pool)| pool.clone()).filter(|pool| pool.current_num_threads() > 1)
+}
+
+/// Do all tasks, on all threads where `parallel` says that it pays. What comes out must not depend on their order.
+pub fn for_each<T: Send>(parallel: bool, tasks: Vec<T>, work: impl Fn(T) + Sync + Send) {
+    let pool = if parallel && tasks.len() > 1 { pool() } else { None };
+    match pool {
+        Some(pool) => pool.install(|| tasks.into_par_iter().with_max_len(1).for_each(work)),
+        None => tasks.into_iter().for_each(work),
+    }
+}
+
+/// Buffers for results between the steps of a chain of mode products, for a slab, for sorted rows, and for each level of a recursion.
+#[derive(Default)]
+pub struct Scratch {
+    pub steps: [Vec<f32>; 2],
+    pub slab: Vec<f32>,
+    pub sorted: Vec<f32>,
+    pub levels: Vec<Vec<f32>>,
+}
+
+thread_local! {
+    static SCRATCH: RefCell<Scratch> = RefCell::default();
+}
+
+/// Lend this thread's buffers. `work` must not ask for them again.
+pub fn with_scratch<R>(work: impl FnOnce(&mut Scratch) -> R) -> R {
+    SCRATCH.with_borrow_mut(work)
+}
+
+/// The first `length` numbers of a buffer that grows as needed; what they are is left open.
+pub fn room(buffer: &mut Vec<f32>, length: usize) -> &mut [f32] {
+    if buffer.len() < length {
+        buffer.resize(length, 0.0);
+    }
+    &mut buffer[..length]
+}

@@ -1,0 +1,192 @@
+"""The readable twin of the native kernels: one cell at a time, in float64, close to the paper's formulas.
+
+A cell is a cluster c = (c_1..c_N) of the paper's equation 2. It owns the sub-tensor of the rows that have c_n among
+their subsets S_n(i) in every mode, and a Tucker model of it: core Z_c and bases U_{n,c}.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..cells import F32, Cells, dense_basis
+
+F64 = NDArray[np.float64]
+
+name = "reference"
+
+#: What is left of a column once its parts along earlier ones are taken out is rounding noise below this share of it.
+DEPENDENT = 1e-5
+
+
+def set_threads(count: int) -> None:
+    """Threads are for the native kernels; this does nothing."""
+
+
+@dataclass
+class Cell:
+    """One cell: its rows in every mode and its Tucker model.
+
+    Attributes:
+        number: flat(c).
+        subset: c.
+        rows: for each mode the rows i with c_n in S_n(i).
+        bases: for each mode U_{n,c}, member rows only `[m_n, R_n]`; None for an undecomposed mode.
+        core: Z_c `[R_1, .., R_N]`.
+    """
+
+    number: int
+    subset: tuple[int, ...]
+    rows: list[NDArray[np.intp]]
+    bases: list[F64 | None]
+    core: F64
+
+
+def fit_cells(cells: Cells, residual: F32, sweeps: int, iterations: int) -> None:
+    """Gauss-Seidel over the cells, in place: each in turn takes back its part and fits itself to the residual.
+
+    Args:
+        cells: their bases and cores are replaced.
+        residual: data minus model, on entry and on return.
+        sweeps: rounds over all cells.
+        iterations: subspace iterations of each mode update.
+    """
+    for _ in range(sweeps):
+        for cell in _each_cell(cells):
+            here = np.ix_(*cell.rows)
+            block = residual[here] + _reconstruct(cell)
+            _hooi(cell, block, iterations)
+            residual[here] = block - _reconstruct(cell)
+            _store(cells, cell)
+
+
+def accumulate(cells: Cells, tensor: F32, weight: float) -> None:
+    """`tensor += weight * model`, in place."""
+    for cell in _each_cell(cells):
+        tensor[np.ix_(*cell.rows)] += np.asarray(weight * _reconstruct(cell), np.float32)
+
+
+def project_cells(cells: Cells, tensor: F32, n: int) -> F32:
+    """`Y_n[c] = T x_{m != n} U_{m,c}^T` for all rows of mode n, whatever their subsets; zero for empty cells.
+
+    Returns:
+        `[PC, I_n, prod_{m != n} R_m]`, the unfoldings along mode n.
+    """
+    size = cells.sizes[n]
+    y = np.zeros((cells.spec.cells, size, int(np.prod(cells.ranks)) // cells.ranks[n]), np.float32)
+    for cell in _each_cell(cells, whole=n):
+        block = tensor[np.ix_(*cell.rows)].astype(np.float64)
+        y[cell.number] = _unfold(_project(block, [None if m == n else u for m, u in enumerate(cell.bases)]), n)
+    return y
+
+
+def dictionary_gram(cells: Cells, n: int) -> F64:
+    """Inner products of all dictionary columns `D_{n,c}[r] = vec(Z_c[r] x_{m != n} U_{m,c})`.
+
+    `H_n[c,c'] = unf_n(Z_c) (kron_{m != n} M_m) unf_n(Z_c')^T` with `M_m = U_{m,c}^T U_{m,c'}`.
+
+    Returns:
+        `[PC R_n, PC R_n]`, symmetric.
+    """
+    count, rank = cells.spec.cells, cells.ranks[n]
+    cores = cells.cores.astype(np.float64)
+    bases = [None if skip or m == n else dense_basis(cells, m) for m, skip in enumerate(cells.undecomposed)]
+    h = np.empty((count, rank, count, rank))
+    for c in range(count):
+        x = np.broadcast_to(cores[c], cores.shape)  # one for each c'
+        for m, basis in enumerate(bases):
+            if basis is not None:
+                gram = np.einsum(
+                    "ir,dis->drs", basis[c].astype(np.float64), basis, optimize=True
+                )  # M_m of c and all c'
+                x = np.moveaxis(np.einsum("d...r,drs->d...s", np.moveaxis(x, m + 1, -1), gram), -1, m + 1)
+        left, right = (np.moveaxis(z, n + 1, 1).reshape(count, rank, -1) for z in (x, cores))
+        h[c] = np.einsum("drq,dsq->rds", left, right, optimize=True)
+    return h.reshape(count * rank, count * rank)
+
+
+def _each_cell(cells: Cells, whole: int | None = None) -> Iterator[Cell]:
+    """All cells that own elements, in C order; of mode `whole` with all its rows."""
+    for number in range(cells.spec.cells):
+        subset = tuple(int(k) for k in np.unravel_index(number, cells.spec.clusters))
+        rows: list[NDArray[np.intp]] = []
+        bases: list[F64 | None] = []
+        for n, k in enumerate(subset):
+            members, slots = np.nonzero(cells.members[n] == k)
+            rows.append(np.arange(cells.sizes[n]) if n == whole else members)
+            bases.append(None if cells.undecomposed[n] else cells.bases[n][members, slots, _others(cells, subset, n)])
+        if all(len(r) for r in rows):
+            bases = [None if u is None else u.astype(np.float64) for u in bases]
+            yield Cell(number, subset, rows, bases, cells.cores[number].astype(np.float64))
+
+
+def _others(cells: Cells, subset: Sequence[int], n: int) -> int:
+    """flat(c_-n): where the bases of mode n of this cell lie among those of the same cluster subset."""
+    clusters = [c for m, c in enumerate(cells.spec.clusters) if m != n]
+    return int(np.ravel_multi_index([k for m, k in enumerate(subset) if m != n], clusters)) if clusters else 0
+
+
+def _store(cells: Cells, cell: Cell) -> None:
+    cells.cores[cell.number] = cell.core
+    for n, u in enumerate(cell.bases):
+        if u is not None:
+            members, slots = np.nonzero(cells.members[n] == cell.subset[n])
+            cells.bases[n][members, slots, _others(cells, cell.subset, n)] = u
+
+
+def _hooi(cell: Cell, block: F64, iterations: int) -> None:
+    """One HOOI round (paper, section 3.1): every basis in turn, from the block projected on all the others."""
+    cell.bases = [None if u is None else _orthonormal(u) for u in cell.bases]
+    for n, u in enumerate(cell.bases):
+        if u is not None:
+            e = _unfold(_project(block, [None if m == n else v for m, v in enumerate(cell.bases)]), n)
+            cell.bases[n] = _subspace(e, u, iterations)
+    cell.core = _project(block, cell.bases)
+
+
+def _subspace(e: F64, u: F64, iterations: int) -> F64:
+    """Towards the leading left subspace of `e` `[m, q]` from `u` `[m, R]`: U <- orth(E orth(E^T U)).
+
+    The energy of `e` within the subspace never falls.
+    """
+    if e.shape[1] <= u.shape[1] and iterations > 0:  # all of e is spanned
+        return _orthonormal(np.pad(e, ((0, 0), (0, u.shape[1] - e.shape[1]))))
+    for _ in range(iterations):
+        u = _orthonormal(e @ _orthonormal(e.T @ u))
+    return u
+
+
+def _orthonormal(u: F64) -> F64:
+    """The columns of `u` `[m, R]` by Gram and Schmidt, twice; columns that depend on earlier ones become zero."""
+    q = np.zeros_like(u)
+    for r in range(u.shape[1]):
+        column = u[:, r]
+        for _ in range(2):
+            column = column - q @ (q.T @ column)
+        length = np.linalg.norm(column)
+        if length > DEPENDENT * np.linalg.norm(u[:, r]):
+            q[:, r] = column / length
+    return q
+
+
+def _reconstruct(cell: Cell) -> F64:
+    """`Z x_1 U_1 .. x_N U_N`, member rows only `[m_1, .., m_N]`."""
+    x = cell.core
+    for n, u in enumerate(cell.bases):
+        x = x if u is None else np.moveaxis(np.tensordot(u, x, (1, n)), 0, n)
+    return x
+
+
+def _project(x: F64, bases: Sequence[F64 | None]) -> F64:
+    """`x x_1 U_1^T .. x_N U_N^T`; modes without a basis stay as they are."""
+    for n, u in enumerate(bases):
+        x = x if u is None else np.moveaxis(np.tensordot(u, x, (0, n)), 0, n)
+    return x
+
+
+def _unfold(x: F64, n: int) -> F64:
+    """The mode-n unfolding `[I_n, rest]`, rest in C order."""
+    return np.moveaxis(x, n, 0).reshape(x.shape[n], -1)

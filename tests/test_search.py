@@ -1,0 +1,222 @@
+"""Cluster subsets and subdivisions against brute force in data space, row by row."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from dense_reference import energy, node_rows, unfold
+from hmkcta import compress
+from hmkcta.cells import Cells, dense_basis
+from hmkcta.fit import EFFORTS, fit_level, left_by
+from hmkcta.plan import GRAM_CELLS, OPTIMAL_SUBSETS, LevelSpec, parse_level
+from hmkcta.search import extend, joint_rows, orthonormalise
+from hmkcta.subdivision import subdivide
+from test_special_cases import MODES, shuffled, smooth
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+TENSORS = [
+    ((8, 6, 7), "R=2,1,2 C=4,2,2 K=2,1,2"),
+    ((9, 5, 6), "R=1,2,2 C=4,1,3 K=3,1,2"),
+    ((8, 5, 7), "R=2,*,2 C=4,1,2 K=2,1,1"),
+    ((20, 25), "R=1,1 C=5,3 K=2,2"),
+]
+
+
+def fit(tensor: F32, text: str, quality: str = "medium") -> Cells:
+    return fit_level(tensor, parse_level(text, MODES[: tensor.ndim]), EFFORTS[quality], np.random.default_rng(0))[0]
+
+
+def dictionaries(cells: Cells, n: int) -> list[F64]:
+    """D_n,k for each cluster subset k of mode n: columns vec(Z_c x_{m != n} U_m,c), of all cells with c_n = k."""
+    bases = [
+        np.stack([np.eye(size)] * cells.spec.cells) if rank is None else dense_basis(cells, m).astype(np.float64)
+        for m, (rank, size) in enumerate(zip(cells.spec.ranks, cells.sizes, strict=True))
+    ]
+    columns = [list[F64]() for _ in range(cells.spec.clusters[n])]
+    for c, cell in enumerate(np.ndindex(*cells.spec.clusters)):
+        core = cells.cores[c].astype(np.float64)
+        for m, basis in enumerate(bases):
+            if m != n:
+                core = np.moveaxis(np.tensordot(basis[c], core, (1, m)), 0, m)
+        columns[cell[n]].append(unfold(core, n).T)
+    return [np.concatenate(parts, axis=1) for parts in columns]
+
+
+def brute_force(cells: Cells, tensor: F32, n: int, mixture: int) -> tuple[list[tuple[int, ...]], F64]:
+    """The best subset of every row over all of them, and the least squared errors `[I_n, subsets]`."""
+    blocks, slices = dictionaries(cells, n), unfold(tensor, n).T
+    subsets = list(combinations(range(cells.spec.clusters[n]), mixture))
+    errors: list[F64] = []
+    for subset in subsets:
+        system = np.concatenate([blocks[k] for k in subset], axis=1)
+        left = slices - system @ np.linalg.lstsq(system, slices, rcond=1e-9)[0]
+        errors.append(np.square(left).sum(axis=0))
+    return subsets, np.stack(errors, axis=1)
+
+
+def row_errors(cells: Cells, tensor: F32, n: int) -> F64:
+    """Squared error of every slice of mode n."""
+    return np.square(unfold(left_by(cells, tensor), n)).sum(axis=1)
+
+
+@pytest.mark.parametrize(("shape", "text"), TENSORS)
+def test_the_optimal_search_is_brute_force(shape: Sequence[int], text: str) -> None:
+    tensor = shuffled(smooth(*shape, noise=0.3))
+    start = fit(tensor, text, "fast")
+    for n, mixture in enumerate(start.spec.mixture):
+        if start.spec.clusters[n] == 1 and start.spec.ranks[n] is None:
+            continue
+        cells = replace(start, bases=[b.copy() for b in start.bases], members=list(start.members))
+        subsets, errors = brute_force(cells, tensor, n, mixture)
+        joint_rows(cells, tensor, n, mixture, "optimal")
+        found = row_errors(cells, tensor, n)
+        slack = 1e-5 * energy(tensor) / shape[n]  # the ridge, and float32
+        assert np.all(found <= errors.min(axis=1) + slack)
+        assert np.all(found >= errors.min(axis=1) - slack)
+        for i, members in enumerate(cells.members[n]):
+            chosen = errors[i, subsets.index(tuple(int(k) for k in members))]
+            assert chosen <= errors[i].min() + slack
+
+
+@pytest.mark.parametrize(("shape", "text"), TENSORS)
+@pytest.mark.parametrize("search", ["optimal", "greedy", "fixed"])
+def test_no_search_raises_the_error(shape: Sequence[int], text: str, search: str) -> None:
+    tensor = shuffled(smooth(*shape, noise=0.3))
+    cells = fit(tensor, text, "fast")
+    before = energy(left_by(cells, tensor))
+    for n, mixture in enumerate(cells.spec.mixture):
+        if cells.spec.ranks[n] is None:
+            continue
+        subsets, members = {tuple(row) for row in cells.members[n]}, cells.members[n].copy()
+        joint_rows(cells, tensor, n, mixture, search)
+        after = energy(left_by(cells, tensor))
+        if search == "fixed":
+            assert np.array_equal(cells.members[n], members)
+            assert {tuple(row) for row in cells.members[n]} == subsets
+        assert after <= before * 1.0001
+        orthonormalise(cells, n)
+        assert energy(left_by(cells, tensor)) == pytest.approx(after, rel=1e-4)
+        before = energy(left_by(cells, tensor))
+
+
+@pytest.mark.parametrize(("shape", "text"), [case for case in TENSORS if "*" not in case[1]])
+def test_the_greedy_search_lies_between_one_cluster_and_the_optimum(shape: Sequence[int], text: str) -> None:
+    tensor = shuffled(smooth(*shape, noise=0.3))
+    start = fit(tensor, text, "fast")
+    mixture = start.spec.mixture[0]
+    assert mixture > 1
+
+    def searched(k: int, search: str) -> float:
+        cells = replace(start, bases=list(start.bases), members=list(start.members))
+        joint_rows(cells, tensor, 0, k, search)
+        return energy(left_by(cells, tensor))
+
+    one, greedy, optimal = searched(1, "optimal"), searched(mixture, "greedy"), searched(mixture, "optimal")
+    assert optimal * 0.9999 <= greedy <= one
+    assert greedy <= 1.1 * optimal
+
+
+def test_greedy_and_fast_searches_are_reached() -> None:
+    assert LevelSpec((1, 1), (4, 1), (2, 1)).search == "optimal"
+    assert LevelSpec((1, 1), (12, 1), (3, 1)).search == "greedy"  # 220 subsets
+    assert LevelSpec((1, 1), (40, 40), (2, 1)).search == "fast"
+    assert LevelSpec((1, 1), (40, 40), (1, 1)).search == "optimal"  # nothing to search
+    assert OPTIMAL_SUBSETS < 220
+    assert GRAM_CELLS < 1600
+
+
+@pytest.mark.parametrize(
+    ("shape", "plan", "search"),
+    [
+        ((40, 30), "R=1 C=12,1 K={},1", "greedy"),
+        ((40, 30), "R=1,* C=12,1 K={},1", "greedy"),
+        ((48, 44), "R=1 C=40,40 K={}", "fast"),
+        ((14, 12, 15), "R=1 C=12,12,12 K={}", "fast"),
+    ],
+)
+def test_searches_for_many_clusters_pay(shape: Sequence[int], plan: str, search: str) -> None:
+    """Every mixture cluster more is better, and the model is what a search of its own found."""
+    tensor = shuffled(smooth(*shape, noise=0.3))
+    assert parse_level(plan.format(3), MODES[: len(shape)]).search == search
+    snrs = [compress(tensor, plan.format(k), threads=1, quality="fast").snr for k in (1, 2, 3)]
+    assert snrs[0] + 0.5 < snrs[1] < snrs[2]
+
+
+def test_a_new_member_changes_nothing_until_it_is_fitted() -> None:
+    tensor = shuffled(smooth(12, 9, 10, noise=0.3))
+    cells = fit(tensor, "R=2,1,2 C=4,2,2")
+    before = left_by(cells, tensor)
+    for n in (0, 2):
+        extend(cells, before, n)
+    assert [m.shape[1] for m in cells.members] == [2, 1, 2]
+    assert cells.spec.mixture == (2, 1, 2)
+    for members in cells.members:
+        assert np.all(np.diff(members.astype(int), axis=1) > 0)  # distinct and ascending
+    assert np.abs(left_by(cells, tensor) - before).max() < 1e-6
+
+
+# Subdivision
+
+
+def lone_errors(cells: Cells, tensor: F32, n: int) -> F64:
+    """`[I_n, K_n]` squared error of each slice by one of its cluster subsets alone."""
+    blocks, slices = dictionaries(cells, n), unfold(tensor, n)
+    errors = np.empty(cells.members[n].shape)
+    for (i, slot), k in np.ndenumerate(cells.members[n]):
+        row = cells.bases[n][i, slot].reshape(-1).astype(np.float64)
+        errors[i, slot] = energy(slices[i] - blocks[k] @ row)
+    return errors
+
+
+@pytest.mark.parametrize(("shape", "text"), TENSORS)
+def test_most_and_least_significant_parts_are_brute_force(shape: Sequence[int], text: str) -> None:
+    tensor = shuffled(smooth(*shape, noise=0.3))
+    cells = fit(tensor, text)
+    most, least = subdivide(cells, tensor, "most"), subdivide(cells, tensor, "least")
+    for n, (members, mixture) in enumerate(zip(cells.members, cells.spec.mixture, strict=True)):
+        if mixture == 1:
+            assert np.array_equal(most[n], members[:, 0])
+            assert np.array_equal(least[n], members[:, 0])
+            continue
+        errors = lone_errors(cells, tensor, n)
+        rows = np.arange(shape[n])
+        assert np.array_equal(most[n], members[rows, errors.argmin(axis=1)])
+        assert np.array_equal(least[n], members[rows, errors.argmax(axis=1)])
+        assert np.any(most[n] != least[n])
+
+
+@pytest.mark.parametrize("mixture", [1, 2])
+def test_uniform_parts_are_the_papers_blocks(mixture: int) -> None:
+    """Footnote 1: ceil(I / C) rows a part, and one less in the last ones where C does not divide I."""
+    shape, clusters = (10, 13, 12), (4, 3, 2)
+    tensor = smooth(*shape, noise=0.3)
+    cells = fit(tensor, f"R=1 C=4,3,2 K={mixture}", "fast")
+    for size, count, parts in zip(shape, clusters, subdivide(cells, tensor, "uniform"), strict=True):
+        assert np.all(np.diff(parts) >= 0)  # blocks of neighbours
+        longest = -(-size // count)
+        lengths = np.bincount(parts, minlength=count)
+        shorter = count * longest - size
+        assert lengths.tolist() == [longest] * (count - shorter) + [longest - 1] * shorter
+
+
+@pytest.mark.parametrize("scheme", ["most", "least", "uniform"])
+def test_the_tree_follows_its_subdivision(scheme: str) -> None:
+    """Every element of the tensor is in exactly one node of each level; undecomposed modes are not divided."""
+    tensor = shuffled(smooth(12, 5, 10, noise=0.3))
+    model = compress(tensor, "R=2,*,2 C=3,1,2 K=2 / R=1,*,1 C=2,1,2 K=2 / R=1,*,1", scheme=scheme, threads=1)
+    assert len(model.levels) == 3
+    assert [level.scheme for level in model.bounds][:2] == [scheme] * 2
+    for nodes in node_rows(model):
+        count = np.zeros(tensor.shape, int)
+        for rows in nodes:
+            count[np.ix_(*rows)] += 1
+            assert len(rows[1]) == 5
+        assert np.all(count == 1)

@@ -1,0 +1,211 @@
+"""The shape of the code: imports point downward, files and functions stay small, importing stays cheap."""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PACKAGE = ROOT / "python" / "hmkcta"
+
+#: Modules and subpackages from the lowest layer up; an import goes to a lower layer, or stays in its subpackage.
+LAYERS = (
+    ("_version", "errors", "slabs", "tucker", "_native"),
+    ("axes", "memory", "transform", "indexing"),
+    ("plan", "packed"),
+    ("cells", "predict", "storage", "hmkfile", "source", "_example"),
+    ("backends", "memberships", "decode_scattered"),
+    ("search", "subdivision", "decode_cells"),
+    ("fit", "decode_dense"),
+    ("hierarchy", "decode"),
+    ("pack", "allocation", "model"),
+    ("adaptive", "measure"),
+    ("trial",),
+    ("tuning", "follow"),
+    ("encode",),
+    ("", "pictures", "readers", "synthetic"),
+    ("cli",),
+    ("__main__",),
+)
+LAYER_OF = {name: number for number, layer in enumerate(LAYERS) for name in layer}
+
+#: Folders whose code is ours, and what each file may come to.
+FOLDERS = ("python", "tests", "benchmarks", "docs", "crates")
+MOST_LINES, MOST_IN_FUNCTION = 400, 40
+#: The peers are one program, to be read as a whole.
+LONG_FILES = {"tests/baselines.py"}
+LONG_FUNCTIONS: set[str] = set()
+#: What `import hmkcta` must not load: the command line and the pictures do, when they are used.
+LATE = ("click", "rich", "PIL")
+
+LOCK_FILES = (
+    "Cargo.lock",
+    "uv.lock",
+    "poetry.lock",
+    "Pipfile.lock",
+    "package-lock.json",
+    "yarn.lock",
+    "pnpm-lock.yaml",
+)
+#: A temporary folder may stand in an example; folders of somebody's machine may not.
+MACHINE_PATH = re.compile(r"(?<![\w.])/(?:work|home|root|Users|mnt|scratch)/\w")
+
+
+def sources(*suffixes: str) -> list[Path]:
+    """Files of the project's folders, none that a build or a tool made."""
+    made = {"target", "__pycache__", "node_modules"}
+    return [
+        path
+        for folder in FOLDERS
+        for path in sorted((ROOT / folder).rglob("*"))
+        if path.suffix in suffixes and not made & set(path.parts)
+    ]
+
+
+def named(path: Path) -> str:
+    """The path from the root, as it is shown."""
+    return path.relative_to(ROOT).as_posix()
+
+
+def tree(path: Path) -> ast.Module:
+    """The file's syntax."""
+    return ast.parse(path.read_text(encoding="utf-8"), named(path))
+
+
+def dotted(path: Path) -> list[str]:
+    """Words of the module's name below `hmkcta`, a package's being its folder's."""
+    words = list(path.relative_to(PACKAGE).with_suffix("").parts)
+    return words[:-1] if words[-1] == "__init__" else words
+
+
+def imports(path: Path) -> Iterator[str]:
+    """The first word below `hmkcta` of everything of ours that a module imports, wherever in it."""
+    own = dotted(path)
+    package = own if path.name == "__init__.py" else own[:-1]
+    for statement in ast.walk(tree(path)):
+        if isinstance(statement, ast.Import):
+            yield from (
+                alias.name.split(".")[1] if "." in alias.name else ""
+                for alias in statement.names
+                if alias.name.split(".")[0] == "hmkcta"
+            )
+        elif isinstance(statement, ast.ImportFrom):
+            words = (statement.module or "").split(".") if statement.module else []
+            if statement.level:
+                words = ["hmkcta", *package[: len(package) - statement.level + 1], *words]
+            if words[:1] != ["hmkcta"]:
+                continue
+            found = words[1:] or [alias.name for alias in statement.names]
+            yield from found[:1] if words[1:] else (name if name in LAYER_OF else "" for name in found)
+
+
+def test_every_module_has_a_layer() -> None:
+    modules = {dotted(path)[0] for path in PACKAGE.rglob("*.py") if dotted(path)}
+    assert modules <= LAYER_OF.keys(), f"give these a place in LAYERS: {sorted(modules - LAYER_OF.keys())}"
+    assert set(LAYER_OF) - {"", "_native"} <= modules, "these modules of LAYERS are gone"
+    assert sum(map(len, LAYERS)) == len(LAYER_OF), "a module stands in two layers"
+
+
+def test_imports_point_downward() -> None:
+    upward: list[str] = []
+    for path in sorted(PACKAGE.rglob("*.py")):
+        own = (dotted(path) or [""])[0]
+        upward += [
+            f"{named(path)} imports {target or 'hmkcta'}"
+            for target in imports(path)
+            if target != own and LAYER_OF[target] >= LAYER_OF[own]
+        ]
+    assert not upward
+
+
+def test_the_import_rule_sees_imports() -> None:
+    assert {"_native", "cells"} <= set(imports(PACKAGE / "backends" / "native.py"))
+    assert {"axes", "encode", "model"} <= set(imports(PACKAGE / "__init__.py"))
+
+
+def test_files_are_short() -> None:
+    lengths = {named(path): len(path.read_text(encoding="utf-8").splitlines()) for path in sources(".py", ".rs")}
+    assert not {name: lines for name, lines in lengths.items() if lines > MOST_LINES and name not in LONG_FILES}
+
+
+def functions(path: Path) -> Iterator[tuple[str, int]]:
+    """Names and lengths in lines of a file's functions, from the first statement after the docstring."""
+    for node in ast.walk(tree(path)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            body = node.body[1:] if ast.get_docstring(node, clean=False) is not None else node.body
+            yield f"{named(path)}:{node.name}", (body[-1].end_lineno or 0) - body[0].lineno + 1 if body else 0
+
+
+def test_functions_are_short() -> None:
+    lengths = dict(entry for path in sources(".py") for entry in functions(path))
+    long = {name for name, lines in lengths.items() if lines > MOST_IN_FUNCTION}
+    assert not {name: lengths[name] for name in long - LONG_FUNCTIONS}
+    assert long >= LONG_FUNCTIONS, "take what is short by now off LONG_FUNCTIONS"
+
+
+def test_the_library_does_not_print() -> None:
+    printing = [
+        f"{named(path)}:{node.lineno}"
+        for path in PACKAGE.rglob("*.py")
+        for node in ast.walk(tree(path))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print"
+    ]
+    assert not printing
+
+
+def test_no_bare_except() -> None:
+    bare = [
+        f"{named(path)}:{node.lineno}"
+        for path in sources(".py")
+        for node in ast.walk(tree(path))
+        if isinstance(node, ast.ExceptHandler) and node.type is None
+    ]
+    assert not bare
+
+
+def test_importing_loads_neither_the_command_line_nor_pictures() -> None:
+    program = (
+        f"import sys, json; sys.path.insert(0, {str(PACKAGE.parent)!r}); import hmkcta; "
+        f"sys.stdout.write(json.dumps([name for name in {LATE!r} if name in sys.modules]))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
+    assert json.loads(done.stdout) == []
+
+
+@pytest.fixture(scope="module")
+def tracked() -> list[Path]:
+    """What git tracks, or would with the next `git add`."""
+    if not (ROOT / ".git").exists():
+        pytest.skip("no git checkout: an unpacked source archive has no list of files")
+    listed = subprocess.run(
+        ["git", "-c", f"safe.directory={ROOT}", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    )
+    return [ROOT / name for name in listed.stdout.split("\0") if name and (ROOT / name).is_file()]
+
+
+def test_no_lock_files(tracked: list[Path]) -> None:
+    assert not [named(path) for path in tracked if path.name in LOCK_FILES]
+
+
+def test_no_paths_of_a_machine(tracked: list[Path]) -> None:
+    texts = {".py", ".rs", ".md", ".toml", ".json", ".csv", ".cff", ".yml", ".yaml", ""}
+    found = [
+        f"{named(path)}: {hit.group()}"
+        for path in tracked
+        if path.suffix in texts and path.stat().st_size < 2**20
+        for hit in [MACHINE_PATH.search(path.read_text(encoding="utf-8"))]
+        if hit
+    ]
+    assert not found
