@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from math import inf
+from math import inf, prod
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,8 @@ from .tucker import core_energies
 
 F32 = NDArray[np.float32]
 
-#: Most ranks a mode is examined at, by the order of the tensor: the tables hold their product.
-TABLE_LIMITS = {1: 4096, 2: 400, 3: 160, 4: 48, 5: 20, 6: 12, 7: 8, 8: 6}
+#: Most ranks a mode is examined at, and most entries of a node's table of choices.
+MOST_RANKS, TABLE_ENTRIES = 160, 60_000
 #: How far above an SNR goal a fit may end, in dB, and how often a fit is repeated to land there.
 OVERSHOOT, ATTEMPTS = 0.25, 6
 
@@ -45,14 +45,21 @@ class Goal:
     snr_now: Callable[[Hierarchy], float]
 
 
-def table_limits(sizes: Sequence[int], spec: LevelSpec, nbytes: float = inf) -> list[int | None]:
-    """Ranks to examine of each mode: up to R, what the node has, what the table holds, and what `nbytes` can store."""
-    most = TABLE_LIMITS[len(sizes)]
+def table_limits(
+    sizes: Sequence[int], spec: LevelSpec, nbytes: float = inf, stored: Sequence[int] | None = None
+) -> list[int | None]:
+    """Ranks to examine of each mode: up to R, what the node has, what the table holds, and what `nbytes` can store.
+
+    `stored` are the sizes that bytes are counted by, where the node is thinned.
+    """
     limits: list[int | None] = []
     for n, rank in enumerate(spec.ranks):
-        rest = int(min(np.prod([float(s) for m, s in enumerate(sizes) if m != n]), 2.0**31))
-        affordable = int(min(nbytes / (2 * sizes[n]), most)) + 1
-        limits.append(None if rank is None else min(rank, sizes[n], rest, most, affordable))
+        rest = int(min(prod(float(size) for m, size in enumerate(sizes) if m != n), 2.0**31))
+        affordable = int(min(nbytes / (2 * (stored or sizes)[n]), MOST_RANKS)) + 1
+        limits.append(None if rank is None else min(rank, sizes[n], rest, MOST_RANKS, affordable))
+    while prod(limit or 1 for limit in limits) > TABLE_ENTRIES:
+        longest = max(range(len(limits)), key=lambda n: limits[n] or 0)
+        limits[longest] = max(1, (limits[longest] or 1) * 7 // 8)
     return limits
 
 

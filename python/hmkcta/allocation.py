@@ -34,11 +34,11 @@ class Spectrum:
 
     error: F64
     nbytes: F64
-    ranks: NDArray[np.int64]
+    ranks: NDArray[np.int32]
 
 
 def node_bytes(
-    sizes: Sequence[int], ranks: NDArray[np.int64], undecomposed: Sequence[bool], clusters: Sequence[int]
+    sizes: Sequence[int], ranks: NDArray[np.int32], undecomposed: Sequence[bool], clusters: Sequence[int]
 ) -> F64:
     """Bytes of a node with K_n = 1: float16 numbers, cluster numbers, core scales and offsets; ranks `[.., N]`."""
     stored = [n for n in range(len(sizes)) if not undecomposed[n]]
@@ -79,12 +79,12 @@ def spectrum(
 class Choices:
     """All ranks within a decode cost by ascending bytes: first to store nothing, then one for each table entry."""
 
-    ranks: NDArray[np.int64]
+    ranks: NDArray[np.int32]
     nbytes: F64
     entry: NDArray[np.intp]
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=96)
 def _choices(
     extents: tuple[int, ...],
     sizes: tuple[int, ...],
@@ -92,14 +92,14 @@ def _choices(
     decode_cost: int,
     clusters: tuple[int, ...],
 ) -> Choices:
-    ranks = (np.indices(extents, np.int64).reshape(len(extents), -1) + 1).T
+    ranks = (np.indices(extents, np.int32).reshape(len(extents), -1) + 1).T
     ranks[:, list(undecomposed)] = np.array(sizes)[list(undecomposed)]
     cost = np.prod(ranks[:, [not flag for flag in undecomposed]].astype(np.float64), axis=1)
     allowed = np.flatnonzero(cost <= decode_cost)
     nbytes = node_bytes(sizes, ranks[allowed], undecomposed, clusters)
     order = np.argsort(nbytes, kind="stable")
     empty = empty_node_bytes(len(sizes), len(sizes) - sum(undecomposed))
-    nothing = np.zeros((1, len(sizes)), np.int64)
+    nothing = np.zeros((1, len(sizes)), np.int32)
     return Choices(
         np.concatenate([nothing, ranks[allowed][order]]), np.concatenate([[empty], nbytes[order]]), allowed[order]
     )

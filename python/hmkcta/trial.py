@@ -110,7 +110,7 @@ class Trial:
         tensor = np.ascontiguousarray(organise(block.values, block.thinned, organisation))
         spec = LevelSpec(tuple(tensor.shape), (1,) * tensor.ndim, (1,) * tensor.ndim)
         sizes = mode_sizes(block.axes, organisation)
-        limits = table_limits(tensor.shape, spec, (self.size or inf) * tensor.size / prod(sizes))
+        limits = table_limits(tensor.shape, spec, self.size or inf, sizes)
         table = core_energies(tensor, limits, np.random.default_rng(self.seed))
         energy = float(np.square(tensor, dtype=np.float64).sum())
         return table, energy, sizes
@@ -176,7 +176,7 @@ def _sample_blocks(source: Source, grid: tuple[int, ...], sample: int, seed: int
             for index, count, length in zip(place, grid, source.shape, strict=True)
         ]
         lengths = [len(r) for r in rows]
-        steps = _thinning(lengths, 4 * sample // wanted)
+        steps = _thinning(lengths, 2 * sample // wanted)
         part = tuple(slice(int(r[0]), int(r[-1]) + 1, step) for r, step in zip(rows, steps, strict=True))
         values = source.values(part)
         yield Block(values, _resized(source.axes, lengths), _resized(source.axes, values.shape))

@@ -21,11 +21,11 @@ from .source import Source
 from .trial import Candidate, Trial
 
 #: Elements looked at for a candidate: to rank organisations, to rank grids, and to settle the blocks.
-SURVEY, COMPARE, REFINE = (1 << 17, 1 << 19), 1 << 20, 1 << 24
+SURVEY, COMPARE, REFINE = (1 << 16, 1 << 18), 1 << 20, 1 << 22
 #: Block edges never fall below this.
 SMALLEST_EDGE = 4
 #: How many organisations and candidates are looked at closer, and most rounds of refinement.
-ORGANISATIONS, FINALISTS, ROUNDS = (12, 4), 4, 2
+ORGANISATIONS, FINALISTS, ROUNDS = (10, 3), 4, 1
 
 Ranked = list[tuple[float, Candidate]]
 
