@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -238,6 +239,20 @@ def test_threads_do_not_change_a_bit(spec: LevelSpec) -> None:
     for other in outcomes[1:]:
         for x, y in zip(outcomes[0], other, strict=True):
             np.testing.assert_array_equal(x, y)
+
+
+def test_nodes_may_be_fitted_in_threads() -> None:
+    spec = LevelSpec((4, 3, 5), (2, 1, 2), (2, 1, 1))
+
+    def fitted(seed: int) -> F32:
+        cells, residual = random_cells((60, 64, 70), spec, seed), smooth_data((60, 64, 70), seed)
+        native.fit_cells(cells, residual, 2, 2)
+        return residual
+
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(fitted, range(6)))
+    for seed, residual in enumerate(together):
+        np.testing.assert_array_equal(residual, fitted(seed))
 
 
 def test_arrays_are_worked_on_in_place_or_refused() -> None:

@@ -1,8 +1,9 @@
-"""How good fits are: relations between subdivisions and efforts, and least SNRs at a size for synthetic and real data."""
+"""How good fits are: relations between subdivisions and efforts, least SNRs at a size for synthetic and real data."""
 
 from __future__ import annotations
 
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from hmkcta import Model, compress
-from hmkcta.fit import EFFORTS, Effort
+from hmkcta.fit import EFFORTS
 from hmkcta.hierarchy import Run, backfit, descend, fit_nodes, squared_norm, whole
 from hmkcta.plan import parse_plan
 from hmkcta.synthetic import light_field, material, volume
@@ -90,7 +91,7 @@ def test_back_fitting_never_lowers_the_snr(text: str) -> None:
     for _ in range(5):
         backfit(tree, run)
         errors.append(squared_norm(tree.residual))
-    assert all(after <= before for before, after in zip(errors, errors[1:], strict=False))
+    assert all(after <= before for before, after in pairwise(errors))
     assert errors[-1] < 0.95 * errors[0]
 
 
@@ -98,16 +99,15 @@ def test_efforts_are_ordered() -> None:
     for name in ("candidates", "searches", "sweeps", "backfits"):
         values = [int(getattr(effort, name)) for effort in (EFFORTS["fast"], EFFORTS["medium"], EFFORTS["thorough"])]
         assert sorted(values) == values
-    assert Effort() in EFFORTS.values() or Effort().sweeps > 0
 
 
 # Least SNRs, some 0.3 dB below what was reached when they were written
 
 
 SYNTHETIC: list[tuple[str, Any, int, float]] = [
-    ("material", lambda: material(lights=6, views=6, size=32), 20000, 0.0),
-    ("volume", lambda: volume((16, 28, 28), frames=6), 24000, 0.0),
-    ("light field", lambda: light_field(views=4, size=32, frames=4), 20000, 0.0),
+    ("material", lambda: material(lights=6, views=6, size=32), 20000, 32.3),
+    ("volume", lambda: volume((16, 28, 28), frames=6), 24000, 27.1),
+    ("light field", lambda: light_field(views=4, size=32, frames=4), 20000, 28.6),
 ]
 
 
@@ -120,9 +120,9 @@ def test_snr_at_a_size(name: str, make: Any, size: int, least: float) -> None:
 
 
 EXPLICIT = [
-    ("WH4-like", WH4_LIKE, 214_500, 0.0),
-    ("flat", "R=2,2,3,3 C=4,3,4,4 K=2", 120_000, 0.0),
-    ("pca of texels", "R=6 grid=y:4,x:4", 220_000, 0.0),
+    ("WH4-like", WH4_LIKE, 214_500, 24.1),
+    ("flat", "R=2,2,3,3 C=4,3,4,4 K=2", 93_000, 22.5),
+    ("pca of texels", "R=6 grid=y:4,x:4", 95_000, 34.6),
 ]
 
 
@@ -135,10 +135,10 @@ def test_snr_of_an_explicit_plan(name: str, plan: str, size: int, least: float) 
     assert model.snr >= least, name
 
 
-#: Real data at 1/100 of their float32 bytes and 8 KiB. The light field and the fMRI reach 15.8 and 26.8 dB; they are
+#: Real data at 1/100 of their float32 bytes and 8 KiB. The icon and the light field reach 29.3 and 15.8 dB; they are
 #: left out for time.
 SETS = [
-    ("icon_multilight", ("light", "y", "x", "rgb"), 29.3),
+    ("fmri_volume", ("time", "z", "y", "x"), 26.8),
     ("viscous_fingers_volume", ("time", "z", "y", "x"), 35.9),
 ]
 

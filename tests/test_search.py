@@ -40,14 +40,14 @@ def dictionaries(cells: Cells, n: int) -> list[F64]:
         np.stack([np.eye(size)] * cells.spec.cells) if rank is None else dense_basis(cells, m).astype(np.float64)
         for m, (rank, size) in enumerate(zip(cells.spec.ranks, cells.sizes, strict=True))
     ]
-    columns = [list[F64]() for _ in range(cells.spec.clusters[n])]
+    columns: dict[int, list[F64]] = {k: [] for k in range(cells.spec.clusters[n])}
     for c, cell in enumerate(np.ndindex(*cells.spec.clusters)):
         core = cells.cores[c].astype(np.float64)
         for m, basis in enumerate(bases):
             if m != n:
                 core = np.moveaxis(np.tensordot(basis[c], core, (1, m)), 0, m)
         columns[cell[n]].append(unfold(core, n).T)
-    return [np.concatenate(parts, axis=1) for parts in columns]
+    return [np.concatenate(parts, axis=1) for parts in columns.values()]
 
 
 def brute_force(cells: Cells, tensor: F32, n: int, mixture: int) -> tuple[list[tuple[int, ...]], F64]:

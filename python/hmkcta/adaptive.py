@@ -23,7 +23,7 @@ F32 = NDArray[np.float32]
 #: Most ranks a mode is examined at, and most entries of a node's table of choices.
 MOST_RANKS, TABLE_ENTRIES = 160, 60_000
 #: How far above an SNR goal a fit may end, in dB, and how often a fit is repeated to land there.
-OVERSHOOT, ATTEMPTS = 0.25, 6
+OVERSHOOT, ATTEMPTS = 0.25, 16
 
 
 @dataclass
@@ -156,7 +156,10 @@ class _LastLevel:
             error = self.goal.energy * 10 ** (-target / 10)
             chosen = allocate(self.spectra, error=max(error - self.elsewhere, 0.0))
             if chosen.choice.tobytes() in tried:
-                break
+                if reached is not None:
+                    break
+                target += OVERSHOOT  # the next step of ranks is further away than the error was off
+                continue
             tried.add(chosen.choice.tobytes())
             self._fit(chosen)
             over = self.goal.snr_now(self.tree) - snr

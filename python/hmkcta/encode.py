@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from math import isfinite, prod
 from typing import Any
@@ -13,6 +14,7 @@ from .errors import invalid
 from .fit import EFFORTS
 from .follow import Task, follow
 from .hierarchy import Progress, Run
+from .hmkfile.metadata import KINDS
 from .memory import check_memory
 from .model import Model
 from .plan import SCHEMES, Plan, parse_plan
@@ -52,8 +54,10 @@ def choose_plan(
     See `compress` for the arguments and what is raised.
     """
     run = _run(quality, scheme, decode_cost, seed, threads, progress)
-    source = _source(array, axes, transform, nan, max_memory)
-    return _chosen(source, run, organisation, snr, size, decode_cost)
+    _check_goal(snr, size)
+    with _one_blas_thread():
+        source = _source(array, axes, transform, nan, max_memory)
+        return _chosen(source, run, organisation, snr, size, decode_cost)
 
 
 def compress(
@@ -101,19 +105,31 @@ def compress(
     Raises:
         HmkctaError: an argument is out of range, the array holds NaN or infinity, or memory would not do.
 
+    >>> import numpy as np
     >>> ramp = np.add.outer(np.arange(32.0), np.arange(24.0))
     >>> model = compress(ramp, "R=2")
     >>> model.shape, model.snr > 60
     ((32, 24), True)
     """
     run = _run(quality, scheme, decode_cost, seed, threads, progress)
-    source = _source(array, axes, transform, nan, max_memory)
-    if isinstance(plan, str):
-        modes = source.organisation(organisation)
-        plan = replace(parse_plan(plan, modes, "most" if scheme == "auto" else scheme), snr=snr, size=size)
-    elif plan is None:
-        plan = _chosen(source, run, organisation, snr, size, decode_cost)
-    return follow(Task(source, plan, scheme, decode_cost, kind or source.kind, run))
+    _check_goal(snr, size)
+    if kind is not None and kind not in KINDS:
+        raise invalid("unknown-kind", "kind", kind, ", ".join(KINDS))
+    with _one_blas_thread():
+        source = _source(array, axes, transform, nan, max_memory)
+        if isinstance(plan, str):
+            modes = source.organisation(organisation)
+            plan = replace(parse_plan(plan, modes, "most" if scheme == "auto" else scheme), snr=snr, size=size)
+        elif plan is None:
+            plan = _chosen(source, run, organisation, snr, size, decode_cost)
+        return follow(Task(source, plan, scheme, decode_cost, kind or source.kind, run))
+
+
+def _one_blas_thread() -> AbstractContextManager[Any]:
+    """Nodes and blocks run in threads already; BLAS threads beside them only fight, and would change sums."""
+    from threadpoolctl import threadpool_limits  # pyright: ignore[reportMissingTypeStubs] (it has none)
+
+    return threadpool_limits(limits=1, user_api="blas")
 
 
 def _run(quality: str, scheme: str, decode_cost: int, seed: int, threads: int | None, progress: Progress | None) -> Run:
@@ -130,6 +146,15 @@ def _run(quality: str, scheme: str, decode_cost: int, seed: int, threads: int | 
     return Run(EFFORTS[quality], seed, threads or os.cpu_count() or 1, progress or _silent)
 
 
+def _check_goal(snr: float | None, size: int | None) -> None:
+    if snr is not None and size is not None:
+        raise invalid("two-goals", "goal", "snr and size", "one of them", "drop --snr or --size")
+    if snr is not None and not isfinite(snr):
+        raise invalid("snr", "snr", snr, "a finite number of dB")
+    if size is not None and size < 1:
+        raise invalid("size", "size", size, "a positive number of bytes")
+
+
 def _source(array: Any, axes: Any, transform: str, nan: float | None, max_memory: int | None) -> Source:
     source = prepare(array, axes, transform, nan)
     check_memory(
@@ -141,12 +166,6 @@ def _source(array: Any, axes: Any, transform: str, nan: float | None, max_memory
 def _chosen(
     source: Source, run: Run, organisation: str | None, snr: float | None, size: int | None, decode_cost: int
 ) -> Plan:
-    if snr is not None and size is not None:
-        raise invalid("two-goals", "goal", "snr and size", "one of them", "drop --snr or --size")
-    if snr is not None and not isfinite(snr):
-        raise invalid("snr", "snr", snr, "a finite number of dB")
-    if size is not None and size < 1:
-        raise invalid("size", "size", size, "a positive number of bytes")
     ceiling = None
     if snr is None and size is None:
         size, ceiling = max(4 * prod(source.shape) // DEFAULT_RATIO, SMALLEST_DEFAULT), DEFAULT_SNR

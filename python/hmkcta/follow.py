@@ -82,6 +82,9 @@ def _check(plan: Plan, sizes: Sequence[int]) -> None:
         if level.own and (number < len(plan.levels) or (plan.snr is None and plan.size is None)):
             allowed = "R<= in the last level only, together with a goal"
             raise invalid("own-ranks-place", f"level {number}", str(level), allowed, "add --snr or --size")
+        if level.own and level.cells > 1 and not level.grid:
+            allowed = "R<= with blocks, grid=AXIS:COUNT, or below a level that has the clusters"
+            raise invalid("own-ranks-clusters", f"level {number}", str(level), allowed)
     for n, (rank, clusters, size) in enumerate(zip(first.ranks, first.clusters, sizes, strict=True)):
         if rank is not None and rank > size and not first.own:
             allowed = f"1 to {size}, or * for an undecomposed mode"
@@ -168,4 +171,8 @@ def _measured(task: Task, tree: Hierarchy) -> Model:
     if source.value_transform.name != "identity":
         in_its_domain = [None if isinf(level.snr_db) else round(level.snr_db, 6) for level in transformed]
         metadata = replace(metadata, source={**metadata.source, "transformed_snr_db": in_its_domain})
-    return Model(replace(metadata, quality=quality), levels)
+    measured = Model(replace(metadata, quality=quality), levels)
+    if task.plan.size is not None and measured.nbytes > task.plan.size:
+        found, allowed = f"{task.plan.size} bytes", f"at least {measured.nbytes} bytes for this plan"
+        raise invalid("size-too-small", "size", found, allowed, "end the plan with a level R<=.. that fills the size")
+    return measured

@@ -93,7 +93,8 @@ def squared_norm(tensor: F32) -> float:
 
 def whole(tensor: F32) -> Hierarchy:
     """The hierarchy before any level: one node that owns every row."""
-    return Hierarchy(tensor, [[Node(tuple(np.arange(size) for size in tensor.shape))]])
+    rows: Rows = tuple([np.arange(size, dtype=np.intp) for size in tensor.shape])
+    return Hierarchy(tensor, [[Node(rows)]])
 
 
 def gather(tensor: F32, node: Node) -> F32:

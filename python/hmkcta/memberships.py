@@ -136,9 +136,9 @@ def start_candidates(
         labels: list[NDArray[np.intp]] = []
         for n, (f, c) in enumerate(zip(features, clusters, strict=True)):
             if f is None:
-                labels.append(np.zeros(tensor.shape[n], np.intp))
+                labels.append(np.zeros(int(tensor.shape[n]), np.intp))
                 continue
-            norm: F64 = np.sqrt(np.sum(np.square(f), axis=1, keepdims=True))
-            scaled = f * np.where(norm > 0, norm, 1.0) ** (power - 1)
+            norm = np.sqrt(np.square(f).sum(axis=1, keepdims=True))
+            scaled: F64 = f * np.where(norm > 0, norm, 1.0) ** (power - 1)
             labels.append(balanced_clusters(scaled, c, cap, rng))
         yield labels

@@ -86,7 +86,7 @@ class Trial:
         for choice in _undecomposed_choices(sizes):
             if any(clusters[n] > 1 for n in choice) or not tables:
                 continue
-            if prod(clusters) > 1:
+            if prod(clusters) > 1 and self.decode_cost > 1:
                 nodes = [_spectrum(*entry, choice, self.decode_cost - 1) for entry in tables]
                 fixed = header_bytes(len(sizes), 2) + carrier_bytes(sizes, clusters, choice)
                 found.append((self._worth(nodes, share, fixed), Candidate(organisation, grid, choice)))

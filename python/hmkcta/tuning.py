@@ -21,11 +21,11 @@ from .source import Source
 from .trial import Candidate, Trial
 
 #: Elements looked at for a candidate: to rank organisations, to rank grids, and to settle the blocks.
-SURVEY, COMPARE, REFINE = (1 << 16, 1 << 18), 1 << 20, 1 << 22
+SURVEY, COMPARE, REFINE = (1 << 17, 1 << 19), 1 << 20, 1 << 23
 #: Block edges never fall below this.
 SMALLEST_EDGE = 4
 #: How many organisations and candidates are looked at closer, and most rounds of refinement.
-ORGANISATIONS, FINALISTS, ROUNDS = (10, 3), 4, 1
+ORGANISATIONS, FINALISTS, ROUNDS = (12, 4), 4, 1
 
 Ranked = list[tuple[float, Candidate]]
 
@@ -81,6 +81,8 @@ def _finalists(search: Search, choices: Sequence[Organisation], progress: Progre
             survey.append((max(search.best(modes, grid, sample)[0] for grid in _few_grids(shape)), modes))
             progress("organisation", (number + 1) / len(left))
         left = [modes for _, modes in sorted(survey, key=lambda item: -item[0])[:most]]
+        # A survey thins large blocks and so misjudges high ranks: nothing merged always stays in the race.
+        left += [modes for modes in choices[:1] if modes not in left]
     ranked: Ranked = []
     grids = list(_many_grids(shape))
     for number, grid in enumerate(grids):

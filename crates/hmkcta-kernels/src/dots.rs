@@ -1,6 +1,7 @@
 //! Matrix products `C = A B^T`: inner products of contiguous rows, the lanes run along the rows.
 
-use pulp::{Arch, MemMask, Simd, WithSimd};
+use crate::machine::dispatch;
+use pulp::{MemMask, Simd, WithSimd};
 
 /// Numbers of a row worked off before the next rows: eight such pieces fit the level 1 or 2 cache.
 const DEPTH: usize = 2048;
@@ -14,7 +15,7 @@ pub fn dots(a: &[f32], b: &[f32], k: usize, out: &mut [f32], add: bool) {
     }
     let (m, n) = (a.len() / k, b.len() / k);
     assert!(a.len() == m * k && b.len() == n * k && out.len() == m * n);
-    Arch::new().dispatch(Run { a, b, k, out, add });
+    dispatch(Run { a, b, k, out, add });
 }
 
 struct Run<'a> {
@@ -136,10 +137,15 @@ unsafe fn read<S: Simd, const MASKED: bool>(simd: S, from: *const f32, mask: Mem
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::machine::tests::on_all_machines;
     use crate::testing::{close, numbers};
 
     #[test]
     fn agrees_with_the_definition() {
+        on_all_machines(compare_with_the_definition);
+    }
+
+    fn compare_with_the_definition() {
         for (seed, &(m, n, k)) in
             [(1, 1, 1), (4, 4, 64), (5, 6, 33), (3, 7, 5000), (9, 2, 15), (2, 2, 0)].iter().enumerate()
         {

@@ -1,7 +1,8 @@
 //! Matrix products `C (+)= A B` in which A may be strided and the rows of B and C are contiguous: the lanes run along
 //! the columns. Tiles of the result stay in registers. The instruction set is chosen at run time by `pulp`.
 
-use pulp::{Arch, MemMask, Simd, WithSimd};
+use crate::machine::dispatch;
+use pulp::{MemMask, Simd, WithSimd};
 
 /// Rows of B worked off before the next columns: 256 rows of a tile's columns fit the level 1 or 2 cache.
 const DEPTH: usize = 256;
@@ -64,7 +65,7 @@ pub fn multiply(a: Matrix, b: Matrix, add: bool, out: &mut [f32]) {
     }
     let last = (out.len() / size - 1) * b.rows * b.row_step + b.last();
     assert!(a.last() < a.data.len() && last < b.data.len());
-    Arch::new().dispatch(Run { a, b, add, out });
+    dispatch(Run { a, b, add, out });
 }
 
 struct Run<'a> {
@@ -225,10 +226,15 @@ unsafe fn store<S: Simd, const V: usize>(simd: S, to: *mut f32, values: &[S::f32
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::machine::tests::on_all_machines;
     use crate::testing::{close, numbers};
 
     #[test]
     fn agrees_with_the_definition() {
+        on_all_machines(compare_with_the_definition);
+    }
+
+    fn compare_with_the_definition() {
         for (seed, &(m, k, n, batch)) in [
             (1, 1, 1, 1),
             (4, 7, 64, 2),

@@ -1,8 +1,9 @@
 //! Inner products of dictionaries in float64.
 
 use crate::cells::Node;
+use crate::machine::dispatch;
 use crate::threads::for_each;
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 
 /// Pairs of cells from which on several threads pay.
 const PARALLEL_PAIRS: usize = 4096;
@@ -20,7 +21,7 @@ pub fn dictionary_gram(node: &Node, bases: &[&[f32]], cores: &[f32], n: usize) -
     let mut h = vec![0.0f64; side * side];
     let tasks = h.chunks_mut(rank * side).enumerate().collect();
     for_each(cells * cells >= PARALLEL_PAIRS, tasks, |(cell, rows)| {
-        Arch::new().dispatch(Row { dictionaries: &dictionaries, cell, rows });
+        dispatch(Row { dictionaries: &dictionaries, cell, rows });
     });
     mirror(&mut h, side);
     h
@@ -188,10 +189,15 @@ fn mirror(h: &mut [f64], side: usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::machine::tests::on_all_machines;
     use crate::testing::numbers;
 
     #[test]
     fn agrees_with_explicit_dictionaries() {
+        on_all_machines(compare_with_explicit_dictionaries);
+    }
+
+    fn compare_with_explicit_dictionaries() {
         let (sizes, ranks) = (vec![3, 4, 2], vec![2, 3, 2]);
         let members: [&[u16]; 3] = [&[0, 1, 1], &[0, 1, 1, 0, 0, 1, 1, 0], &[0, 0]];
         let shape = (sizes.clone(), vec![2, 2, 1], vec![1, 2, 1], ranks.clone(), vec![false, false, true]);

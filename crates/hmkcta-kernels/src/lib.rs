@@ -8,6 +8,7 @@ mod gauss_seidel;
 mod gemm;
 mod gram;
 mod hooi;
+mod machine;
 mod pick;
 mod project;
 mod reconstruct;

@@ -1,6 +1,7 @@
 //! Sub-tensors given by a row list for each mode: copied out of, into and added to a tensor in C order.
 
-use pulp::{Arch, MemMask, Simd, WithSimd};
+use crate::machine::dispatch;
+use pulp::{MemMask, Simd, WithSimd};
 
 /// Runs of at least this mean length are copied as runs, shorter ones element by element.
 const RUN: usize = 4;
@@ -52,7 +53,7 @@ impl Pick {
         let (x, block) = (x.as_ptr(), block.as_mut_ptr());
         // SAFETY: `Visit` asks only for places within the pick, which both slices hold.
         let places = move |tensor, at| unsafe { (x.add(tensor), block.add(at)) };
-        Arch::new().dispatch(Visit::<_, false> { pick: self, places });
+        dispatch(Visit::<_, false> { pick: self, places });
     }
 
     /// `x[rows] = block`
@@ -70,7 +71,7 @@ impl Pick {
         let (x, block) = (x.as_mut_ptr(), block.as_ptr());
         // SAFETY: as in `copy`.
         let places = move |tensor, at| unsafe { (block.add(at), x.add(tensor)) };
-        Arch::new().dispatch(Visit::<_, ADD> { pick: self, places });
+        dispatch(Visit::<_, ADD> { pick: self, places });
     }
 }
 
@@ -162,6 +163,7 @@ pub fn offsets(sizes: &[usize], rows: &[&[u32]], stride: usize) -> Vec<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::machine::tests::on_all_machines;
     use crate::testing::numbers;
 
     fn check(sizes: &[usize], rows: &[&[u32]]) {
@@ -183,6 +185,10 @@ mod tests {
 
     #[test]
     fn every_pattern_agrees_with_the_definition() {
+        on_all_machines(compare_patterns);
+    }
+
+    fn compare_patterns() {
         let all: Vec<u32> = (0..12).collect();
         check(&[12], &[&[1, 5, 7]]);
         check(&[2, 12], &[&[1], &all]);

@@ -3,8 +3,9 @@
 use crate::chain::transpose;
 use crate::dots::dots;
 use crate::gemm::{Matrix, multiply};
+use crate::machine::dispatch;
 use crate::threads::room;
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 
 /// What is left of a vector once its parts along the ones before are taken out counts as rounding noise below this
 /// share of its length: float32's 1e-7 with two digits to spare.
@@ -15,6 +16,8 @@ const TINY: f64 = 1e-30;
 const ORTHONORMAL: f64 = 1e-5;
 /// Numbers of a row converted to float64 at a time.
 const PIECE: usize = 256;
+/// A multiple of the lanes of every vector of float64.
+const LANES: usize = 16;
 
 /// Buffers of this module.
 #[derive(Default)]
@@ -37,11 +40,13 @@ impl Buffers {
         wide.resize(rank * PIECE, 0.0);
         for from in (0..length).step_by(PIECE) {
             let piece = PIECE.min(length - from);
+            // Whole vectors, of which the last one is filled up with zeros.
+            let padded = piece.next_multiple_of(LANES);
             for (row, wide) in v.chunks_exact(length).zip(wide.chunks_exact_mut(PIECE)) {
                 wide.iter_mut().zip(&row[from..from + piece]).for_each(|(to, &value)| *to = f64::from(value));
-                wide[piece..].fill(0.0);
+                wide[piece..padded].fill(0.0);
             }
-            Arch::new().dispatch(GramPiece { wide, rank, gram });
+            dispatch(GramPiece { wide, length: padded, rank, gram });
         }
     }
 
@@ -133,9 +138,10 @@ impl Buffers {
     }
 }
 
-/// Add the inner products of rows of `PIECE` numbers, lower triangle.
+/// Add the inner products of the first `length` of each row of `PIECE` numbers, lower triangle.
 struct GramPiece<'a> {
     wide: &'a [f64],
+    length: usize,
     rank: usize,
     gram: &'a mut [f64],
 }
@@ -145,8 +151,8 @@ impl WithSimd for GramPiece<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let GramPiece { wide, rank, gram } = self;
-        let row = |r: usize| S::as_simd_f64s(&wide[r * PIECE..(r + 1) * PIECE]).0;
+        let GramPiece { wide, length, rank, gram } = self;
+        let row = |r: usize| S::as_simd_f64s(&wide[r * PIECE..r * PIECE + length]).0;
         for r in 0..rank {
             let own = row(r);
             let gram = &mut gram[r * rank..=r * rank + r];
@@ -176,6 +182,7 @@ fn dots_with<S: Simd, const N: usize>(simd: S, rows: [&[S::f64s]; N], own: &[S::
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::machine::tests::on_all_machines;
     use crate::testing::{close, numbers};
 
     fn inner(v: &[f32], length: usize, r: usize, q: usize) -> f64 {
@@ -185,6 +192,10 @@ mod tests {
 
     #[test]
     fn rows_become_orthonormal_at_any_scale() {
+        on_all_machines(orthonormalise_at_all_scales);
+    }
+
+    fn orthonormalise_at_all_scales() {
         for scale in [1e-25f32, 1.0, 1e15] {
             let mut v: Vec<f32> = numbers(3 * 700, 1).iter().map(|x| x * scale).collect();
             Buffers::default().orthonormalise(&mut v, 3);
@@ -196,6 +207,10 @@ mod tests {
 
     #[test]
     fn dependent_rows_become_zero() {
+        on_all_machines(orthonormalise_dependent_rows);
+    }
+
+    fn orthonormalise_dependent_rows() {
         let mut v = numbers(10, 4);
         v.extend(v.clone().iter().map(|x| 3.0 * x));
         v.extend([0.0; 10]);
@@ -218,6 +233,10 @@ mod tests {
 
     #[test]
     fn a_steep_spectrum_keeps_its_small_directions() {
+        on_all_machines(iterate_on_a_steep_spectrum);
+    }
+
+    fn iterate_on_a_steep_spectrum() {
         // Rank 2 with singular values 1 and 1e-3, whose squares lie beyond what float32 keeps apart.
         let (left, right) = (numbers(2 * 30, 8), numbers(2 * 40, 9));
         let e: Vec<f32> = (0..30 * 40)

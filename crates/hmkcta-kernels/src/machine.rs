@@ -1,0 +1,47 @@
+//! The instruction set kernels run with, chosen at run time: AVX-512, AVX2 with FMA, NEON, or what every machine has.
+
+use pulp::{Arch, Scalar128b, Simd, WithSimd};
+
+/// Run a kernel with the best instruction set of this machine.
+#[inline]
+pub fn dispatch<Op: WithSimd>(op: Op) -> Op::Output {
+    match arch() {
+        // Four numbers at a time, as the compiler can do without being told of a processor.
+        Arch::Scalar => Simd::vectorize(Scalar128b, op),
+        arch => arch.dispatch(op),
+    }
+}
+
+#[cfg(not(test))]
+#[inline]
+fn arch() -> Arch {
+    Arch::new()
+}
+
+#[cfg(test)]
+fn arch() -> Arch {
+    tests::CHOSEN.get().unwrap_or_default()
+}
+
+#[cfg(test)]
+pub mod tests {
+    use pulp::Arch;
+    use std::cell::Cell;
+
+    thread_local! {
+        /// What kernels called by this thread run with; None: the best.
+        pub static CHOSEN: Cell<Option<Arch>> = const { Cell::new(None) };
+    }
+
+    /// Run a test with every instruction set that this machine has.
+    pub fn on_all_machines(test: impl Fn()) {
+        let mut all = vec![Arch::Scalar, Arch::new()];
+        #[cfg(target_arch = "x86_64")]
+        all.extend(pulp::x86::V3::try_new().map(Arch::V3));
+        for arch in all {
+            CHOSEN.set(Some(arch));
+            test();
+            CHOSEN.set(None);
+        }
+    }
+}
