@@ -71,7 +71,7 @@ def add_block(levels: Sequence[PackedLevel], rows: Sequence[Index], block: Real)
     for depth, level in enumerate(levels, start=1):
         alive = np.flatnonzero(level.shape[front.node, 0].any(axis=1))
         if not len(alive):
-            continue
+            break  # nodes that add nothing are leaves
         plain, clustered, small = _by_cost(level, front, alive, fixed)
         for batch in plain:
             _add_plain_nodes(level, front, batch, fixed, block)
