@@ -20,6 +20,7 @@ from .hmkfile import encoded_size, load, save
 from .indexing import Index, Selection, select
 from .memory import available_memory, check_memory, format_bytes
 from .packed import LevelBounds, LevelQuality, Metadata, PackedLevel
+from .plan import LevelSpec, Plan
 from .slabs import slabs
 from .transform import from_json
 
@@ -105,6 +106,23 @@ class Model:
     def bounds(self) -> tuple[LevelBounds, ...]:
         """The largest C, K, R of any node, a level."""
         return self.metadata.levels
+
+    @property
+    def plan(self) -> Plan:
+        """The plan that the levels follow, with the largest R, C and K of any node.
+
+        >>> from hmkcta._example import example_level, example_metadata
+        >>> print(Model(example_metadata(), [example_level()]).plan)
+        R=1,1
+        """
+        undecomposed = self.metadata.undecomposed
+        levels = [
+            LevelSpec(tuple(None if n in undecomposed else r for n, r in enumerate(level.ranks)), level.clusters,
+                      level.mixture, level.scheme)
+            for level in self.bounds
+            if all(level.clusters)
+        ]
+        return Plan(self.metadata.organisation, tuple(levels))
 
     @property
     def decode_cost(self) -> int:
