@@ -94,7 +94,7 @@ def test_ranks_of_each_node_are_cut_to_the_goal() -> None:
     plan = "R=1 grid=y:2,x:2 / R<=16"
     small, large = (fitted("light_field", plan=plan, snr=goal) for goal in (18.0, 26.0))
     assert 18 <= small.snr <= 18 + STEP
-    assert 26 <= large.snr <= 26 + STEP
+    assert 26 <= large.snr <= 26 + 1.25 * STEP  # four nodes: one step of one node is more than a dB
     assert small.nbytes < large.nbytes
     shapes = large.levels[1].shape
     assert len({tuple(shape[2]) for shape in shapes.tolist()}) > 1  # of each node's own
@@ -200,12 +200,10 @@ def test_a_size_for_a_plan_of_fixed_shape_is_not_ignored() -> None:
     assert refused(plan="R=2", size=2000).where == "size"
 
 
-def test_own_ranks_of_clusters_are_not_full_ranks() -> None:
-    """R=3 C=2,3,2 K=2 reaches 22 dB of this noise in 6.5 KiB."""
-    noise = np.random.default_rng(0).random((8, 9, 10))
-    model = compress(noise, "R<=10 C=2,3,2 K=2", snr=20.0, threads=1)
-    assert 20 <= model.snr < 30
-    assert model.nbytes < 9000
+def test_own_ranks_with_clusters_need_a_grid() -> None:
+    """Ranks are judged on the blocks of a grid; memberships found by trial have none beforehand."""
+    with pytest.raises(HmkctaError, match="own-ranks-clusters"):
+        compress(np.random.default_rng(0).random((8, 9, 10)), "R<=10 C=2,3,2 K=2", snr=20.0, threads=1)
 
 
 @pytest.mark.parametrize("plan", [None, "R<=8", "R=1 grid=y:2,x:2 / R<=8"])
