@@ -292,9 +292,8 @@ def test_broken_cells_are_refused() -> None:
 
 def backend_of(choice: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", "from hmkcta import backends; print(backends.name)"]
-    return subprocess.run(
-        command, env=os.environ | {"HMKCTA_BACKEND": choice}, capture_output=True, text=True, check=False
-    )
+    environment = os.environ | {"HMKCTA_BACKEND": choice, "PYTHONPATH": os.pathsep.join(sys.path)}
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
 
 
 def test_the_environment_chooses_the_backend() -> None:
