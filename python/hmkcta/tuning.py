@@ -63,11 +63,9 @@ def tune(
     search = Search(Trial(source, snr, size, decode_cost, run.seed, run.threads, energy))
     choices = list(organisations(source.axes)) if organisation is None else [organisation]
     finalists = _finalists(search, choices, run.progress)
-    if ceiling is not None and finalists[0][0] > ceiling:
-        return tune(
-            source, run, snr=ceiling, size=None, ceiling=None, decode_cost=decode_cost, organisation=organisation
-        )
     best = _settled(search, [candidate for _, candidate in finalists], run.progress)
+    if ceiling is not None and finalists[0][0] > ceiling:
+        snr, size = ceiling, None  # what fills the bytes beyond the ceiling reaches it with fewer
     return plan_of(source, best, snr, size, decode_cost)
 
 
