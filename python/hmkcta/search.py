@@ -62,7 +62,7 @@ def joint_rows(cells: Cells, tensor: F32, n: int, mixture: int, search: str) -> 
 
     `search` is ``optimal``, ``greedy`` or ``fixed`` (keep the subsets). The rows are not orthonormal afterwards.
     """
-    coding = _coding(cells, tensor, n)
+    coding = code(cells, tensor, n)
     clusters, size = cells.spec.clusters[n], cells.sizes[n]
     everyone = np.arange(size)
     if search == "fixed":
@@ -79,7 +79,8 @@ def joint_rows(cells: Cells, tensor: F32, n: int, mixture: int, search: str) -> 
     _store(cells, n, coding, mixture)
 
 
-def _coding(cells: Cells, tensor: F32, n: int) -> Coding:
+def code(cells: Cells, tensor: F32, n: int) -> Coding:
+    """b and H of mode n, grouped by its clusters."""
     rank, clusters = cells.ranks[n], cells.spec.clusters[n]
     y = kernels.project_cells(cells, tensor, n)  # [PC, I_n, prod_{m != n} R_m]
     cores = np.moveaxis(cells.cores, n + 1, 1).reshape(cells.spec.cells, rank, -1)

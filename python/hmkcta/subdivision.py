@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from . import backends as kernels
 from .cells import Cells
 from .memberships import uniform_blocks
+from .search import code
 
 F32 = NDArray[np.float32]
 
@@ -35,19 +35,13 @@ def subdivide(cells: Cells, tensor: F32, scheme: str) -> list[NDArray[np.intp]]:
 
 def _subset_errors(cells: Cells, tensor: F32, n: int) -> NDArray[np.float64]:
     """`[I_n, K_n]`: squared error of each row by each of its subsets alone, less |t_i|^2."""
-    rank, clusters = cells.ranks[n], cells.spec.clusters[n]
-    y = kernels.project_cells(cells, tensor, n)  # [PC, I_n, prod_{m != n} R_m]
-    cores = np.moveaxis(cells.cores, n + 1, 1).reshape(cells.spec.cells, rank, -1).astype(np.float64)
-    b = np.matmul(cores, y.transpose(0, 2, 1))  # [PC, R_n, I_n]
-    h = kernels.dictionary_gram(cells, n).reshape(cells.spec.cells, rank, cells.spec.cells, rank)
-    of_cluster = np.indices(cells.spec.clusters)[n].reshape(-1)
+    coding = code(cells, tensor, n)
+    side = coding.q
     x = cells.bases[n].astype(np.float64)  # [I_n, K_n, PC_-n, R_n]
     errors = np.empty(cells.members[n].shape)
-    for k in range(clusters):
-        at = np.flatnonzero(of_cluster == k)
-        side = len(at) * rank
-        h_kk = h[at][:, :, at].reshape(side, side)
-        b_k = b[at].reshape(side, -1).T  # [I_n, PC_-n R_n]
+    for k in range(cells.spec.clusters[n]):
+        at = slice(k * side, (k + 1) * side)
+        h_kk, b_k = coding.h[at, at], coding.b[at].T  # b_k: [I_n, PC_-n R_n]
         rows, slots = np.nonzero(cells.members[n] == k)
         x_k = x[rows, slots].reshape(len(rows), side)
         errors[rows, slots] = np.einsum("iq,iq->i", x_k, x_k @ h_kk - 2.0 * b_k[rows])
