@@ -17,12 +17,12 @@ PACKAGE = ROOT / "python" / "hmkcta"
 
 #: Modules and subpackages from the lowest layer up; an import goes to a lower layer, or stays in its subpackage.
 LAYERS = (
-    ("_version", "errors", "slabs", "tucker", "_native"),
+    ("_version", "errors", "recordlog", "slabs", "tucker", "_native"),
     ("axes", "memory", "transform", "indexing"),
     ("plan", "packed"),
     ("cells", "predict", "storage", "hmkfile", "source", "_example"),
     ("backends", "memberships", "decode_scattered"),
-    ("search", "decode_cells"),
+    ("search", "decode_cells", "journal"),
     ("fit", "subdivision", "decode_dense"),
     ("hierarchy", "decode"),
     ("pack", "allocation", "model"),

@@ -4,12 +4,14 @@ from ._version import __version__
 from .axes import Axis
 from .encode import choose_plan, compress
 from .errors import HmkctaError
+from .journal import Journal
 from .model import Model, open
 from .plan import LevelSpec, Plan, parse_plan
 
 __all__ = [
     "Axis",
     "HmkctaError",
+    "Journal",
     "LevelSpec",
     "Model",
     "Plan",

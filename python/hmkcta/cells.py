@@ -56,7 +56,7 @@ class Cells:
         """The cells as they will be stored: float16 numbers, cores with a float32 factor a cell."""
         cores, scale = round_cores(self.cores)
         wide = cores.astype(np.float32) * scale.reshape(-1, *[1] * len(self.sizes))
-        bases = [basis.astype(np.float16).astype(np.float32) for basis in self.bases]
+        bases = [basis.astype(np.float16, order="C").astype(np.float32) for basis in self.bases]
         return Cells(self.sizes, self.spec, self.members, bases, wide)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from math import isfinite, prod
 from typing import Any
 
@@ -15,6 +15,7 @@ from .fit import EFFORTS
 from .follow import Task, follow
 from .hierarchy import Progress, Run
 from .hmkfile.metadata import KINDS
+from .journal import Journal, decisive
 from .memory import check_memory
 from .model import Model
 from .plan import SCHEMES, Plan, parse_plan
@@ -78,6 +79,7 @@ def compress(
     threads: int | None = None,
     max_memory: int | None = None,
     progress: Progress | None = None,
+    journal: Journal | None = None,
 ) -> Model:
     """Approximate an array by HMK-CTA.
 
@@ -98,12 +100,14 @@ def compress(
         threads: how many; None: all cores.
         max_memory: bytes; None: what is free.
         progress: called with a stage's name and the fraction of it done.
+        journal: keeps what is finished, so that an interrupted call can go on.
 
     Returns:
         The model; `Model.save` writes the file.
 
     Raises:
-        HmkctaError: an argument is out of range, the array holds NaN or infinity, or memory would not do.
+        HmkctaError: an argument is out of range, the array holds NaN or infinity, memory would not do, or the journal
+            is of another call.
 
     >>> import numpy as np
     >>> ramp = np.add.outer(np.arange(32.0), np.arange(24.0))
@@ -120,8 +124,12 @@ def compress(
         if isinstance(plan, str):
             modes = source.organisation(organisation)
             plan = replace(parse_plan(plan, modes, "most" if scheme == "auto" else scheme), snr=snr, size=size)
-        elif plan is None:
-            plan = _chosen(source, run, organisation, snr, size, decode_cost)
+        if journal is not None:
+            run = replace(run, journal=journal)
+            given = None if plan is None else asdict(plan)
+            journal.begin(decisive(source, plan=given, organisation=organisation, snr=snr, size=size, kind=kind,
+                                   decode_cost=decode_cost, quality=quality, scheme=scheme, seed=seed))
+        plan = plan or run.journal.plan(lambda: _chosen(source, run, organisation, snr, size, decode_cost))
         return follow(Task(source, plan, scheme, decode_cost, kind or source.kind, run))
 
 

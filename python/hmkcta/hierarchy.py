@@ -15,6 +15,7 @@ from . import backends as kernels
 from .axes import Axis, Organisation
 from .cells import Cells
 from .fit import WARM, Effort, Labels, fit_level
+from .journal import NoJournal
 from .memberships import uniform_blocks
 from .plan import LevelSpec
 from .subdivision import subdivide
@@ -27,12 +28,13 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Run:
-    """What every step of a fit shares: how long to try, where chance starts, threads, and whom to tell."""
+    """What every step of a fit shares: how long to try, where chance starts, threads, whom to tell, what is done."""
 
     effort: Effort
     seed: int
     threads: int
     progress: Progress
+    journal: NoJournal = field(default_factory=NoJournal)
 
 
 @dataclass(eq=False)
@@ -131,27 +133,37 @@ def in_parallel(work: Callable[[int], None], nodes: Sequence[Node], stage: str, 
 
 def fit_nodes(tree: Hierarchy, specs: Sequence[LevelSpec | None], run: Run, labels: LabelsOf = lambda _: None) -> None:
     """Fit the deepest level, each node by its own spec (None: it stays empty), from given disjoint memberships."""
-    nodes, depth = tree.levels[-1], len(tree.levels)
+    nodes, depth, step = tree.levels[-1], len(tree.levels), run.journal.step()
 
     def work(s: int) -> None:
         node, spec = nodes[s], specs[s]
         if spec is None or node.elements == 0:
             return
         tensor = gather(tree.residual, node)
-        if not tensor.any():
-            return
-        cells, left = fit_level(tensor, spec, run.effort, np.random.default_rng([run.seed, depth, s]), labels(node))
-        scatter(tree.residual, node, _rounded(node, cells, left))
+        finished = run.journal.recall(step, s, node.sizes, spec)
+        if finished is None:
+            if not tensor.any():
+                return
+            cells, _ = fit_level(tensor, spec, run.effort, np.random.default_rng([run.seed, depth, s]), labels(node))
+            node.cells = cells.rounded()
+            run.journal.keep(step, s, node.cells)
+        else:
+            node.cells = finished.cells
+        scatter(tree.residual, node, _exchanged(tensor, None, node.cells))
 
     in_parallel(work, nodes, f"level {depth}", run)
 
 
-def _rounded(node: Node, cells: Cells, left: F32) -> F32:
-    """Store the cells in the node; what their rounding adds to what they leave, the next level absorbs."""
-    node.cells = cells.rounded()
-    kernels.accumulate(cells, left, 1.0)
-    kernels.accumulate(node.cells, left, -1.0)
-    return left
+def _exchanged(residual: F32, old: Cells | None, new: Cells | None) -> F32:
+    """The residual, in place, with other cells: a function of the stored numbers alone, however they were found.
+
+    So what rounding adds the next level absorbs, and cells read from a journal leave what fitted ones left.
+    """
+    if old is not None:
+        kernels.accumulate(old, residual, 1.0)
+    if new is not None:
+        kernels.accumulate(new, residual, -1.0)
+    return residual
 
 
 def descend(tree: Hierarchy, scheme: str, run: Run) -> None:
@@ -196,23 +208,32 @@ def ascend(tree: Hierarchy) -> None:
 def backfit(tree: Hierarchy, run: Run, sweeps: int = 1) -> None:
     """Refit every level in turn to what all the others leave; memberships stay."""
     for number, nodes in enumerate(tree.levels, start=1):
+        step = run.journal.step()
 
-        def work(s: int, nodes: list[Node] = nodes) -> None:
+        def work(s: int, nodes: list[Node] = nodes, step: int = step) -> None:
             node = nodes[s]
-            if node.cells is None:
-                return
-            residual = gather(tree.residual, node)
-            before = squared_norm(residual)
             old = node.cells
-            cells = Cells(old.sizes, old.spec, old.members, [b.copy() for b in old.bases], old.cores.copy())
-            kernels.fit_cells(cells, residual, sweeps, WARM)
-            residual = _rounded(node, cells, residual)
-            if squared_norm(residual) <= before:
-                scatter(tree.residual, node, residual)
-            else:  # so close to the optimum that rounding outweighs the gain
-                node.cells = old
+            if old is None:
+                return
+            finished = run.journal.recall(step, s, node.sizes, old.spec)
+            cells = _refitted(old, gather(tree.residual, node), sweeps) if finished is None else finished.cells
+            if finished is None:
+                run.journal.keep(step, s, cells)
+            if cells is not None:
+                node.cells = cells
+                scatter(tree.residual, node, _exchanged(gather(tree.residual, node), old, cells))
 
         in_parallel(work, nodes, f"back-fitting level {number}", run)
+
+
+def _refitted(old: Cells, residual: F32, sweeps: int) -> Cells | None:
+    """Rounded cells that leave less than the old ones, which leave `residual` (used up); None: there are none."""
+    before = squared_norm(residual)
+    cells = Cells(old.sizes, old.spec, old.members, [b.copy() for b in old.bases], old.cores.copy())
+    kernels.fit_cells(cells, residual, sweeps, WARM)
+    rounded = cells.rounded()
+    # So close to the optimum that rounding outweighs the gain?
+    return rounded if squared_norm(_exchanged(residual, cells, rounded)) <= before else None
 
 
 def grid_labels(spec: LevelSpec, axes: Sequence[Axis], organisation: Organisation) -> LabelsOf:

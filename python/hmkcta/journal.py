@@ -1,0 +1,305 @@
+"""What a run has finished, kept on disk: after an interruption finished nodes are read instead of fitted.
+
+Fitting is deterministic, so a run that is begun again makes the same steps in the same order; the fitted cells of a
+node are known by the number of the step and of the node. The residual is never stored: it follows from the cells.
+A journal is a folder with `run.json` (all that decides the result), `plan.json` (the plan, if it was chosen) and
+`nodes.log` (`recordlog.py`).
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import platform
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any, cast
+
+import numpy as np
+from safetensors.numpy import load, save
+
+from . import backends
+from ._version import __version__
+from .cells import Cells
+from .errors import HmkctaError, Kind
+from .hmkfile import published
+from .hmkfile.reasons import fault
+from .plan import LevelSpec, Plan
+from .recordlog import Busy, RecordLog
+from .source import Source
+
+RUN, PLAN, NODES = "run.json", "plan.json", "nodes.log"
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+@dataclass(frozen=True)
+class Finished:
+    """What became of a node in a step: its cells, or None where it keeps those it had."""
+
+    cells: Cells | None
+
+
+class NoJournal:
+    """Nothing is kept: every node is fitted."""
+
+    def plan(self, choose: Callable[[], Plan]) -> Plan:
+        """The plan that this run chose before, or chooses now."""
+        return choose()
+
+    def step(self) -> int:
+        """The number of the next step, the same in every run with the same fields."""
+        return 0
+
+    def recall(self, step: int, node: int, sizes: Sequence[int], spec: LevelSpec) -> Finished | None:
+        """What became of a node of these sizes, to be fitted by `spec`; None: it is still to be fitted."""
+        del step, node, sizes, spec
+
+    def keep(self, step: int, node: int, cells: Cells | None) -> None:
+        """Write down a node's cells with rounded numbers; None: it keeps those it had."""
+
+
+class Journal(NoJournal):
+    """The journal of one run of `compress`, in a folder of its own; a context manager.
+
+    When the block ends, so that the model is saved, the folder is removed. When it ends by an error the folder stays,
+    and the same call with ``resume=True`` goes on and ends in the same bytes. Killing the process does as well.
+
+    Args:
+        folder: where; made when the run begins. By custom the output's name with ``.partial`` behind it.
+        resume: go on with what the folder holds; if it holds nothing, begin.
+        overwrite: begin again; what the folder holds is lost.
+
+    Raises:
+        HmkctaError: `Io`, reason ``partial-exists``: the folder holds an interrupted run and neither `resume` nor
+            `overwrite` is given.
+
+    >>> import tempfile, numpy as np
+    >>> from hmkcta import compress
+    >>> ramp = np.add.outer(np.arange(32.0), np.arange(24.0))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     with Journal(f"{folder}/ramp.hmk.partial", resume=True) as journal:
+    ...         model = compress(ramp, "R=2", journal=journal)
+    ...         model.save(f"{folder}/ramp.hmk")
+    ...     sorted(os.listdir(folder))
+    ['ramp.hmk']
+    """
+
+    def __init__(self, folder: str | os.PathLike[str], *, resume: bool = False, overwrite: bool = False) -> None:
+        self.folder = Path(folder)
+        self._resume, self._overwrite = resume and not overwrite, overwrite
+        self._log: RecordLog | None = None
+        self._steps = 0
+        #: Finished nodes that were found when the run began.
+        self.found = 0
+        self._refuse_others()
+
+    def __enter__(self) -> Journal:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._log is None:
+            return
+        # What was asked for cannot be, and will not be the next time: there is nothing to go on with.
+        vain = isinstance(error, HmkctaError) and error.kind is Kind.INVALID_ARGUMENT
+        if error is None or vain or not self.holds_work:
+            self._discard()
+        else:
+            self.close()
+
+    @property
+    def holds_work(self) -> bool:
+        """Whether the folder holds anything that would have to be done again."""
+        with self._as_io():
+            nodes = self.folder / NODES
+            return (self.folder / PLAN).exists() or (nodes.exists() and nodes.stat().st_size > 0)
+
+    def close(self) -> None:
+        """Force everything to the disk and let go of it."""
+        if self._log is not None:
+            log, self._log = self._log, None
+            with self._as_io():
+                log.sync()
+                log.close()
+
+    def begin(self, run: Mapping[str, Any]) -> None:
+        """Make the folder, or compare what it holds with this run.
+
+        Raises:
+            HmkctaError: `InvalidArgument`, reason ``partial-differs``, naming the fields; `Io` if another process
+                works on it (``partial-busy``), or the folder cannot be written to.
+        """
+        with self._as_io():
+            self._refuse_others()
+            self.folder.mkdir(exist_ok=True)
+            self._open_log()
+            try:
+                if self._resume and self.holds_work:
+                    self._compare(run)
+                else:
+                    self._clear()
+                    self._write(RUN, run)
+            except BaseException:
+                self.close()
+                raise
+        self._steps = 0
+
+    def plan(self, choose: Callable[[], Plan]) -> Plan:
+        """The plan of the interrupted run; else the one chosen now, which is written down."""
+        if (self.folder / PLAN).exists():
+            return _plan(self._read(PLAN))
+        plan = choose()
+        with self._as_io():
+            self._write(PLAN, asdict(plan))
+        return plan
+
+    def step(self) -> int:
+        """The number of the next step."""
+        self._steps += 1
+        return self._steps
+
+    def recall(self, step: int, node: int, sizes: Sequence[int], spec: LevelSpec) -> Finished | None:
+        """What is written down of a node in a step."""
+        assert self._log is not None
+        with self._as_io():
+            content = self._log.read((step, node))
+        if content is None:
+            return None
+        cells = _unpacked(content, spec) if content else None
+        if cells is not None and cells.sizes != tuple(sizes):
+            found = f"a node of {cells.sizes} in step {step}, node {node}"
+            raise self._useless(found, f"one of {tuple(sizes)}")
+        return Finished(cells)
+
+    def keep(self, step: int, node: int, cells: Cells | None) -> None:
+        """Write down what became of a node.
+
+        Raises:
+            HmkctaError: `Io`, ``disk-full`` or ``unwritable``; what was written before stays.
+        """
+        assert self._log is not None
+        content = b"" if cells is None else _packed(cells)
+        with self._as_io():
+            self._log.append((step, node), content)
+
+    def _open_log(self) -> None:
+        try:
+            self._log = RecordLog(self.folder / NODES)
+        except Busy:
+            found, allowed = "another process at work on it", "one at a time"
+            raise HmkctaError(Kind.IO, "partial-busy", str(self.folder), found=found, allowed=allowed,
+                              hint="wait until it has ended") from None
+        self.found = len(self._log)
+
+    def _refuse_others(self) -> None:
+        if self.folder.exists() and not self.folder.is_dir():
+            raise fault("unwritable", str(self.folder), "a file", "a folder, or nothing", "move it away")
+        if not (self._resume or self._overwrite) and self.holds_work:
+            raise HmkctaError(Kind.IO, "partial-exists", str(self.folder), found="the work of an interrupted run",
+                              hint="go on with it by --resume, or begin again with --overwrite")
+
+    def _compare(self, run: Mapping[str, Any]) -> None:
+        before, now = self._read(RUN), json.loads(json.dumps(run))
+        differing = [name for name in {**before, **now} if before.get(name) != now.get(name)]
+        if differing:
+            found, allowed = (", ".join(f"{name} {json.dumps(fields.get(name))}" for name in differing)
+                              for fields in (now, before))
+            raise HmkctaError(
+                Kind.INVALID_ARGUMENT, "partial-differs", str(self.folder), found=found,
+                allowed=f"{allowed}, as the interrupted run had", hint="give what it was begun with, or --overwrite")
+
+    def _read(self, name: str) -> dict[str, Any]:
+        try:
+            return json.loads((self.folder / name).read_text(encoding="utf-8"))
+        except (FileNotFoundError, ValueError) as error:
+            raise self._useless(f"no readable {name}", "the files of a run") from error
+
+    def _write(self, name: str, content: Mapping[str, Any]) -> None:
+        with published(self.folder / name, overwrite=True) as file:
+            file.write(json.dumps(content, indent=1).encode())
+
+    def _useless(self, found: str, allowed: str) -> HmkctaError:
+        return HmkctaError(Kind.CORRUPTION, "partial-damaged", str(self.folder), found=found, allowed=allowed,
+                           hint="begin again with --overwrite")
+
+    def _clear(self) -> None:
+        """Nodes before the plan and the run they belong to, so that a crash in between leaves nothing that counts."""
+        assert self._log is not None
+        self._log.clear()
+        self.found = 0
+        for path in (self.folder / PLAN, self.folder / RUN, *self.folder.glob(".*.tmp")):
+            path.unlink(missing_ok=True)
+
+    def _discard(self) -> None:
+        """Remove the folder, unless somebody put files of their own there."""
+        with self._as_io():
+            self._clear()
+            self.close()
+            (self.folder / NODES).unlink(missing_ok=True)
+        with suppress(OSError):
+            self.folder.rmdir()
+
+    @contextmanager
+    def _as_io(self) -> Generator[None]:
+        """Turn what the operating system says into an `Io` error that says what to do."""
+        try:
+            yield
+        except OSError as error:
+            full = error.errno in _FULL
+            raise fault("disk-full" if full else "unwritable", str(self.folder), error.strerror or error,
+                        "a folder with room for what is finished",
+                        "free some space, then go on with --resume" if full else "check the folder") from error
+
+
+def decisive(source: Source, **settings: Any) -> dict[str, Any]:
+    """All that decides the result of a run: the array, the settings, and what computes.
+
+    Different processors round differently, so BLAS's name for this one is among it; the number of threads is not.
+    """
+    from threadpoolctl import threadpool_info  # pyright: ignore[reportMissingTypeStubs] (it has none)
+
+    libraries = cast("list[dict[str, Any]]", threadpool_info())
+    blas = sorted({str(library.get("architecture")) for library in libraries if library["user_api"] == "blas"})
+    axes = [[axis.name, axis.role, axis.unit, None if axis.coords is None else np.asarray(axis.coords).tolist()]
+            for axis in source.axes]
+    return {
+        "sha256 of the array": source.fingerprint["sha256"], "shape": list(source.shape), "dtype": source.dtype,
+        "axes": axes, "transform": source.transform, "nan": source.nan, **settings,
+        "hmkcta": __version__, "kernels": backends.name, "machine": " ".join([platform.machine(), *blas]),
+    }
+
+
+def _packed(cells: Cells) -> bytes:
+    """Bases as float16, which they are rounded to; cores as float32, as their factors are not known any more."""
+    ranks = [-1 if rank is None else rank for rank in cells.spec.ranks]
+    arrays: dict[str, Any] = {
+        "spec": np.array([cells.sizes, ranks, cells.spec.clusters, cells.spec.mixture], np.int64),
+        "cores": np.ascontiguousarray(cells.cores),
+    }
+    for n in range(cells.order):
+        arrays[f"members/{n}"] = np.ascontiguousarray(cells.members[n])
+        arrays[f"bases/{n}"] = np.ascontiguousarray(cells.bases[n], np.float16)
+    return save(arrays)
+
+
+def _unpacked(content: bytes, spec: LevelSpec) -> Cells:
+    """The cells; what their spec has beside R, C and K is that of `spec`."""
+    arrays = load(content)
+    sizes, ranks, clusters, mixture = (tuple(row) for row in arrays["spec"].tolist())
+    exact = replace(spec, ranks=tuple(None if r < 0 else r for r in ranks), clusters=clusters, mixture=mixture)
+    order = range(len(sizes))
+    return Cells(sizes, exact, [arrays[f"members/{n}"] for n in order],
+                 [arrays[f"bases/{n}"].astype(np.float32) for n in order], arrays["cores"])
+
+
+def _plan(content: Mapping[str, Any]) -> Plan:
+    levels = tuple(
+        LevelSpec(tuple(level["ranks"]), tuple(level["clusters"]), tuple(level["mixture"]), level["scheme"],
+                  tuple((axis, count) for axis, count in level["grid"]), level["own"])
+        for level in content["levels"])
+    return Plan(tuple(map(tuple, content["organisation"])), levels, content["snr"], content["size"])
