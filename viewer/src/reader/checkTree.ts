@@ -1,0 +1,142 @@
+/** Checks of the tree: children numbered in order, and every row of a node in one place of one child list. */
+
+import { fault } from "./reasons";
+import { type Geometry, nameIn, offsetSteps } from "./tables";
+
+/** Check `child`, `part` and `local` of a level against the nodes of the next one. */
+export function checkParts(above: Geometry, below: Geometry): void {
+  const counts = checkChildren(above, below);
+  const slots = above.clusters.map((clusters) => slotStarts(clusters, counts));
+  for (let n = 0; n < above.packed.order; n += 1) {
+    const [parts, locals] = [above.packed.part[n] ?? null, above.packed.local[n] ?? null];
+    const owned = parts === null || locals === null ? null : checkMode(above, n, counts, slots[n]!, parts, locals);
+    checkChildRows(above, below, n, counts, slots[n]!, owned);
+  }
+}
+
+/** The number of children of each node: none or PC, which together are the next level. */
+function checkChildren(above: Geometry, below: Geometry): Float64Array {
+  const name = nameIn(above, "child");
+  const child = above.packed.child ?? new Uint32Array(1);
+  const counts = offsetSteps(child, name);
+  counts.forEach((count, s) => {
+    if (count !== 0 && count !== above.cells[s]) {
+      throw fault("child-order", name, `${count} children of node ${s}`,
+        `0 or ${above.cells[s]}, one for each combination of parts`);
+    }
+  });
+  const last = child[child.length - 1] ?? 0;
+  if (last !== below.packed.nodes) {
+    throw fault("child-order", name, `${last} children`, `${below.packed.nodes}, the nodes of the next level`);
+  }
+  return counts;
+}
+
+/** First slot of each node in a table with a slot for each part of a mode of each node that has children. */
+function slotStarts(clusters: Uint32Array, counts: Float64Array): Float64Array {
+  const starts = new Float64Array(counts.length + 1);
+  counts.forEach((count, s) => {
+    starts[s + 1] = starts[s]! + (count > 0 ? clusters[s]! : 0);
+  });
+  return starts;
+}
+
+/** Calls `visit` with each row of a mode, the node that owns it, and its position there. */
+function eachRow(rows: Float64Array, visit: (row: number, node: number, position: number) => void): void {
+  let row = 0;
+  for (let s = 0; s < rows.length; s += 1) {
+    for (let position = 0; position < rows[s]!; position += 1, row += 1) {
+      visit(row, s, position);
+    }
+  }
+}
+
+/** Check the rows of one mode; return how many rows each slot gets. */
+function checkMode(
+  above: Geometry, n: number, counts: Float64Array, slots: Float64Array, part: Uint16Array, local: Uint32Array,
+): Float64Array {
+  const rows = above.rows[n]!;
+  const clusters = above.clusters[n]!;
+  const total = rows.reduce((all, each) => all + each, 0);
+  const [partName, localName] = [nameIn(above, `part/${n}`), nameIn(above, `local/${n}`)];
+  for (const [name, array] of [[partName, part], [localName, local]] as const) {
+    if (array.length !== total) {
+      throw fault("array-shape", name, `[${array.length}]`, `[${total}]`);
+    }
+  }
+  for (const [name, array] of [[partName, part], [localName, local]] as const) {
+    eachRow(rows, (row, s) => {
+      if (counts[s] === 0 && array[row] !== 0) {
+        throw fault("leaf-rows", name, `${array[row]} in row ${row}`, "0 in a leaf's rows");
+      }
+    });
+  }
+  const owned = new Float64Array(slots[slots.length - 1]!);
+  eachRow(rows, (row, s) => {
+    if (counts[s] === 0) {
+      return;
+    }
+    if (part[row]! >= clusters[s]!) {
+      throw fault("part-range", partName, `${part[row]} in row ${row}`, `less than ${clusters[s]}`);
+    }
+    owned[slots[s]! + part[row]!]! += 1;
+  });
+  checkPlaces(above, n, counts, slots, owned, part, local);
+  eachRow(rows, (row, s, position) => {
+    if (counts[s]! > 0 && above.cells[s] === 1 && local[row] !== position) {
+      throw fault("self-child", localName, `${local[row]} in row ${row}`,
+        `${position}, as an only child keeps all rows in order`);
+    }
+  });
+  return owned;
+}
+
+/** The local positions of the rows of each slot must be 0, 1, .. up to their number, each once. */
+function checkPlaces(
+  above: Geometry, n: number, counts: Float64Array, slots: Float64Array, owned: Float64Array,
+  part: Uint16Array, local: Uint32Array,
+): void {
+  const name = nameIn(above, `local/${n}`);
+  const firstPlace = new Float64Array(owned.length + 1);
+  owned.forEach((count, slot) => {
+    firstPlace[slot + 1] = firstPlace[slot]! + count;
+  });
+  const taken = new Uint8Array(firstPlace[owned.length]!);
+  eachRow(above.rows[n]!, (row, s) => {
+    if (counts[s]! > 0 && local[row]! >= owned[slots[s]! + part[row]!]!) {
+      throw fault("local-range", name, `${local[row]} in row ${row}`, `less than ${owned[slots[s]! + part[row]!]}`);
+    }
+  });
+  eachRow(above.rows[n]!, (row, s) => {
+    if (counts[s] === 0) {
+      return;
+    }
+    const place = firstPlace[slots[s]! + part[row]!]! + local[row]!;
+    if (taken[place] !== 0) {
+      throw fault("local-twice", name, `${local[row]} in row ${row} and in another row of its part`,
+        "each position once");
+    }
+    taken[place] = 1;
+  });
+}
+
+/** Every child owns the rows that its parent's parts give it; of an undecomposed mode (`owned` null), all of them. */
+function checkChildRows(
+  above: Geometry, below: Geometry, n: number, counts: Float64Array, slots: Float64Array, owned: Float64Array | null,
+): void {
+  let child = 0;
+  for (let s = 0; s < counts.length; s += 1) {
+    let stride = 1; // parts are flattened in C order, the last mode fastest
+    for (let m = n + 1; m < above.packed.order; m += 1) {
+      stride *= above.clusters[m]![s]!;
+    }
+    for (let number = 0; number < counts[s]!; number += 1, child += 1) {
+      const slot = slots[s]! + (Math.floor(number / stride) % above.clusters[n]![s]!);
+      const expected = owned === null ? above.rows[n]![s]! : owned[slot]!;
+      if (below.rows[n]![child] !== expected) {
+        throw fault("row-count", nameIn(below, `row_offset/${n}`), `${below.rows[n]![child]} rows of node ${child}`,
+          `${expected}, those that its parent's parts give it`);
+      }
+    }
+  }
+}

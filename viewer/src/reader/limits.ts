@@ -1,0 +1,31 @@
+/** Limits on what a file may declare, checked before anything of that size is allocated. */
+
+import { type Reason, fault } from "./reasons";
+
+/** The largest values a reader takes (`docs/format.md`, section 7). */
+export interface Limits {
+  order: number; // modes of the tensor
+  axes: number; // axes of the source array
+  elements: number; // of the source array
+  levels: number;
+  nodes: number; // of all levels together
+  clusters: number; // C_n
+  mixture: number; // K_n
+  rank: number; // R_n of a decomposed mode
+  level_cost: number; // product of K_n R_n over the decomposed modes, for the largest values of a level
+  json_bytes: number; // the safetensors header, in which the metadata is
+  json_depth: number;
+  json_string: number; // characters of any string but the metadata text itself
+}
+
+export const DEFAULT_LIMITS: Limits = {
+  order: 8, axes: 32, elements: 2 ** 48, levels: 16, nodes: 1_000_000, clusters: 65_535, mixture: 8, rank: 1024,
+  level_cost: 2 ** 20, json_bytes: 16 * 2 ** 20, json_depth: 16, json_string: 4096,
+};
+
+/** Refuse a number above its limit. */
+export function checkLimit(reason: Reason, where: string, found: number, allowed: number): void {
+  if (found > allowed) {
+    throw fault(reason, where, found, `at most ${allowed}`, "use a file that stays within the limit");
+  }
+}

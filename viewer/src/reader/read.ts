@@ -1,0 +1,123 @@
+/**
+ * Read a file: nothing is believed before it is checked, and no damage goes unnoticed.
+ *
+ * `Reading` takes the file in the order of its bytes, so that level 1 can be shown while the rest is on its way:
+ * header, tables, then the F16 arrays level by level. `loads` does the same with a whole file at hand, in the order
+ * of checks that `docs/format.md`, section 8, fixes for all readers.
+ */
+
+import { checkReach, checkTables, largestFinite, levelReach } from "./check";
+import { crc32 } from "./digests";
+import { type Entry, type Header, LENGTH_BYTES, headerLength, parseHeader } from "./header";
+import { parseJson } from "./json";
+import { DEFAULT_LIMITS, type Limits } from "./limits";
+import { type Coords, type Metadata, type Parsed, parseMetadata } from "./metadata";
+import type { PackedLevel } from "./packed";
+import { fault } from "./reasons";
+import { type TypedArray, checkOrder, checkRecords, checkSchema, levelOf, viewOf } from "./schema";
+import type { Geometry } from "./tables";
+
+export interface Model {
+  metadata: Metadata;
+  levels: PackedLevel[];
+}
+
+/** Read a whole file that is in memory; its arrays become views of `bytes`. */
+export function loads(bytes: Uint8Array<ArrayBuffer>, limits: Limits = DEFAULT_LIMITS): Model {
+  const length = headerLength(bytes, bytes.length, limits);
+  const reading = new Reading(bytes.subarray(LENGTH_BYTES, LENGTH_BYTES + length), bytes.length, limits);
+  const aligned = bytes.byteOffset % 8 === 0 ? bytes : bytes.slice();
+  reading.verify(aligned, [...reading.header.entries.keys()]);
+  reading.readTables(aligned, false);
+  for (let level = 1; level <= reading.metadata.levels.length; level += 1) {
+    reading.readLevel(level, aligned, false);
+  }
+  return { metadata: reading.metadata, levels: reading.levels };
+}
+
+/** A file on its way: its header is there and checked, its arrays come later. */
+export class Reading {
+  readonly header: Header;
+  readonly metadata: Metadata;
+  levels: PackedLevel[] = [];
+  private readonly parsed: Parsed;
+  private geometries: Geometry[] = [];
+  private reach = 0;
+
+  constructor(raw: Uint8Array, readonly size: number, limits: Limits = DEFAULT_LIMITS) {
+    this.header = parseHeader(raw, size, limits);
+    this.parsed = parseMetadata(parseJson(this.header.text, "hmkcta"), limits);
+    this.metadata = this.parsed.metadata;
+    checkRecords(this.parsed.records, this.header.entries);
+    checkSchema(this.parsed, this.header.entries, limits);
+    checkOrder(this.header.entries);
+  }
+
+  /** Bytes from the start of the file after which all tables are there. */
+  get tablesEnd(): number {
+    return this.endOf((_, entry) => entry.dtype !== "F16");
+  }
+
+  /** Bytes from the start of the file after which a level and all before it are there. */
+  levelEnd(level: number): number {
+    return this.endOf((name, entry) => entry.dtype !== "F16" || Number(name.split("/")[1]) <= level);
+  }
+
+  private endOf(wanted: (name: string, entry: Entry) => boolean): number {
+    let end = 0;
+    for (const [name, entry] of this.header.entries) {
+      end = wanted(name, entry) ? Math.max(end, entry.end) : end;
+    }
+    return this.header.dataStart + end;
+  }
+
+  /** Compare the checksums of some arrays. */
+  verify(file: Uint8Array<ArrayBuffer>, names: string[]): void {
+    for (const name of names) {
+      const entry = this.header.entries.get(name);
+      const record = this.parsed.records.get(name);
+      if (entry === undefined || record === undefined) {
+        continue;
+      }
+      const start = this.header.dataStart;
+      const found = crc32(file.subarray(start + entry.begin, start + entry.end));
+      if (found !== record.crc32) {
+        throw fault("array-crc", name, `0x${found.toString(16)}`, `0x${record.crc32.toString(16)}`,
+          "fetch the file again");
+      }
+    }
+  }
+
+  /** Check all tables; `file` is the memory of the whole file, filled at least up to `tablesEnd`. */
+  readTables(file: Uint8Array<ArrayBuffer>, verify = true): void {
+    if (verify) {
+      this.verify(file, this.names((_, entry) => entry.dtype !== "F16"));
+    }
+    const array = (name: string): TypedArray | null => {
+      const entry = this.header.entries.get(name);
+      return entry === undefined ? null : viewOf(file, this.header.dataStart, entry);
+    };
+    for (const [n, name] of this.parsed.coords) {
+      const values = array(name) as Coords["values"];
+      largestFinite(values, name);
+      this.metadata.axes[n]!.coords = { values, width: this.header.entries.get(name)?.shape[1] ?? 0 };
+    }
+    const order = this.metadata.modeSizes.length;
+    this.levels = this.metadata.levels.map((_, l) => levelOf(array, l + 1, order));
+    this.geometries = checkTables(this.metadata, this.levels);
+  }
+
+  /** Check the F16 arrays of a level, in order from level 1; its bytes must be there. */
+  readLevel(level: number, file: Uint8Array<ArrayBuffer>, verify = true): void {
+    if (verify) {
+      this.verify(file, this.names((name, entry) => entry.dtype === "F16" && name.startsWith(`level/${level}/`)));
+    }
+    const geometry = this.geometries[level - 1]!;
+    this.reach += levelReach(geometry);
+    checkReach(this.reach, geometry);
+  }
+
+  private names(wanted: (name: string, entry: Entry) => boolean): string[] {
+    return [...this.header.entries].filter(([name, entry]) => wanted(name, entry)).map(([name]) => name);
+  }
+}
