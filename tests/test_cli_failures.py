@@ -280,7 +280,7 @@ def test_interrupt(number: signal.Signals, source: Path, tmp_path: Path) -> None
     await_file(ready)
     process.send_signal(number)
     code, out, err = finish(process)
-    assert (code, out) == (130, "")
+    assert (code, out) == (128 + number, "")
     assert err.splitlines()[-1].startswith("hmkcta: interrupted")
     assert output.read_text() == "precious"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
-from dataclasses import asdict, replace
+from dataclasses import replace
 from math import isfinite, prod
 from typing import Any
 
@@ -126,8 +126,7 @@ def compress(
             plan = replace(parse_plan(plan, modes, "most" if scheme == "auto" else scheme), snr=snr, size=size)
         if journal is not None:
             run = replace(run, journal=journal)
-            given = None if plan is None else asdict(plan)
-            journal.begin(decisive(source, plan=given, organisation=organisation, snr=snr, size=size, kind=kind,
+            journal.begin(decisive(source, plan, organisation=organisation, snr=snr, size=size, kind=kind,
                                    decode_cost=decode_cost, quality=quality, scheme=scheme, seed=seed))
         plan = plan or run.journal.plan(lambda: _chosen(source, run, organisation, snr, size, decode_cost))
         return follow(Task(source, plan, scheme, decode_cost, kind or source.kind, run))

@@ -24,6 +24,7 @@ from safetensors.numpy import load, save
 
 from . import backends
 from ._version import __version__
+from .axes import format_organisation
 from .cells import Cells
 from .errors import HmkctaError, Kind
 from .hmkfile import published
@@ -107,7 +108,7 @@ class Journal(NoJournal):
             return
         # What was asked for cannot be, and will not be the next time: there is nothing to go on with.
         vain = isinstance(error, HmkctaError) and error.kind is Kind.INVALID_ARGUMENT
-        if error is None or vain or not self.holds_work:
+        if error is None or vain:
             self._discard()
         else:
             self.close()
@@ -120,12 +121,16 @@ class Journal(NoJournal):
             return (self.folder / PLAN).exists() or (nodes.exists() and nodes.stat().st_size > 0)
 
     def close(self) -> None:
-        """Force everything to the disk and let go of it."""
-        if self._log is not None:
-            log, self._log = self._log, None
-            with self._as_io():
-                log.sync()
-                log.close()
+        """Force everything to the disk and let go of it; a folder in which nothing stands is removed."""
+        if self._log is None:
+            return
+        if not self.holds_work:
+            self._discard()
+            return
+        with self._as_io():
+            self._log.sync()
+            self._log.close()
+        self._log = None
 
     def begin(self, run: Mapping[str, Any]) -> None:
         """Make the folder, or compare what it holds with this run.
@@ -237,10 +242,12 @@ class Journal(NoJournal):
 
     def _discard(self) -> None:
         """Remove the folder, unless somebody put files of their own there."""
+        assert self._log is not None
         with self._as_io():
             self._clear()
-            self.close()
+            self._log.close()
             (self.folder / NODES).unlink(missing_ok=True)
+        self._log = None
         with suppress(OSError):
             self.folder.rmdir()
 
@@ -256,8 +263,8 @@ class Journal(NoJournal):
                         "free some space, then go on with --resume" if full else "check the folder") from error
 
 
-def decisive(source: Source, **settings: Any) -> dict[str, Any]:
-    """All that decides the result of a run: the array, the settings, and what computes.
+def decisive(source: Source, plan: Plan | None, **settings: Any) -> dict[str, Any]:
+    """All that decides the result of a run: the array, the plan if it is given, the settings, and what computes.
 
     Different processors round differently, so BLAS's name for this one is among it; the number of threads is not.
     """
@@ -267,6 +274,9 @@ def decisive(source: Source, **settings: Any) -> dict[str, Any]:
     blas = sorted({str(library.get("architecture")) for library in libraries if library["user_api"] == "blas"})
     axes = [[axis.name, axis.role, axis.unit, None if axis.coords is None else np.asarray(axis.coords).tolist()]
             for axis in source.axes]
+    if plan is not None:
+        settings |= {"plan": str(plan), "organisation": format_organisation(plan.organisation), "snr": plan.snr,
+                     "size": plan.size, "subdivision": [level.scheme for level in plan.levels]}
     return {
         "sha256 of the array": source.fingerprint["sha256"], "shape": list(source.shape), "dtype": source.dtype,
         "axes": axes, "transform": source.transform, "nan": source.nan, **settings,

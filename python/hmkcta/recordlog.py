@@ -114,7 +114,8 @@ class RecordLog:
 
     def close(self) -> None:
         """Let go of the file."""
-        os.close(self._descriptor)
+        with self._lock:
+            os.close(self._descriptor)
 
     def _scan(self, size: int) -> Iterator[tuple[Key, tuple[int, int]]]:
         start = 0

@@ -7,21 +7,22 @@ import os
 import signal
 import sys
 import traceback
-from collections.abc import Generator
-from contextlib import contextmanager
-from types import FrameType
+from functools import partial
 from typing import Any
 
 import click
 
-from ..errors import HmkctaError
+from ..errors import HmkctaError, Kind
+from ..temporaries import remove_all
 from .compress import compress_command
 from .decompress import decompress_command
 from .demo import demo_command
 from .failure import EXIT_CODES, Exit, Failure
 from .info import info_command
+from .interrupt import Interrupted, interruptible
 from .options import CONTEXT, VERBOSE, examples_first
 from .plan import plan_command
+from .resume import abandon, going_on
 from .verify import verify_command
 from .versions import version_option
 
@@ -32,26 +33,24 @@ EXAMPLES = (
 )
 
 
-STOPPING = b"hmkcta: stopping as soon as the part at hand is done; once more to stop at once.\n"
-
-
 class Hmkcta(click.Group):
     """The group of all commands; turns exceptions into sentences and exit codes."""
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command that was asked for."""
         try:
-            with _interruptible():
+            with interruptible(partial(_leave, ctx)):
                 return super().invoke(ctx)
         except (click.ClickException, click.exceptions.Exit, click.Abort):
             raise
         except HmkctaError as error:
-            raise Failure(str(error), error.kind.exit_code, error) from error
-        except KeyboardInterrupt:
-            raise Failure("interrupted; nothing is left half written.", Exit.INTERRUPTED) from None
+            kept = going_on(ctx) if error.kind in (Kind.IO, Kind.RESOURCE_LIMIT) else ""
+            raise Failure(f"{error} {kept}".rstrip(), error.kind.exit_code, error) from error
+        except KeyboardInterrupt as error:
+            raise _interruption(ctx, error.number if isinstance(error, Interrupted) else signal.SIGINT) from None
         except MemoryError as error:
-            raise Failure("the memory ran out. Next: give --max-memory, a smaller part, or a coarser plan.",
-                          Exit.RESOURCE) from error
+            advice = "Next: give --max-memory, a smaller part, or a coarser plan."
+            raise Failure(f"the memory ran out. {advice} {going_on(ctx)}".rstrip(), Exit.RESOURCE) from error
         except Exception as error:
             raise _unforeseen(error, bool(ctx.meta.get(VERBOSE))) from error
 
@@ -77,35 +76,20 @@ for _command in (compress_command, plan_command, info_command, verify_command, d
     main.add_command(_command)
 
 
-@contextmanager
-def _interruptible() -> Generator[None]:
-    """Ctrl-C, and a scheduler's SIGTERM, clean up and end; the second one ends at once.
-
-    Native code finishes the part it is at before the first one takes effect.
-    """
-    def stop(number: int, frame: FrameType | None) -> None:
-        for each in before:
-            signal.signal(each, _end)
-        os.write(2, STOPPING)  # not click.echo: the signal may have come in the middle of one
-        raise KeyboardInterrupt(number, frame)
-
-    before: dict[signal.Signals, Any] = {}
-    try:
-        for each in (signal.SIGINT, signal.SIGTERM):
-            before[each] = signal.signal(each, stop)
-    except ValueError:  # not in the main thread, where nobody can set it
-        pass
-    try:
-        yield
-    finally:
-        for each, handler in before.items():
-            signal.signal(each, handler)
+def _interruption(ctx: click.Context, number: int) -> Failure:
+    name = "interrupted" if number == signal.SIGINT else f"interrupted by {signal.Signals(number).name}"
+    kept = going_on(ctx)
+    return Failure(f"{name}. {kept}" if kept else f"{name}; nothing is left half written.", 128 + number)
 
 
-def _end(number: int, frame: FrameType | None) -> None:
-    """No clean-up: at worst a temporary file stays behind, whose name begins with a dot and ends with .tmp."""
-    del number, frame
-    os._exit(Exit.INTERRUPTED)
+def _leave(ctx: click.Context, number: int) -> None:
+    """The last words of a program that cannot wait for what native code is at; it is ended after them."""
+    remove_all()
+    abandon(ctx)
+    if sys.stderr.isatty():
+        os.write(2, b"\x1b[2K\r\x1b[?25h")  # the progress bar away, the cursor back
+    with ctx.scope(cleanup=False):
+        _interruption(ctx, number).show()
 
 
 def _unforeseen(error: Exception, verbose: bool) -> Exception:

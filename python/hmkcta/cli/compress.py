@@ -15,6 +15,7 @@ from .goal import KINDS, Goal, goal_from, goal_options
 from .options import Command, json_option, overwrite_option, quiet_option, together, verbose_option
 from .output import decibels, emit, mebibytes, seconds, table
 from .progress import Progress
+from .resume import journal_beside, resume_option
 
 EXAMPLES = (
     "hmkcta compress wood.npy -o wood.hmk --axes light,view,y,x,rgb --snr 27",
@@ -32,20 +33,23 @@ SNR_SLACK = 0.005
 @goal_options
 @click.option("--kind", type=click.Choice(KINDS), metavar="NAME",
               help="What it shows: svbrdf, lightfield, volume, generic.")
-@together(overwrite_option, json_option, quiet_option, verbose_option)
-def compress_command(source: str, output: str, plan: str | None, kind: str | None, overwrite: bool, as_json: bool,
-                     quiet: bool, verbose: bool, **options: Any) -> None:
+@together(resume_option, overwrite_option, json_option, quiet_option, verbose_option)
+def compress_command(source: str, output: str, plan: str | None, kind: str | None, resume: bool, overwrite: bool,
+                     as_json: bool, quiet: bool, verbose: bool, **options: Any) -> None:
     """Compress the array SRC (.npy, .npz or raw binary).
 
     Exit code 7: the goal was not reached, the file is the best found.
     """
     goal = goal_from(options)
     check_output(output, overwrite)
-    array = goal.open(source)
-    with Progress(quiet or as_json) as progress:
-        model = compress(array, plan, snr=goal.snr, size=goal.size, kind=kind, progress=progress, **goal.settings)
+    with Progress(quiet or as_json) as progress, journal_beside(output, resume, overwrite) as journal:
+        if resume and not journal.holds_work:
+            click.echo(f"hmkcta: there is nothing in {journal.folder} to go on with: it begins anew.", err=True)
+        array = goal.open(source)
+        model = compress(array, plan, snr=goal.snr, size=goal.size, kind=kind, progress=progress, journal=journal,
+                         **goal.settings)
         model.save(output, overwrite=overwrite)
-    report = describe(model, array, progress)
+    report = {**describe(model, array, progress), "nodes_resumed": journal.found}
     missed = missed_goal(model, goal)
     if as_json:
         emit({"output": output, **report, "reached": missed is None})
@@ -80,7 +84,8 @@ def as_text(report: dict[str, Any]) -> str:
     rows = [[str(level["level"]), decibels(level["snr_db"]), mebibytes(level["bytes"]), f"{level['ratio']:.1f}",
              str(level["decode_cost"]), f"{level['seconds']:.1f}"] for level in report["levels"]]
     whole = table(["level", "SNR dB", "MiB", "ratio", "decode cost", "seconds"], rows)
-    return f"{whole}\nAll of it took {seconds(report['seconds'])}."
+    resumed = f" {report['nodes_resumed']} nodes were finished before." if report["nodes_resumed"] else ""
+    return f"{whole}\nAll of it took {seconds(report['seconds'])}.{resumed}"
 
 
 def missed_goal(model: Model, goal: Goal) -> str | None:

@@ -20,6 +20,7 @@ class Exit(IntEnum):
     RESOURCE = 6
     TARGET_MISSED = 7
     INTERRUPTED = 130
+    TERMINATED = 143
 
 
 EXIT_CODES = {
@@ -31,7 +32,7 @@ EXIT_CODES = {
     5: "version or codec of the file is not supported",
     6: "resource limit",
     7: "target not reached: the file is written, and is the best found",
-    130: "interrupted",
+    130: "interrupted (143: by SIGTERM); what is finished is kept for --resume",
 }
 
 

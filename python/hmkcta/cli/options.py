@@ -12,6 +12,8 @@ from .output import JSON
 
 #: Key of `click.Context.meta` that is true with -v.
 VERBOSE = "hmkcta.verbose"
+#: Key of `click.Context.meta` under which the words stand that a command was given.
+WORDS = "hmkcta.words"
 CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 110}
 
 _UNITS = {"": 1, "B": 1, **{f"{p}B": 1000**n for n, p in enumerate("KMGT", 1)},
@@ -118,6 +120,11 @@ class Command(click.Command):
     def __init__(self, *args: Any, examples: Sequence[str] = (), **settings: Any) -> None:
         super().__init__(*args, **settings)
         self.examples = examples
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Note the words, then read them."""
+        ctx.meta[WORDS] = list(args)
+        return super().parse_args(ctx, args)
 
     def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Examples, then what click writes."""

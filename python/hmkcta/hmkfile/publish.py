@@ -10,6 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
+from ..temporaries import temporary
 from .reasons import fault
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -43,18 +44,18 @@ def published(path: str | os.PathLike[str], overwrite: bool = False) -> Generato
             folder cannot be written to (``unwritable``). The target is then as it was.
     """
     target = check_output(path, overwrite)
-    temporary = target.with_name(f".{target.name[:40]}.{secrets.token_hex(8)}.tmp")
+    beside = target.with_name(f".{target.name[:40]}.{secrets.token_hex(8)}.tmp")
     with _as_io(str(path)):
         try:
-            with open(temporary, "xb") as file:
+            with temporary(beside), open(beside, "xb") as file:
                 yield file
                 file.flush()
                 os.fsync(file.fileno())
             check_output(target, overwrite)  # another writer may have been faster
-            os.replace(temporary, target)
+            os.replace(beside, target)
         except BaseException:  # an interrupted writer leaves nothing behind either
             with suppress(OSError):
-                temporary.unlink(missing_ok=True)
+                beside.unlink(missing_ok=True)
             raise
         _sync_folder(target.parent)
 
