@@ -136,3 +136,15 @@ def deorganise(tensor: NDArray[Any], axes: Sequence[Axis], organisation: Organis
     order = axis_order(axes, organisation)
     split = tensor.reshape([axes[n].size for n in order])
     return split.transpose(np.argsort(order))
+
+
+def mode_rows(axes: Sequence[Axis], organisation: Organisation, part: tuple[slice, ...]) -> list[NDArray[np.intp]]:
+    """Indices of each mode within a slab of the source array; slices missing at the end stand for all.
+
+    >>> mode_rows(name_axes((2, 3, 2), ["y", "x", "rgb"]), (("y", "rgb"), ("x",)), (slice(1, 2),))
+    [array([2, 3]), array([0, 1, 2])]
+    """
+    span = dict(zip((axis.name for axis in axes), part, strict=False))
+    size = {axis.name: axis.size for axis in axes}
+    return [np.arange(prod(size[name] for name in mode)).reshape([size[name] for name in mode])
+            [tuple(span.get(name, slice(None)) for name in mode)].reshape(-1) for mode in organisation]

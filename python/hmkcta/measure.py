@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .axes import Axis, Organisation, mode_sizes, organise
+from .axes import mode_rows, mode_sizes, organise
 from .decode import decode_block
 from .errors import invalid
 from .model import Model
@@ -106,19 +106,6 @@ def measure_both(model: Model, source: Any, *, nan: float | None = None, progres
     if transform.name == "identity":
         return transformed.quality(), transformed.quality()
     return plain.quality(), transformed.quality()
-
-
-def mode_rows(axes: Sequence[Axis], organisation: Organisation, part: tuple[slice, ...]) -> list[NDArray[np.intp]]:
-    """Indices of each mode within a slab of the source array; slices missing at the end stand for all.
-
-    >>> from hmkcta.axes import name_axes
-    >>> mode_rows(name_axes((2, 3, 2), ["y", "x", "rgb"]), (("y", "rgb"), ("x",)), (slice(1, 2),))
-    [array([2, 3]), array([0, 1, 2])]
-    """
-    span = dict(zip((axis.name for axis in axes), part, strict=False))
-    size = {axis.name: axis.size for axis in axes}
-    return [np.arange(prod(size[name] for name in mode)).reshape([size[name] for name in mode])
-            [tuple(span.get(name, slice(None)) for name in mode)].reshape(-1) for mode in organisation]
 
 
 def _finite(values: F64, nan: float | None, part: tuple[slice, ...]) -> F64:

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import mmap
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from .errors import HmkctaError, Kind
 
@@ -20,6 +26,34 @@ def available_memory() -> int | None:
     except (OSError, ValueError, KeyError):  # another system, or no limit ("max")
         pass
     return max(0, min(free)) if free else None
+
+
+def memory_budget(limit: int | None = None) -> int:
+    """Bytes that a fit may take: the given limit, or half of what is free (1 GiB where the system does not say).
+
+    >>> memory_budget(5)
+    5
+    """
+    if limit is not None:
+        return limit
+    free = available_memory()
+    return 2**30 if free is None else free // 2
+
+
+def drop_pages(array: NDArray[Any]) -> None:
+    """Let go of the memory that pages of a mapped file take once they have been looked at; they stay readable.
+
+    Does nothing to an array that maps no file, or may have been written to.
+    """
+    base: Any = array
+    only_read = False
+    while base is not None and not isinstance(base, mmap.mmap):
+        only_read = only_read or getattr(base, "mode", None) == "r"  # a copy-on-write map would lose what was written
+        base = getattr(base, "base", None)
+    advice = getattr(mmap, "MADV_DONTNEED", None)
+    if base is not None and only_read and advice is not None:
+        with suppress(OSError, ValueError):  # a system that has none of it, a map that is closed
+            base.madvise(advice)
 
 
 def check_memory(needed: int, what: str, hint: str, limit: int | None = None) -> None:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .axes import Axis, Organisation, name_axes, organise, parse_organisation, separate
+from .axes import Axis, Organisation, mode_rows, name_axes, organise, parse_organisation, separate
 from .errors import invalid
+from .memory import drop_pages
 from .slabs import slabs
 from .transform import Transform, parse
 
@@ -73,8 +75,12 @@ class Source:
 
         What is below 2^-60 of the unit is zero: its squares would underflow.
         """
-        scaled = np.ascontiguousarray(self.transformed(part) / self.unit, np.float32)
-        scaled[np.abs(scaled) < 2.0**-60] = 0
+        # Dividing by a power of two rounds nothing, except what float32 does to float64.
+        scaled = np.asarray(self.transformed(part) / self.unit, np.float32, order="C")
+        tiny = np.abs(scaled) < 2.0**-60
+        if tiny.any():
+            scaled[tiny] = 0
+        drop_pages(self.array)
         return scaled
 
     def transformed(self, part: tuple[slice, ...]) -> NDArray[Any]:
@@ -85,9 +91,51 @@ class Source:
             values = np.where(np.isfinite(values), values, self.nan)
         return values if self.value_transform.name == "identity" else self.value_transform.forward(values)
 
+    def peak(self, part: tuple[slice, ...]) -> float:
+        """The largest magnitude of a slab's transformed values."""
+        values = self.transformed(part)
+        peak = max(float(values.max()), -float(values.min()))
+        drop_pages(self.array)
+        return peak
+
     def tensor(self, organisation: Organisation) -> F32:
         """The whole tensor of the organisation's modes."""
         return np.ascontiguousarray(organise(self.values(), self.axes, organisation))
+
+    def parts(self, limit: int) -> list[tuple[slice, ...]]:
+        """The array cut into slabs of up to `limit` elements, in the order in which they lie in memory."""
+        backwards = self.array.flags.f_contiguous and not self.array.flags.c_contiguous
+        if not backwards:
+            return list(slabs(self.array.shape, limit))
+        turned = slabs(self.array.shape[::-1], limit)
+        return [(*[slice(None)] * (self.array.ndim - len(part)), *part[::-1]) for part in turned]
+
+    def block(
+        self, organisation: Organisation, part: tuple[slice, ...], steps: Sequence[int] | None = None
+    ) -> tuple[list[NDArray[np.intp]], F32]:
+        """Rows of every mode of a slab, and the slab as a block of the tensor.
+
+        With `steps` of the modes, every steps-th row of the tensor alone, counted as rows of the tensor thinned so.
+        """
+        steps = steps or [1] * len(organisation)
+        spans = dict(zip((axis.name for axis in self.axes), part, strict=False))
+        for mode, step in zip(organisation, steps, strict=True):
+            if len(mode) == 1 and step > 1:  # what is left out need not be read
+                start, stop, _ = spans.get(mode[0], slice(None)).indices(self.shape[self._axis(mode[0])])
+                spans[mode[0]] = slice(-(-start // step) * step, stop, step)
+        chosen = tuple(spans.get(axis.name, slice(None)) for axis in self.axes)
+        rows = mode_rows(self.axes, organisation, chosen)
+        lengths = [len(range(*span.indices(axis.size))) for span, axis in zip(chosen, self.axes, strict=True)]
+        axes = [Axis(axis.name, length) for axis, length in zip(self.axes, lengths, strict=True)]
+        tensor = organise(self.values(chosen), axes, organisation)
+        for n, step in enumerate(steps):
+            kept = np.flatnonzero(rows[n] % step == 0)
+            if len(kept) < len(rows[n]):
+                tensor, rows[n] = tensor.take(kept, axis=n), rows[n][kept]
+        return [r // step for r, step in zip(rows, steps, strict=True)], np.ascontiguousarray(tensor)
+
+    def _axis(self, name: str) -> int:
+        return next(number for number, axis in enumerate(self.axes) if axis.name == name)
 
 
 def prepare(array: Any, axes: Sequence[Axis] | Sequence[str] | None, transform: str, nan: float | None) -> Source:
@@ -111,7 +159,8 @@ def prepare(array: Any, axes: Sequence[Axis] | Sequence[str] | None, transform: 
     source = Source(
         array, named, array.dtype.newbyteorder("=").name, nan if bad else None, value_transform, fingerprint
     )
-    peak = max(float(np.abs(source.transformed(part)).max()) for part in slabs(array.shape, _SLAB))
+    with ThreadPoolExecutor() as pool:
+        peak = max(pool.map(source.peak, source.parts(_SLAB)))
     return replace(source, unit=2.0 ** float(np.floor(np.log2(peak))) if peak > 0 else 1.0)
 
 
@@ -131,20 +180,37 @@ def _scan(array: NDArray[Any], nan: float | None) -> tuple[str, bool]:
     """SHA-256 of the values in C order, and whether any is not finite."""
     digest = hashlib.sha256(f"{array.dtype.newbyteorder('=').name} {array.shape}".encode())
     count, first, start = 0, 0, 0
-    for part in slabs(array.shape, _SLAB):
-        values = np.ascontiguousarray(array[part], array.dtype.newbyteorder("="))
-        digest.update(values.data)
-        if values.dtype.kind == "f":
-            bad = ~np.isfinite(values)
-            if bad.any():
+    with ThreadPoolExecutor(1) as hashing:
+        hashed = None
+        for part in slabs(array.shape, _SLAB):
+            values = np.ascontiguousarray(array[part], array.dtype.newbyteorder("="))
+            bad = _not_finite(values)
+            if bad is not None:
                 first = first if count else start + int(np.flatnonzero(bad)[0])
                 count += int(bad.sum())
-            if values.itemsize > 2 and (np.abs(values[~bad]) > _LARGEST).any():
-                allowed = f"magnitudes up to {_LARGEST:.0e}, that float32 can hold"
-                raise invalid("too-large", "array", f"{np.abs(values[~bad]).max():.3g}", allowed, "scale the array")
-        start += values.size
+            start += values.size
+            if hashed is not None:
+                hashed.result()
+                drop_pages(array)
+            hashed = hashing.submit(digest.update, values.data)
+    drop_pages(array)
     if count and nan is None:
         index = tuple(int(i) for i in np.unravel_index(first, array.shape))
         found = f"{count} values that are NaN or infinite, the first at index {index}"
         raise invalid("not-finite", "array", found, "finite numbers", "give a value to put there, --nan fill=0")
     return digest.hexdigest(), bool(count)
+
+
+def _not_finite(values: NDArray[Any]) -> NDArray[np.bool_] | None:
+    """Which values are no finite numbers; None: all are. Refuses those too large for float32."""
+    if values.dtype.kind != "f":
+        return None
+    largest = max(float(values.max()), -float(values.min()))  # NaN if any is
+    bad = None
+    if not largest < np.inf:
+        bad = ~np.isfinite(values)
+        largest = float(np.abs(values, where=~bad, out=np.zeros_like(values)).max())
+    if values.itemsize > 2 and largest > _LARGEST:
+        allowed = f"magnitudes up to {_LARGEST:.0e}, that float32 can hold"
+        raise invalid("too-large", "array", f"{largest:.3g}", allowed, "scale the array")
+    return bad

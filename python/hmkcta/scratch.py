@@ -1,0 +1,103 @@
+"""Scratch space on disk: a file without a name, which is gone when it is closed or the process ends, however it ends."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import HmkctaError, Kind
+from .memory import format_bytes
+
+F32 = NDArray[np.float32]
+
+
+def scratch_folder(folder: str | os.PathLike[str] | None = None) -> Path:
+    """Where scratch files go: the given folder, or the system's for temporary files (``TMPDIR``)."""
+    return Path(tempfile.gettempdir() if folder is None else folder)
+
+
+class Scratch:
+    """Float32 numbers in a temporary file, read and written by position; any number of threads may do so at once.
+
+    Args:
+        count: how many numbers it holds.
+        folder: where.
+
+    Raises:
+        HmkctaError: the folder is not there, cannot be written to, or has no room.
+
+    >>> with Scratch(4) as scratch:
+    ...     scratch.write(1, np.array([2, 3], np.float32))
+    ...     scratch.read(0, 4).tolist()
+    [0.0, 2.0, 3.0, 0.0]
+    """
+
+    def __init__(self, count: int, folder: str | os.PathLike[str] | None = None) -> None:
+        self.folder = scratch_folder(folder)
+        self.count = count
+        try:
+            free = shutil.disk_usage(self.folder).free
+            if free < self.nbytes:
+                raise _io("scratch-full", self.folder, f"{format_bytes(free)} free", format_bytes(self.nbytes))
+            self._file = tempfile.TemporaryFile(dir=self.folder, buffering=0)
+            self._file.truncate(self.nbytes)
+        except OSError as error:
+            raise _io("scratch", self.folder, error.strerror or error, "a folder to write to") from error
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes it takes on disk at most."""
+        return 4 * self.count
+
+    def __enter__(self) -> Scratch:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Give the space back."""
+        self._file.close()
+
+    def read(self, start: int, count: int) -> F32:
+        """Numbers from `start` on."""
+        values = np.empty(count, np.float32)
+        left, at = memoryview(values).cast("B"), 4 * start
+        try:
+            while left:
+                got = os.preadv(self._file.fileno(), [left], at)
+                if got == 0:
+                    raise OSError(None, "the file has become shorter")
+                left, at = left[got:], at + got
+        except OSError as error:
+            raise _io("scratch", self.folder, error.strerror or error, "scratch space that can be read") from error
+        return values
+
+    def write(self, start: int, values: NDArray[Any]) -> None:
+        """Put contiguous float32 numbers from `start` on."""
+        left, at = memoryview(values.reshape(-1)).cast("B"), 4 * start
+        try:
+            while left:
+                done = os.pwrite(self._file.fileno(), left, at)
+                left, at = left[done:], at + done
+        except OSError as error:
+            raise _io("scratch-full", self.folder, error.strerror or error, format_bytes(self.nbytes)) from error
+
+    def copy(self) -> Scratch:
+        """A second file with the same numbers."""
+        other = Scratch(self.count, self.folder)
+        step = 1 << 22
+        for start in range(0, self.count, step):
+            other.write(start, self.read(start, min(step, self.count - start)))
+        return other
+
+
+def _io(reason: str, folder: Path, found: object, allowed: object) -> HmkctaError:
+    hint = "set TMPDIR to a folder with room"
+    return HmkctaError(Kind.IO, reason, f"scratch space in {folder}", found=found, allowed=allowed, hint=hint)
