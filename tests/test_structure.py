@@ -17,7 +17,7 @@ PACKAGE = ROOT / "python" / "hmkcta"
 
 #: Modules and subpackages from the lowest layer up; an import goes to a lower layer, or stays in its subpackage.
 LAYERS = (
-    ("_version", "errors", "recordlog", "slabs", "tucker", "_native"),
+    ("_version", "errors", "recordlog", "slabs", "temporaries", "tucker", "_native"),
     ("axes", "memory", "transform", "indexing"),
     ("plan", "packed"),
     ("cells", "predict", "storage", "hmkfile", "source", "_example"),
