@@ -1,0 +1,32 @@
+/** What went wrong, as the page says it: a sentence, perhaps details, and what to do next. */
+
+import { HmkError, type Kind } from "./reader/reasons";
+
+export class Problem extends Error {
+  constructor(readonly sentence: string, readonly detail = "", readonly next = "") {
+    super([sentence, detail, next].filter((part) => part !== "").join(" "));
+    this.name = "Problem";
+  }
+}
+
+const LEADS: Record<Kind, string> = {
+  Corruption: "The file is damaged, so it is not shown.",
+  InsufficientData: "The file is not complete.",
+  Compatibility: "This page cannot read the file.",
+  ResourceLimit: "The file asks for more than this page allows.",
+  InvalidArgument: "This cannot be shown.",
+  Io: "The file cannot be read.",
+};
+
+/** The problem behind anything thrown. */
+export function asProblem(error: unknown): Problem {
+  if (error instanceof Problem) {
+    return error;
+  }
+  if (error instanceof HmkError) {
+    const next = error.hint === "" ? "" : `${error.hint[0]?.toUpperCase() ?? ""}${error.hint.slice(1)}.`;
+    return new Problem(`${LEADS[error.kind]} ${error.sentence}`, error.message, next);
+  }
+  const message = error instanceof Error ? error.message : String(error);
+  return new Problem("Something unforeseen went wrong on this page.", message, "Reload the page to try again.");
+}
