@@ -142,10 +142,11 @@ class Journal(NoJournal):
         with self._as_io():
             self._refuse_others()
             self.folder.mkdir(exist_ok=True)
-            self._open_log()
+            self._log = self._opened()
             try:
                 if self._resume and self.holds_work:
                     self._compare(run)
+                    self.found = len(self._log)
                 else:
                     self._clear()
                     self._write(RUN, run)
@@ -176,9 +177,8 @@ class Journal(NoJournal):
         if content is None:
             return None
         cells = _unpacked(content, spec) if content else None
-        if cells is not None and cells.sizes != tuple(sizes):
-            found = f"a node of {cells.sizes} in step {step}, node {node}"
-            raise self._useless(found, f"one of {tuple(sizes)}")
+        if cells is not None and not _fits(cells, sizes, spec):
+            raise self._useless(f"{cells.spec} for {cells.sizes} in step {step}, node {node}", f"{spec} for {sizes}")
         return Finished(cells)
 
     def keep(self, step: int, node: int, cells: Cells | None) -> None:
@@ -192,14 +192,13 @@ class Journal(NoJournal):
         with self._as_io():
             self._log.append((step, node), content)
 
-    def _open_log(self) -> None:
+    def _opened(self) -> RecordLog:
         try:
-            self._log = RecordLog(self.folder / NODES)
+            return RecordLog(self.folder / NODES)
         except Busy:
             found, allowed = "another process at work on it", "one at a time"
             raise HmkctaError(Kind.IO, "partial-busy", str(self.folder), found=found, allowed=allowed,
                               hint="wait until it has ended") from None
-        self.found = len(self._log)
 
     def _refuse_others(self) -> None:
         if self.folder.exists() and not self.folder.is_dir():
@@ -236,7 +235,6 @@ class Journal(NoJournal):
         """Nodes before the plan and the run they belong to, so that a crash in between leaves nothing that counts."""
         assert self._log is not None
         self._log.clear()
-        self.found = 0
         for path in (self.folder / PLAN, self.folder / RUN, *self.folder.glob(".*.tmp")):
             path.unlink(missing_ok=True)
 
@@ -305,6 +303,14 @@ def _unpacked(content: bytes, spec: LevelSpec) -> Cells:
     order = range(len(sizes))
     return Cells(sizes, exact, [arrays[f"members/{n}"] for n in order],
                  [arrays[f"bases/{n}"].astype(np.float32) for n in order], arrays["cores"])
+
+
+def _fits(cells: Cells, sizes: Sequence[int], spec: LevelSpec) -> bool:
+    """Whether cells can be what a node of these sizes was fitted by, so that a mixed-up journal is noticed."""
+    most, found = spec.clamped(sizes), cells.spec
+    within = all((r is None) == (m is None) and (r or 0) <= (m or 0)
+                 for r, m in zip(found.ranks, most.ranks, strict=True))
+    return cells.sizes == tuple(sizes) and found.clusters == most.clusters and within
 
 
 def _plan(content: Mapping[str, Any]) -> Plan:

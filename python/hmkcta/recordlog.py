@@ -68,6 +68,10 @@ class RecordLog:
         """How many records there are."""
         return len(self._places)
 
+    def __iter__(self) -> Iterator[Key]:
+        """The keys of all records, in the order they were written."""
+        return iter(list(self._places))
+
     def read(self, key: Key) -> bytes | None:
         """The bytes of a record; None: there is none."""
         place = self._places.get(key)
