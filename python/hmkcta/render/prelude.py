@@ -1,0 +1,243 @@
+"""The head of a shader: the constants of one model, the pages of its image, and the contraction of a core.
+
+The viewer makes the same text (`tests/corpus-render/prelude.json` holds the two together), and the files of
+`hmkcta/shaders` follow it unchanged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import resources
+from math import log, prod
+
+import numpy as np
+
+from ..axes import axis_order
+from ..errors import HmkctaError, Kind, invalid
+from ..packed import Metadata
+from ..transform import from_json
+
+#: Words of a page by its logarithm: 2^25 words are the 128 MiB that WebGPU guarantees for a storage buffer binding.
+PAGE_SHIFT = 25
+#: Of the 8 storage buffers that WebGPU guarantees a stage, those an image may take.
+MOST_PAGES = 5
+#: Rows of a mode are kept in a mask of one word.
+MOST_ROWS = 32
+
+_TRANSFORMS = {"identity": 0, "log1p": 1, "asinh": 2, "sqrt": 3}
+#: A little below the largest float32.
+_LARGEST = 3.4e38
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a shader needs beside the model.
+
+    Attributes:
+        picks: for each source axis, how many weighted indices it can have; one each by default.
+        channels: 3 if weights and values are red, green and blue, decoded in one walk; else 1.
+        contracted: modes that `contract.wgsl` has folded into the cores.
+        page_shift: logarithm of the words of a page of the image.
+    """
+
+    picks: tuple[int, ...] | None = None
+    channels: int = 1
+    contracted: tuple[int, ...] = ()
+    page_shift: int = PAGE_SHIFT
+
+
+#: Every axis at one index, single numbers.
+PLAIN = Options()
+
+
+def prelude(metadata: Metadata, pages: int, options: Options = PLAIN) -> str:
+    """The constants and generated functions that the files of `hmkcta/shaders` are written against.
+
+    Args:
+        metadata: the model's.
+        pages: of its image, from `image_pages`.
+        options: of the shader.
+
+    Raises:
+        HmkctaError: `picks` are not one number of 1 or more an axis, or give a mode more than 32 rows; the channels
+            are neither 1 nor 3.
+
+    >>> from hmkcta._example import example_metadata
+    >>> prelude(example_metadata(), 1).splitlines()[1:3]
+    ['const AXES = 2u;', 'const ORDER = 2u;']
+    """
+    if options.channels not in (1, 3):
+        raise invalid("channels", "channels", options.channels, "1 or 3")
+    order, picks = len(metadata.organisation), _picks(metadata, options)
+    modes, strides = axis_places(metadata)
+    rooms = [prod(picks[axis] for axis, mode in enumerate(modes) if mode == n) for n in range(order)]
+    for n, rows in enumerate(rooms):
+        if rows > MOST_ROWS:
+            raise invalid("picks-too-many", f"weighted rows of mode {n + 1}", rows, f"at most {MOST_ROWS}",
+                          "interpolate along fewer of its axes")
+    first = [sum(rooms[:n]) for n in range(order + 1)]
+    lines = [
+        "// Constants of one model: generated, not to be edited.",
+        f"const AXES = {len(metadata.axes)}u;",
+        f"const ORDER = {order}u;",
+        f"const LEVELS = {len(metadata.levels)}u;",
+        f"const UNDECOMPOSED = {_mask(metadata.undecomposed)}u;",
+        f"const CONTRACTED = {_mask(options.contracted)}u;",
+        f"const NODE_WORDS = {node_words(order)}u;",
+        f"const AXIS_MODE = {_array(modes)};",
+        f"const AXIS_STRIDE = {_array(strides)};",
+        f"const RANK_SUM = {_rank_sum(metadata, rooms, options.contracted)}u;",
+        f"const AXIS_PICKS = {_array(picks)};",
+        f"const PICKS = {max(picks)}u;",
+        f"const ROW_FIRST = {_array(first)};",
+        f"const ROWS = {first[-1]}u;",
+        f"const CHANNELS = {options.channels}u;",
+        *_value(options.channels),
+        *_pages(pages, options.page_shift),
+        *_contraction(order, metadata.undecomposed, options.contracted),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def shader(name: str) -> str:
+    """The text of a file of `hmkcta/shaders`, by its name without `.wgsl`.
+
+    >>> "fn decode_element(" in shader("decode")
+    True
+    """
+    return resources.files("hmkcta").joinpath("shaders", f"{name}.wgsl").read_text(encoding="utf-8")
+
+
+def compose(head: str, *names: str) -> str:
+    """One shader: the prelude and files of `hmkcta/shaders`, in this order."""
+    return "\n".join([head, *(shader(name) for name in names)])
+
+
+def node_words(order: int) -> int:
+    """Words of a node's record: child, core, scale, and C, K, R, rows, basis of every mode."""
+    return 3 + 5 * order
+
+
+def axis_places(metadata: Metadata) -> tuple[list[int], list[int]]:
+    """For each source axis its mode, and by how many rows of the mode an index of it counts.
+
+    >>> from hmkcta.axes import name_axes
+    >>> from dataclasses import replace
+    >>> from hmkcta._example import example_metadata
+    >>> axes = name_axes((6, 8, 9, 3), ["light", "y", "x", "rgb"])
+    >>> axis_places(replace(example_metadata(), axes=axes, organisation=(("light", "rgb"), ("y", "x"))))
+    ([0, 1, 1, 0], [3, 9, 1, 1])
+    """
+    modes, strides = [0] * len(metadata.axes), [1] * len(metadata.axes)
+    order = iter(axis_order(metadata.axes, metadata.organisation))
+    for n, names in enumerate(metadata.organisation):
+        members = [next(order) for _ in names]
+        for i, axis in enumerate(members):
+            modes[axis] = n
+            strides[axis] = prod(metadata.axes[other].size for other in members[i + 1 :])
+    return modes, strides
+
+
+def decoder_uniform(metadata: Metadata, levels: int) -> bytes:
+    """The 16 bytes of the uniform `Decoder`: levels to add up, and the value transform.
+
+    >>> from hmkcta._example import example_metadata
+    >>> decoder_uniform(example_metadata(), 1).hex()
+    '01000000000000000000803f00000000'
+
+    Raises:
+        HmkctaError: not 1 to L levels.
+    """
+    if not 1 <= levels <= len(metadata.levels):
+        raise invalid("level-out-of-range", "level", levels, f"1 to {len(metadata.levels)}")
+    transform = from_json(metadata.transform)
+    bounded = transform.name in ("log1p", "asinh")
+    limit = log(_LARGEST / max(transform.scale, 1.0)) if bounded else 0.0
+    numbers = np.array([transform.scale, limit], "<f4").tobytes()
+    return np.array([levels, _TRANSFORMS[transform.name]], "<u4").tobytes() + numbers
+
+
+def image_pages(words: int, page_shift: int = PAGE_SHIFT) -> int:
+    """Pages of an image of so many words.
+
+    >>> image_pages(1 << 25), image_pages((1 << 25) + 1)
+    (1, 2)
+
+    Raises:
+        HmkctaError: more than the storage buffers that WebGPU guarantees leave room for.
+    """
+    pages = max(1, -(-words >> page_shift))
+    if pages > MOST_PAGES:
+        most = MOST_PAGES << page_shift
+        raise HmkctaError(Kind.RESOURCE_LIMIT, "image-too-large", "model", found=f"{4 * words} bytes on the GPU",
+                          allowed=f"at most {4 * most}",
+                          hint="show fewer levels (model.at_level), or compress with a smaller --size")
+    return pages
+
+
+def _picks(metadata: Metadata, options: Options) -> Sequence[int]:
+    picks = options.picks if options.picks is not None else (1,) * len(metadata.axes)
+    if len(picks) != len(metadata.axes) or min(picks) < 1:
+        raise invalid("picks", "picks", picks, f"{len(metadata.axes)} numbers of 1 or more, one a source axis")
+    return picks
+
+
+def _rank_sum(metadata: Metadata, rooms: Sequence[int], contracted: Sequence[int]) -> int:
+    """The most numbers that the weights of a cell take: R_n, or the rows where the mode is not decomposed."""
+    kept = [n for n in range(len(rooms)) if n not in contracted]
+    taken = (sum(rooms[n] if n in metadata.undecomposed else level.ranks[n] for n in kept) for level in metadata.levels)
+    return max(1, *taken)
+
+
+def _value(channels: int) -> list[str]:
+    """The type of values and weights, and what makes one of red, green and blue; `vec3f(value)` goes back."""
+    kind, value = ("vec3f", "rgb") if channels == 3 else ("f32", "rgb.x")
+    return [f"alias Value = {kind};", "fn as_value(rgb: vec3f) -> Value {", f"  return {value};", "}"]
+
+
+def _pages(pages: int, shift: int) -> list[str]:
+    """The bindings of the image's pages, and the function that reads a word of it."""
+    bindings = [f"@group(0) @binding({page + 1}) var<storage, read> page_{page}: array<u32>;" for page in range(pages)]
+    head = [f"const PAGE_SHIFT = {shift}u;", *bindings, "fn word(at: u32) -> u32 {"]
+    if pages == 1:
+        return [*head, "  return page_0[at];", "}"]
+    inner = [f"    case {page}u: {{ return page_{page}[at & {(1 << shift) - 1}u]; }}" for page in range(pages - 1)]
+    last = f"    default: {{ return page_{pages - 1}[at & {(1 << shift) - 1}u]; }}"
+    return [*head, "  switch at >> PAGE_SHIFT {", *inner, last, "  }", "}"]
+
+
+def _contraction(order: int, undecomposed: Sequence[int], contracted: Sequence[int]) -> list[str]:
+    """Functions `contract_0` to `contract_N`: the core of the cell at hand times its weights, mode by mode.
+
+    WGSL has no recursion, so that there is one function a mode; each adds up its mode and multiplies once.
+    """
+    lines: list[str] = []
+    for n in range(order):
+        lines.append(f"fn contract_{n}(at: u32) -> Value {{")
+        if n in contracted:
+            lines += [f"  return contract_{n + 1}(at);", "}"]
+            continue
+        index = f"cell_index[cell_first[{n}] + e]" if n in undecomposed else "e"
+        lines += [
+            "  var sum = Value(0.0);",
+            f"  for (var e = 0u; e < cell_count[{n}]; e++) {{",
+            f"    sum += cell_weight[cell_first[{n}] + e] * contract_{n + 1}(at * node_rank[{n}] + {index});",
+            "  }",
+            "  return sum;",
+            "}",
+        ]
+    number = "bitcast<f32>(frame[cell_core + at])" if contracted else "coefficient(cell_core + at)"
+    start = "frame[node / NODE_WORDS]" if contracted else "word(node + 1u)"
+    if contracted:
+        lines.append("@group(0) @binding(8) var<storage, read> frame: array<u32>;")
+    lines += [f"fn contract_{order}(at: u32) -> Value {{", f"  return Value({number});", "}"]
+    return [*lines, "fn node_core(node: u32) -> u32 {", f"  return {start};", "}"]
+
+
+def _mask(modes: Sequence[int]) -> int:
+    return sum(1 << n for n in modes)
+
+
+def _array(numbers: Sequence[int]) -> str:
+    return f"array<u32, {len(numbers)}>({', '.join(f'{number}u' for number in numbers)})"

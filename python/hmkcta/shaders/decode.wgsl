@@ -1,0 +1,102 @@
+// One element of the tensor: docs/format.md, section 4, line by line, as hmkcta/decode.py has it in NumPy.
+
+// The element with these indices of the source axes, in source values. Indices must be in range.
+fn decode_element(index: array<u32, AXES>, levels: u32) -> Value {
+  var axis_index = index;
+  var rows: array<u32, ORDER>;
+  for (var axis = 0u; axis < AXES; axis++) {
+    rows[AXIS_MODE[axis]] += axis_index[axis] * AXIS_STRIDE[axis];
+  }
+  return source_values(decode_rows(rows, levels));
+}
+
+// The element with these rows of the modes, in the domain of the value transform.
+fn decode_rows(rows: array<u32, ORDER>, levels: u32) -> Value {
+  var row = rows;
+  var node = 0u;
+  var value = Value(0.0);
+  for (var level = 0u; level < levels; level++) {
+    if (!open_node(node)) {
+      break;
+    }
+    value += node_value(node, row);
+    let first_child = word(node);
+    if (first_child == LEAF || level + 1u == levels) {
+      break;
+    }
+    var part = 0u;  // flat(part_1 .. part_N)
+    for (var n = 0u; n < ORDER; n++) {
+      part *= node_clusters[n];
+      if (!undecomposed(n)) {
+        let record = node_rows[n] + row[n] * (2u + node_mixture[n]);
+        part += word(record);
+        row[n] = word(record + 1u);
+      }
+    }
+    node = first_child + part * NODE_WORDS;
+  }
+  return value;
+}
+
+// What the node at hand adds to the element: the sum over all choices of one cluster subset a mode.
+fn node_value(node: u32, rows: array<u32, ORDER>) -> Value {
+  var row = rows;
+  var choice: array<u32, ORDER>;  // k_n
+  var sum = Value(0.0);
+  var more = true;
+  while (more) {
+    for (var n = 0u; n < ORDER; n++) {
+      cell_cluster[n] = 0u;
+      if (!undecomposed(n)) {
+        cell_cluster[n] = word(node_rows[n] + row[n] * (2u + node_mixture[n]) + 2u + choice[n]);
+      }
+    }
+    open_cell(node);
+    var first = 0u;
+    for (var n = 0u; n < ORDER; n++) {
+      cell_first[n] = first;
+      if (undecomposed(n)) {
+        cell_count[n] = 1u;
+        cell_weight[first] = Value(1.0);
+        cell_index[first] = row[n];
+      } else {
+        let basis = basis_row(n, row[n], choice[n]);
+        cell_count[n] = node_rank[n];
+        for (var r = 0u; r < node_rank[n]; r++) {
+          cell_weight[first + r] = Value(coefficient(basis + r));
+        }
+      }
+      first += cell_count[n];
+    }
+    sum += cell_scale * contract_0(0u);
+    more = false;
+    for (var left = ORDER; left > 0u && !more; left--) {
+      choice[left - 1u] += 1u;
+      more = choice[left - 1u] < node_mixture[left - 1u];
+      if (!more) {
+        choice[left - 1u] = 0u;
+      }
+    }
+  }
+  return sum;
+}
+
+// Inverse of the value transform, componentwise: hmkcta/transform.py.
+fn source_values(value: Value) -> Value {
+  let bounded = clamp(value, Value(-decoder.limit), Value(decoder.limit));
+  switch decoder.transform {
+    case 1u: {
+      return decoder.scale * (exp(bounded) - Value(1.0));
+    }
+    case 2u: {
+      return decoder.scale * sinh(bounded);
+    }
+    case 3u: {
+      let root = max(value, Value(0.0));
+      return root * root;
+    }
+    default: {
+      return value;
+    }
+  }
+}

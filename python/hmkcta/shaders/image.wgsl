@@ -1,0 +1,97 @@
+// The image: all tables and float16 coefficients of a model in one flat array of words (docs/rendering.md).
+// A node is named by the address of its record, the root's being 0; rows are counted in the node's own list.
+
+struct Decoder {
+  levels: u32,     // how many levels to add up
+  transform: u32,  // value transform: 0 identity, 1 log1p, 2 asinh, 3 sqrt
+  scale: f32,      // of the transform, in source values
+  limit: f32,      // arguments above it would leave float32
+}
+@group(0) @binding(0) var<uniform> decoder: Decoder;
+
+const LEAF = 0xffffffffu;
+
+// The node at hand, mode by mode.
+var<private> node_clusters: array<u32, ORDER>;  // C_n
+var<private> node_mixture: array<u32, ORDER>;   // K_n
+var<private> node_rank: array<u32, ORDER>;      // R_n
+var<private> node_others: array<u32, ORDER>;    // PC_-n, the combinations of the other modes' subsets
+var<private> node_rows: array<u32, ORDER>;      // address of the row records
+var<private> node_basis: array<u32, ORDER>;     // half address of the basis
+
+// The cell at hand: the cluster c = (c_1..c_N) of the paper's equation 2.
+var<private> cell_cluster: array<u32, ORDER>;    // c_n
+var<private> cell_others: array<u32, ORDER>;     // flat(c_-n)
+var<private> cell_core: u32;                     // address of its core
+var<private> cell_scale: f32;
+var<private> cell_first: array<u32, ORDER>;      // where mode n begins in cell_weight
+var<private> cell_count: array<u32, ORDER>;      // its numbers there
+var<private> cell_weight: array<Value, RANK_SUM>;
+var<private> cell_index: array<u32, RANK_SUM>;   // core index of each number of an undecomposed mode
+
+// A float16 number by its half address.
+fn coefficient(at: u32) -> f32 {
+  return unpack2x16float(word(at >> 1u))[at & 1u];
+}
+
+fn undecomposed(n: u32) -> bool {
+  return ((UNDECOMPOSED >> n) & 1u) == 1u;
+}
+
+fn contracted(n: u32) -> bool {
+  return ((CONTRACTED >> n) & 1u) == 1u;
+}
+
+// Address of the record of a row: [part, local, cluster_0 .. cluster_{K-1}].
+fn row_record(node: u32, n: u32, row: u32) -> u32 {
+  let mode = node + 3u + 5u * n;
+  return word(mode + 3u) + row * (2u + word(mode + 1u));
+}
+
+// Makes a node the one at hand; false: it has shape zero and adds nothing.
+fn open_node(node: u32) -> bool {
+  if (word(node + 3u) == 0u) {
+    return false;
+  }
+  var cells = 1u;
+  for (var n = 0u; n < ORDER; n++) {
+    let mode = node + 3u + 5u * n;
+    node_clusters[n] = word(mode);
+    node_mixture[n] = word(mode + 1u);
+    node_rank[n] = word(mode + 2u);
+    node_rows[n] = word(mode + 3u);
+    node_basis[n] = word(mode + 4u);
+    cells *= node_clusters[n];
+  }
+  for (var n = 0u; n < ORDER; n++) {
+    node_others[n] = cells / node_clusters[n];
+  }
+  return true;
+}
+
+// Makes the cell with the clusters in `cell_cluster` the one at hand.
+fn open_cell(node: u32) {
+  var before: array<u32, ORDER>;  // flat(c_1 .. c_{n-1})
+  var cell = 0u;
+  var numbers = 1u;
+  for (var n = 0u; n < ORDER; n++) {
+    before[n] = cell;
+    cell = cell * node_clusters[n] + cell_cluster[n];
+    numbers *= select(node_rank[n], 1u, contracted(n));
+  }
+  var after = 1u;
+  var tail = 0u;  // flat(c_{n+1} .. c_N)
+  for (var left = ORDER; left > 0u; left--) {
+    let n = left - 1u;
+    cell_others[n] = before[n] * after + tail;
+    tail += cell_cluster[n] * after;
+    after *= node_clusters[n];
+  }
+  cell_core = node_core(node) + cell * numbers;
+  cell_scale = bitcast<f32>(word(word(node + 2u) + cell));
+}
+
+// Half address of the R_n numbers of a row's k-th subset, for the cell at hand.
+fn basis_row(n: u32, row: u32, k: u32) -> u32 {
+  return node_basis[n] + ((row * node_mixture[n] + k) * node_others[n] + cell_others[n]) * node_rank[n];
+}

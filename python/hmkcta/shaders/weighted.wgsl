@@ -1,0 +1,244 @@
+// A weighted sum of elements, for interpolation: each mode has several weighted rows, and the sum goes over all their
+// combinations. Rows that lie in one node and one cluster are added up before the core, so that most of the work is
+// done once and not once a combination.
+//
+// The nodes that the combinations lie in form a tree. It is walked depth first; at every depth there is a mask a mode of
+// the rows inside the node, and the node's children are the combinations of the parts these rows go to.
+
+// Weighted indices of one axis.
+struct Picks {
+  count: u32,
+  index: array<u32, PICKS>,
+  weight: array<Value, PICKS>,
+}
+
+const OPEN = LEVELS * ORDER;
+
+var<private> row_weight: array<Value, ROWS>;
+var<private> row_count: array<u32, ORDER>;
+var<private> row_at: array<u32, LEVELS * ROWS>;  // by depth: the row's place in the node's list
+var<private> inside: array<u32, OPEN>;           // by depth: rows of mode n inside the node
+var<private> waiting: array<u32, OPEN>;          // by depth: those of them in parts that no child was entered for yet
+var<private> node_at: array<u32, LEVELS>;
+
+// Starts a selection: every axis stands at index 0 with weight 1.
+fn pick_nothing() {
+  for (var n = 0u; n < ORDER; n++) {
+    row_count[n] = 1u;
+    row_at[ROW_FIRST[n]] = 0u;
+    row_weight[ROW_FIRST[n]] = Value(1.0);
+  }
+}
+
+// An axis that stands still.
+fn pick_index(axis: u32, index: u32) {
+  let n = AXIS_MODE[axis];
+  for (var i = 0u; i < row_count[n]; i++) {
+    row_at[ROW_FIRST[n] + i] += index * AXIS_STRIDE[axis];
+  }
+}
+
+// Several weighted indices of an axis: the rows of its mode become their combinations with the rows so far.
+fn pick_axis(axis: u32, picks: Picks) {
+  var picked = picks;
+  let n = AXIS_MODE[axis];
+  let first = ROW_FIRST[n];
+  let before = row_count[n];
+  for (var left = picked.count; left > 0u; left--) {
+    let j = left - 1u;  // the first index last, for it takes the place of the rows so far
+    for (var i = 0u; i < before; i++) {
+      row_at[first + j * before + i] = row_at[first + i] + picked.index[j] * AXIS_STRIDE[axis];
+      row_weight[first + j * before + i] = row_weight[first + i] * picked.weight[j];
+    }
+  }
+  row_count[n] = before * picked.count;
+}
+
+// The weighted sum, in the domain of the value transform.
+fn decode_picked(levels: u32) -> Value {
+  var sum = Value(0.0);
+  for (var n = 0u; n < ORDER; n++) {
+    if (row_count[n] == 0u) {
+      return sum;
+    }
+    inside[n] = (2u << (row_count[n] - 1u)) - 1u;  // as many ones; 32 of them too
+  }
+  node_at[0] = 0u;
+  var depth = 0u;
+  var entered = true;
+  loop {
+    if (entered) {
+      sum += visit(depth, levels);
+    }
+    entered = node_at[depth] != LEAF && enter_next_child(depth);
+    if (entered) {
+      depth += 1u;
+    } else if (depth == 0u) {
+      break;
+    } else {
+      depth -= 1u;
+    }
+  }
+  return sum;
+}
+
+// What the node at this depth adds, and the first group of rows in every mode for its first child.
+fn visit(depth: u32, levels: u32) -> Value {
+  let node = node_at[depth];
+  var sum = Value(0.0);
+  let full = open_node(node);
+  if (full) {
+    sum = picked_value(node, depth);
+  }
+  if (!full || word(node) == LEAF || depth + 1u >= levels) {
+    node_at[depth] = LEAF;
+    return sum;
+  }
+  for (var n = 0u; n < ORDER; n++) {
+    waiting[depth * ORDER + n] = inside[depth * ORDER + n];
+    if (n + 1u < ORDER) {
+      enter_part(depth, n);
+    }
+  }
+  return sum;
+}
+
+// Goes on to the next combination of parts, the last mode fastest; false: all have been entered.
+fn enter_next_child(depth: u32) -> bool {
+  var n = ORDER;
+  loop {
+    n -= 1u;
+    if (waiting[depth * ORDER + n] != 0u) {
+      break;
+    }
+    if (n == 0u) {
+      return false;
+    }
+  }
+  enter_part(depth, n);
+  for (var m = n + 1u; m < ORDER; m++) {
+    waiting[depth * ORDER + m] = inside[depth * ORDER + m];
+    enter_part(depth, m);
+  }
+  var part = 0u;  // flat(part_1 .. part_N)
+  for (var m = 0u; m < ORDER; m++) {
+    part = part * word(node_at[depth] + 3u + 5u * m);
+    if (!undecomposed(m)) {
+      part += word(row_record(node_at[depth], m, row_at[depth * ROWS + first_row(m, inside[(depth + 1u) * ORDER + m])]));
+    }
+  }
+  node_at[depth + 1u] = word(node_at[depth]) + part * NODE_WORDS;
+  return true;
+}
+
+// Takes the waiting rows of mode n that go to the same part as the first of them down to the next depth.
+fn enter_part(depth: u32, n: u32) {
+  let here = depth * ROWS;
+  let left = waiting[depth * ORDER + n];
+  var group = 0u;
+  if (undecomposed(n)) {
+    group = left;
+    for (var rows = left; rows != 0u; rows &= rows - 1u) {
+      let i = first_row(n, rows);
+      row_at[here + ROWS + i] = row_at[here + i];
+    }
+  } else {
+    let part = word(row_record(node_at[depth], n, row_at[here + first_row(n, left)]));
+    for (var rows = left; rows != 0u; rows &= rows - 1u) {
+      let i = first_row(n, rows);
+      let record = row_record(node_at[depth], n, row_at[here + i]);
+      if (word(record) == part) {
+        group |= 1u << (i - ROW_FIRST[n]);
+        row_at[here + ROWS + i] = word(record + 1u);
+      }
+    }
+  }
+  waiting[depth * ORDER + n] = left & ~group;
+  inside[(depth + 1u) * ORDER + n] = group;
+}
+
+// The first row of a mask of mode n.
+fn first_row(n: u32, mask: u32) -> u32 {
+  return ROW_FIRST[n] + firstTrailingBit(mask);
+}
+
+// What the node at hand adds: the sum over the clusters that any row inside is a member of.
+fn picked_value(node: u32, depth: u32) -> Value {
+  for (var n = 0u; n < ORDER; n++) {
+    cell_cluster[n] = next_cluster(depth, n, 0u);
+  }
+  var sum = Value(0.0);
+  var more = true;
+  while (more) {
+    open_cell(node);
+    var first = 0u;
+    for (var n = 0u; n < ORDER; n++) {
+      cell_first[n] = first;
+      weigh_rows(depth, n);
+      first += cell_count[n];
+    }
+    sum += cell_scale * contract_0(0u);
+    more = false;
+    for (var left = ORDER; left > 0u && !more; left--) {
+      let n = left - 1u;
+      cell_cluster[n] = next_cluster(depth, n, cell_cluster[n] + 1u);
+      more = cell_cluster[n] != LEAF;
+      if (!more) {
+        cell_cluster[n] = next_cluster(depth, n, 0u);
+      }
+    }
+  }
+  return sum;
+}
+
+// The lowest cluster subset of mode n, not below `least`, that a row inside the node is a member of; LEAF: none.
+fn next_cluster(depth: u32, n: u32, least: u32) -> u32 {
+  if (undecomposed(n)) {
+    return select(LEAF, 0u, least == 0u);
+  }
+  var lowest = LEAF;
+  for (var rows = inside[depth * ORDER + n]; rows != 0u; rows &= rows - 1u) {
+    let record = node_rows[n] + row_at[depth * ROWS + first_row(n, rows)] * (2u + node_mixture[n]);
+    for (var k = 0u; k < node_mixture[n]; k++) {
+      let cluster = word(record + 2u + k);
+      if (cluster >= least) {
+        lowest = min(lowest, cluster);
+      }
+    }
+  }
+  return lowest;
+}
+
+// The basis rows of mode n in the cell at hand, weighted and added up, go to `cell_weight`.
+fn weigh_rows(depth: u32, n: u32) {
+  let first = cell_first[n];
+  cell_count[n] = 0u;
+  if (contracted(n)) {
+    return;
+  }
+  if (undecomposed(n)) {
+    for (var rows = inside[depth * ORDER + n]; rows != 0u; rows &= rows - 1u) {
+      let i = first_row(n, rows);
+      cell_weight[first + cell_count[n]] = row_weight[i];
+      cell_index[first + cell_count[n]] = row_at[depth * ROWS + i];
+      cell_count[n] += 1u;
+    }
+    return;
+  }
+  cell_count[n] = node_rank[n];
+  for (var r = 0u; r < node_rank[n]; r++) {
+    cell_weight[first + r] = Value(0.0);
+  }
+  for (var rows = inside[depth * ORDER + n]; rows != 0u; rows &= rows - 1u) {
+    let i = first_row(n, rows);
+    let row = row_at[depth * ROWS + i];
+    for (var k = 0u; k < node_mixture[n]; k++) {
+      if (word(node_rows[n] + row * (2u + node_mixture[n]) + 2u + k) == cell_cluster[n]) {
+        let basis = basis_row(n, row, k);
+        for (var r = 0u; r < node_rank[n]; r++) {
+          cell_weight[first + r] += row_weight[i] * coefficient(basis + r);
+        }
+      }
+    }
+  }
+}
