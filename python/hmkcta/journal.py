@@ -15,12 +15,13 @@ import platform
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
+from math import prod
 from pathlib import Path
 from types import TracebackType
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
-from safetensors.numpy import load, save
+from numpy.typing import NDArray
 
 from . import backends
 from ._version import __version__
@@ -34,6 +35,7 @@ from .recordlog import Busy, RecordLog
 from .source import Source
 
 RUN, PLAN, NODES = "run.json", "plan.json", "nodes.log"
+Number = TypeVar("Number", np.uint16, np.float16, np.float32)
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -283,26 +285,36 @@ def decisive(source: Source, plan: Plan | None, **settings: Any) -> dict[str, An
 
 
 def _packed(cells: Cells) -> bytes:
-    """Bases as float16, which they are rounded to; cores as float32, as their factors are not known any more."""
+    """I, R (-1: undecomposed), C, K of every mode, memberships, bases as float16, which they are rounded to, cores.
+
+    Cores are kept as float32: they are float16 times a factor, and which factor is not known any more.
+    """
     ranks = [-1 if rank is None else rank for rank in cells.spec.ranks]
-    arrays: dict[str, Any] = {
-        "spec": np.array([cells.sizes, ranks, cells.spec.clusters, cells.spec.mixture], np.int64),
-        "cores": np.ascontiguousarray(cells.cores),
-    }
-    for n in range(cells.order):
-        arrays[f"members/{n}"] = np.ascontiguousarray(cells.members[n])
-        arrays[f"bases/{n}"] = np.ascontiguousarray(cells.bases[n], np.float16)
-    return save(arrays)
+    shape = np.array([cells.sizes, ranks, cells.spec.clusters, cells.spec.mixture], np.int32)
+    numbers = [array.tobytes() for array in (*cells.members, *(b.astype(np.float16) for b in cells.bases), cells.cores)]
+    return b"".join([bytes([cells.order]), shape.tobytes(), *numbers])
 
 
 def _unpacked(content: bytes, spec: LevelSpec) -> Cells:
     """The cells; what their spec has beside R, C and K is that of `spec`."""
-    arrays = load(content)
-    sizes, ranks, clusters, mixture = (tuple(row) for row in arrays["spec"].tolist())
+    place = 1 + 16 * content[0]
+    shape = np.frombuffer(content, np.int32, 4 * content[0], 1).reshape(4, -1).tolist()
+    sizes, ranks, clusters, mixture = (tuple(row) for row in shape)
     exact = replace(spec, ranks=tuple(None if r < 0 else r for r in ranks), clusters=clusters, mixture=mixture)
-    order = range(len(sizes))
-    return Cells(sizes, exact, [arrays[f"members/{n}"] for n in order],
-                 [arrays[f"bases/{n}"].astype(np.float32) for n in order], arrays["cores"])
+
+    def taken(shape: tuple[int, ...], dtype: type[Number]) -> NDArray[Number]:
+        nonlocal place
+        array = np.frombuffer(content, dtype, prod(shape), place).reshape(shape)
+        place += array.nbytes
+        return array.copy()
+
+    members = [taken((i, k), np.uint16) for i, k in zip(sizes, mixture, strict=True)]
+    bases = [
+        taken((0,) if r < 0 else (i, k, exact.cells // c, r), np.float16).astype(np.float32)
+        for i, r, c, k in zip(*shape, strict=True)
+    ]
+    cores = taken((exact.cells, *(i if r < 0 else r for i, r in zip(sizes, ranks, strict=True))), np.float32)
+    return Cells(sizes, exact, members, bases, cores)
 
 
 def _fits(cells: Cells, sizes: Sequence[int], spec: LevelSpec) -> bool:

@@ -23,7 +23,7 @@ Key = tuple[int, int]
 _HEADER = struct.Struct("<IIIQ")
 _KEY = struct.Struct("<II")
 #: Seconds after which records are forced to the disk. A killed process loses nothing, a power cut no more than these.
-_SYNC_EVERY = 2.0
+_SYNC_EVERY = 5.0
 
 
 class Busy(Exception):
