@@ -119,7 +119,7 @@ def fit_to_goal(
             tensor, spec, decode_cost, run.seed, labels(nodes[s]), alone=len(nodes) == 1, nbytes=goal.size or inf
         )
 
-    in_parallel(examine, nodes, "ranks of each node", run)
+    in_parallel(examine, nodes, "ranks of each node", run, tree.residual)
     found = [(s, choices) for s, choices in enumerate(spectra) if choices is not None]
     if found:
         level = _LastLevel(tree, found, spec, goal, run, labels)

@@ -52,6 +52,17 @@ class Cells:
         """Which modes keep their identity basis."""
         return tuple(r is None for r in self.spec.ranks)
 
+    def part(self, rows: Sequence[NDArray[np.intp]]) -> Cells:
+        """The model of an outer product of rows of the node."""
+        cores = self.cores
+        for n, (chosen, skip) in enumerate(zip(rows, self.undecomposed, strict=True)):
+            if skip and len(chosen) < self.sizes[n]:
+                cores = cores.take(chosen, axis=n + 1)
+        members = [own[chosen] for own, chosen in zip(self.members, rows, strict=True)]
+        stored = zip(self.bases, rows, self.undecomposed, strict=True)
+        bases = [own if skip else own[chosen] for own, chosen, skip in stored]
+        return Cells(tuple(map(len, rows)), self.spec, members, bases, cores)
+
     def rounded(self) -> Cells:
         """The cells as they will be stored: float16 numbers, cores with a float32 factor a cell."""
         cores, scale = round_cores(self.cores)

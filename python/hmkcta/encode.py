@@ -129,7 +129,7 @@ def compress(
             journal.begin(decisive(source, plan, organisation=organisation, snr=snr, size=size, kind=kind,
                                    decode_cost=decode_cost, quality=quality, scheme=scheme, seed=seed))
         plan = plan or run.journal.plan(lambda: _chosen(source, run, organisation, snr, size, decode_cost))
-        return follow(Task(source, plan, scheme, decode_cost, kind or source.kind, run))
+        return follow(Task(source, plan, scheme, decode_cost, kind or source.kind, run, max_memory))
 
 
 def _one_blas_thread() -> AbstractContextManager[Any]:
@@ -164,9 +164,6 @@ def _check_goal(snr: float | None, size: int | None) -> None:
 
 def _source(array: Any, axes: Any, transform: str, nan: float | None, max_memory: int | None) -> Source:
     source = prepare(array, axes, transform, nan)
-    check_memory(
-        fitting_memory(source.shape), "compressing this array", "raise --max-memory or compress a part", max_memory
-    )
     return source
 
 

@@ -49,7 +49,13 @@ Labels = Sequence[NDArray[np.intp]]
 
 
 def fit_level(
-    tensor: F32, spec: LevelSpec, effort: Effort, rng: np.random.Generator, labels: Labels | None = None
+    tensor: F32,
+    spec: LevelSpec,
+    effort: Effort,
+    rng: np.random.Generator,
+    labels: Labels | None = None,
+    *,
+    own: bool = False,
 ) -> tuple[Cells, F32]:
     """Fit one level to a node's (residual) tensor of shape I_1 x .. x I_N.
 
@@ -59,6 +65,7 @@ def fit_level(
         effort: how long to try.
         rng: for starts.
         labels: the disjoint memberships to start from; None: the best of several candidates.
+        own: the tensor is not needed any more, and may be overwritten.
 
     Returns:
         The cells in float32, not yet rounded, and what they leave of the tensor.
@@ -66,15 +73,18 @@ def fit_level(
     spec = spec.clamped(tensor.shape)
     if spec.cells == 1:
         return _hooi(tensor, spec, effort, rng)
-    cells, residual = _disjoint_start(tensor, spec, labels or _best_labels(tensor, spec, effort, rng), rng)
+    labels = labels or _best_labels(tensor, spec, effort, rng)
+    searched = spec.search != "fast" and max(spec.mixture) > 1  # on the tensor, which has to stay then
+    cells, residual = _disjoint_start(tensor if own and not searched else tensor.copy(), spec, labels, rng)
     if spec.search == "fast":
         _extend_memberships(cells, spec, residual)
-    elif max(spec.mixture) > 1:
+    elif searched:
         for round_ in range(effort.searches):
             for n in (n for n in range(spec.order) if spec.ranks[n] is not None):
                 joint_rows(cells, tensor, n, spec.mixture[n], spec.search)
                 orthonormalise(cells, n)
-            residual = left_by(cells, tensor)
+            residual[...] = tensor
+            kernels.accumulate(cells, residual, -1.0)
             if round_ + 1 < effort.searches:
                 kernels.fit_cells(cells, residual, effort.sweeps, WARM)
     kernels.fit_cells(cells, residual, effort.sweeps, WARM)
@@ -122,13 +132,12 @@ def _best_labels(tensor: F32, spec: LevelSpec, effort: Effort, rng: np.random.Ge
 
 
 def _disjoint_start(tensor: F32, spec: LevelSpec, labels: Labels, rng: np.random.Generator) -> tuple[Cells, F32]:
-    """Truncated HOSVD of every block, by subspace iteration from random bases."""
+    """Truncated HOSVD of every block, by subspace iteration from random bases; the tensor becomes the residual."""
     single = replace(spec, mixture=(1,) * spec.order)
     members = [part[:, None].astype(np.uint16) for part in labels]
     cells = empty_cells(tensor.shape, single, members, rng)
-    residual = np.array(tensor, np.float32, order="C")
-    kernels.fit_cells(cells, residual, 1, COLD)
-    return cells, residual
+    kernels.fit_cells(cells, tensor, 1, COLD)
+    return cells, tensor
 
 
 def _extend_memberships(cells: Cells, spec: LevelSpec, residual: F32) -> None:

@@ -4,25 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import inf, isinf, log10
+from math import inf, isinf, log10, prod
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ._version import __version__
 from .adaptive import Goal, fit_to_goal
+from .axes import mode_sizes
 from .errors import invalid
 from .fit import EFFORTS
-from .hierarchy import Hierarchy, Run, ascend, backfit, descend, fit_nodes, grid_labels, squared_norm, whole
+from .hierarchy import Hierarchy, Run, ascend, backfit, descend, fit_nodes, grid_labels, whole
 from .hmkfile import encoded_size
 from .measure import measure_both
+from .measure_streamed import measure_streamed
 from .model import Model
 from .pack import bounds, pack_levels
 from .packed import LevelQuality, Metadata, PackedLevel
 from .plan import SCHEMES, LevelSpec, Plan
+from .predict import memory_limit
 from .source import Source
-
-F32 = NDArray[np.float32]
+from .streamed import Streamed
 
 #: Bytes kept free for the digits of the quality figures, which are not known while the file's size is counted.
 HEADER_SLACK = 160
@@ -32,7 +34,8 @@ _UNKNOWN = LevelQuality(100 / 3, 1 / 3, 1 / 3)
 
 @dataclass(frozen=True)
 class Task:
-    """A plan to follow on a source: subdivision scheme (``auto``: the best of three), decode cost, kind of data."""
+    """A plan to follow on a source: subdivision scheme (``auto``: the best of three), decode cost, kind of data, most
+    bytes of memory (None: half of what is free)."""
 
     source: Source
     plan: Plan
@@ -40,6 +43,7 @@ class Task:
     decode_cost: int
     kind: str
     run: Run
+    memory: int | None = None
 
 
 def follow(task: Task) -> Model:
@@ -49,10 +53,8 @@ def follow(task: Task) -> Model:
         HmkctaError: the plan does not fit the tensor, or its goal is below what it can do.
     """
     plan, run = task.plan, task.run
-    tensor = task.source.tensor(plan.organisation)
-    _check(plan, tensor.shape)
-    tree = whole(tensor.copy())
-    goal = _goal(task, tensor)
+    _check(plan, mode_sizes(task.source.axes, plan.organisation))
+    tree, goal = _begun(task)
     for number, spec in enumerate(plan.levels):
         if number:
             _descend(task, tree, plan.levels[number - 1], spec)
@@ -94,15 +96,21 @@ def _check(plan: Plan, sizes: Sequence[int]) -> None:
             raise invalid("more-clusters-than-rows", f"C of mode {n + 1}", clusters, allowed)
 
 
-def _goal(task: Task, tensor: F32) -> Goal:
-    energy = squared_norm(tensor)
-    return Goal(
-        task.plan.size,
-        task.plan.snr,
-        energy,
-        file_bytes=lambda tree: encoded_size(*_described(task, tree)) + HEADER_SLACK,
-        snr_now=lambda tree: _snr(task, tensor, tree, energy),
-    )
+def _begun(task: Task) -> tuple[Hierarchy, Goal]:
+    """The hierarchy before any level, in memory or streamed, and the plan's goal with how it is measured."""
+    source, organisation = task.source, task.plan.organisation
+    limit = memory_limit(task.plan, mode_sizes(source.axes, organisation), task.memory)
+    if prod(source.shape) > limit:
+        tree = whole(Streamed(source, organisation, task.run.threads, limit))
+        energy = tree.error
+    else:
+        tree = whole(source.tensor(organisation))
+        energy = tree.error
+
+    def file_bytes(tree: Hierarchy) -> int:
+        return encoded_size(*_described(task, tree)) + HEADER_SLACK
+
+    return tree, Goal(task.plan.size, task.plan.snr, energy, file_bytes, lambda tree: _snr(task, tree, energy))
 
 
 def _descend(task: Task, tree: Hierarchy, above: LevelSpec, below: LevelSpec) -> None:
@@ -123,17 +131,19 @@ def _descend(task: Task, tree: Hierarchy, above: LevelSpec, below: LevelSpec) ->
     descend(tree, min(left, key=lambda scheme: left[scheme]), run)
 
 
-def _snr(task: Task, tensor: F32, tree: Hierarchy, energy: float) -> float:
+def _snr(task: Task, tree: Hierarchy, energy: float) -> float:
     """SNR in dB, in the domain of the source values."""
     transform = task.source.value_transform
-    error = tree.error
-    if transform.name != "identity":
-        error = energy = 0.0
-        unit = np.float64(task.source.unit)
-        for values, left in zip(tensor, tree.residual, strict=True):
-            original = transform.inverse(unit * values)
-            energy += float(np.square(original).sum())
-            error += float(np.square(original - transform.inverse(unit * (values - left))).sum())
+    if transform.name == "identity":
+        return _decibels(energy, tree.error)
+    if isinstance(tree.residual, Streamed):
+        return measure_streamed(tree, tree.residual, task.run.progress)[0][-1].snr_db
+    error = energy = 0.0
+    unit = np.float64(task.source.unit)
+    for values, left in zip(task.source.tensor(task.plan.organisation), tree.residual, strict=True):
+        original = transform.inverse(unit * values)
+        energy += float(np.square(original).sum())
+        error += float(np.square(original - transform.inverse(unit * (values - left))).sum())
     return _decibels(energy, error)
 
 
@@ -167,7 +177,10 @@ def _measured(task: Task, tree: Hierarchy) -> Model:
     """The model with its quality, decoded from the stored numbers and compared with the source."""
     metadata, levels = _described(task, tree)
     model, source = Model(metadata, levels), task.source
-    quality, transformed = measure_both(model, source.array, nan=source.nan, progress=task.run.progress)
+    if isinstance(tree.residual, Streamed):
+        quality, transformed = measure_streamed(tree, tree.residual, task.run.progress)
+    else:
+        quality, transformed = measure_both(model, source.array, nan=source.nan, progress=task.run.progress)
     if source.value_transform.name != "identity":
         in_its_domain = [None if isinf(level.snr_db) else round(level.snr_db, 6) for level in transformed]
         metadata = replace(metadata, source={**metadata.source, "transformed_snr_db": in_its_domain})

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
-from itertools import product
+from contextlib import nullcontext
+from dataclasses import dataclass, field, replace
+from itertools import groupby, product
 from math import prod
 
 import numpy as np
@@ -18,7 +19,9 @@ from .fit import WARM, Effort, Labels, fit_level
 from .journal import NoJournal
 from .memberships import uniform_blocks
 from .plan import LevelSpec
+from .streamed import Piece, Streamed, squared_norm
 from .subdivision import subdivide
+from .workset import fit_streamed, refit_streamed
 
 F32 = NDArray[np.float32]
 Rows = tuple[NDArray[np.intp], ...]
@@ -46,12 +49,14 @@ class Node:
         cells: the fitted cells as they will be stored (float16 numbers); None: the node adds nothing and is a leaf.
         parts: for each mode the part of every row at the next level; None: a leaf.
         children: one for each combination of parts, in C order.
+        piece: where its elements lie, if the tensor is streamed; None then: it is the whole tensor.
     """
 
     rows: Rows
     cells: Cells | None = None
     parts: list[NDArray[np.intp]] | None = None
     children: list[Node] = field(default_factory=list["Node"])
+    piece: Piece | None = None
 
     @property
     def sizes(self) -> tuple[int, ...]:
@@ -68,67 +73,87 @@ class Node:
 class Hierarchy:
     """Nodes by level, and the tensor minus all of them: `residual` is kept up to date by every step.
 
-    `schemes` says how each level but the last was subdivided.
+    `schemes` says how each level but the last was subdivided. A `Streamed` residual is not in memory.
     """
 
-    residual: F32
+    residual: F32 | Streamed
     levels: list[list[Node]]
     schemes: list[str] = field(default_factory=list[str])
 
     @property
     def error(self) -> float:
         """Squared error of everything fitted so far, float64."""
-        return squared_norm(self.residual)
+        return self.residual.error if isinstance(self.residual, Streamed) else squared_norm(self.residual)
 
 
 #: The disjoint memberships a node's cells start from; None: found by trial.
 LabelsOf = Callable[[Node], Labels | None]
 
 
-def squared_norm(tensor: F32) -> float:
-    """Sum of squares in float64, slab by slab."""
-    total = 0.0
-    for i in range(tensor.shape[0]):
-        total += float(np.square(tensor[i : i + 1], dtype=np.float64).sum())
-    return total
-
-
-def whole(tensor: F32) -> Hierarchy:
+def whole(tensor: F32 | Streamed) -> Hierarchy:
     """The hierarchy before any level: one node that owns every row."""
     rows: Rows = tuple([np.arange(size, dtype=np.intp) for size in tensor.shape])
     return Hierarchy(tensor, [[Node(rows)]])
 
 
-def gather(tensor: F32, node: Node) -> F32:
+def gather(tensor: F32 | Streamed, node: Node) -> F32:
     """The node's sub-tensor in one piece."""
+    if isinstance(tensor, Streamed):
+        return tensor.gather(node.rows, node.piece)
     if node.sizes == tensor.shape:
         return tensor.copy()
     return np.ascontiguousarray(tensor[np.ix_(*node.rows)])
 
 
-def scatter(tensor: F32, node: Node, values: F32) -> None:
+def scatter(tensor: F32 | Streamed, node: Node, values: F32) -> None:
     """Put the node's sub-tensor back."""
-    if node.sizes == tensor.shape:
+    if isinstance(tensor, Streamed):
+        tensor.scatter(node.rows, node.piece, values)
+    elif node.sizes == tensor.shape:
         tensor[...] = values
     else:
         tensor[np.ix_(*node.rows)] = values
 
 
-def in_parallel(work: Callable[[int], None], nodes: Sequence[Node], stage: str, run: Run) -> None:
-    """Do the work for every node, largest first; nodes share no element, so their order changes nothing."""
-    order = sorted(range(len(nodes)), key=lambda s: -nodes[s].elements)
-    total, done = max(1, sum(node.elements for node in nodes)), 0
+def in_parallel(
+    work: Callable[[int], None], nodes: Sequence[Node], stage: str, run: Run, residual: F32 | Streamed | None = None
+) -> None:
+    """Do the work for every node, largest first; nodes share no element, so their order changes nothing.
+
+    Nodes in one piece of a streamed residual are worked on one after another while the piece is in memory.
+    """
+    alone = not isinstance(residual, Streamed)
+    grouped = groupby(range(len(nodes)), key=lambda s: s if alone else id(nodes[s].piece))
+    groups = [list(group) for _, group in grouped]
+    sizes = [sum(nodes[s].elements for s in group) for group in groups]
+    workers = run.threads if alone else residual.workers(max(sizes, default=1))
+
+    def together(group: Sequence[int]) -> None:
+        piece = nodes[group[0]].piece
+        with nullcontext() if alone or piece is None else residual.holding(piece):
+            for s in group:
+                work(s)
+
+    order = sorted(range(len(groups)), key=lambda g: -sizes[g])
+    total, done = max(1, sum(sizes)), 0
     run.progress(stage, 0.0)
-    with ThreadPoolExecutor(max_workers=run.threads) as pool:
-        futures = [(s, pool.submit(work, s)) for s in order]
+    with ThreadPoolExecutor(max_workers=workers) as pool:
+        futures = [(g, pool.submit(together, groups[g])) for g in order]
         try:
-            for s, future in futures:
+            for g, future in futures:
                 future.result()
-                done += nodes[s].elements
+                done += sizes[g]
                 run.progress(stage, done / total)
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)
             raise
+    if not alone and any(node.piece is not None for node in nodes):
+        residual.settle()
+
+
+def streamed(tree: Hierarchy, node: Node) -> Streamed | None:
+    """The residual, where the node is the whole of a tensor that is not in memory."""
+    return tree.residual if isinstance(tree.residual, Streamed) and node.piece is None else None
 
 
 def fit_nodes(tree: Hierarchy, specs: Sequence[LevelSpec | None], run: Run, labels: LabelsOf = lambda _: None) -> None:
@@ -139,19 +164,26 @@ def fit_nodes(tree: Hierarchy, specs: Sequence[LevelSpec | None], run: Run, labe
         node, spec = nodes[s], specs[s]
         if spec is None or node.elements == 0:
             return
-        tensor = gather(tree.residual, node)
+        outside, rng = streamed(tree, node), np.random.default_rng([run.seed, depth, s])
+        tensor = None if outside else gather(tree.residual, node)
         finished = run.journal.recall(step, s, node.sizes, spec)
         if finished is None:
-            if not tensor.any():
+            if tensor is None:
+                cells = fit_streamed(outside, depth - 1, spec, run.effort, rng, labels(node))
+            elif tensor.any():
+                cells, _ = fit_level(tensor, spec, run.effort, rng, labels(node))
+            else:
                 return
-            cells, _ = fit_level(tensor, spec, run.effort, np.random.default_rng([run.seed, depth, s]), labels(node))
             node.cells = cells.rounded()
             run.journal.keep(step, s, node.cells)
         else:
             node.cells = finished.cells
-        scatter(tree.residual, node, _exchanged(tensor, None, node.cells))
+        if tensor is None:
+            outside.change(depth - 1, node.cells)
+        else:
+            scatter(tree.residual, node, _exchanged(tensor, None, node.cells))
 
-    in_parallel(work, nodes, f"level {depth}", run)
+    in_parallel(work, nodes, f"level {depth}", run, tree.residual)
 
 
 def _exchanged(residual: F32, old: Cells | None, new: Cells | None) -> F32:
@@ -174,12 +206,19 @@ def descend(tree: Hierarchy, scheme: str, run: Run) -> None:
         node = nodes[s]
         if node.cells is None:
             return
-        tensor = gather(tree.residual, node)
-        kernels.accumulate(node.cells, tensor, 1.0)
+        tensor = None if streamed(tree, node) else gather(tree.residual, node)
+        if tensor is not None:
+            kernels.accumulate(node.cells, tensor, 1.0)
         node.parts = subdivide(node.cells, tensor, scheme)
         node.children = list(_children(node, node.cells.spec.clusters))
 
-    in_parallel(work, nodes, "subdivision", run)
+    in_parallel(work, nodes, "subdivision", run, tree.residual)
+    for node in nodes:
+        outside = streamed(tree, node)
+        if outside is not None and node.cells is not None and node.cells.spec.cells > 1:
+            run.progress("reordering", 0.0)
+            for child, piece in zip(node.children, outside.cut(node.parts, node.cells.spec.clusters), strict=True):
+                child.piece = piece
     tree.levels.append([child for node in nodes for child in node.children])
     tree.schemes.append(scheme)
 
@@ -190,7 +229,7 @@ def _children(node: Node, clusters: Sequence[int]) -> Iterator[Node]:
         [rows[part == c] for c in range(count)]
         for rows, part, count in zip(node.rows, node.parts, clusters, strict=True)
     ]
-    return (Node(tuple(rows)) for rows in product(*lists))
+    return (Node(tuple(rows), piece=node.piece) for rows in product(*lists))
 
 
 def ascend(tree: Hierarchy) -> None:
@@ -210,26 +249,41 @@ def backfit(tree: Hierarchy, run: Run, sweeps: int = 1) -> None:
     for number, nodes in enumerate(tree.levels, start=1):
         step = run.journal.step()
 
-        def work(s: int, nodes: list[Node] = nodes, step: int = step) -> None:
+        def work(s: int, nodes: list[Node] = nodes, step: int = step, number: int = number) -> None:
             node = nodes[s]
             old = node.cells
             if old is None:
                 return
+            outside = streamed(tree, node)
             finished = run.journal.recall(step, s, node.sizes, old.spec)
-            cells = _refitted(old, gather(tree.residual, node), sweeps) if finished is None else finished.cells
+            if finished is not None:
+                cells = finished.cells
+            elif outside is not None:
+                cells = refit_streamed(outside, number - 1, _copied(old)).rounded()
+            else:
+                cells = _refitted(old, gather(tree.residual, node), sweeps)
             if finished is None:
                 run.journal.keep(step, s, cells)
-            if cells is not None:
-                node.cells = cells
+            if cells is None:
+                return
+            node.cells = cells
+            if outside is not None:
+                outside.change(number - 1, cells)
+            else:
                 scatter(tree.residual, node, _exchanged(gather(tree.residual, node), old, cells))
 
-        in_parallel(work, nodes, f"back-fitting level {number}", run)
+        in_parallel(work, nodes, f"back-fitting level {number}", run, tree.residual)
+
+
+def _copied(cells: Cells) -> Cells:
+    """Cells that may be changed in place."""
+    return replace(cells, members=list(cells.members), bases=[b.copy() for b in cells.bases], cores=cells.cores.copy())
 
 
 def _refitted(old: Cells, residual: F32, sweeps: int) -> Cells | None:
     """Rounded cells that leave less than the old ones, which leave `residual` (used up); None: there are none."""
     before = squared_norm(residual)
-    cells = Cells(old.sizes, old.spec, old.members, [b.copy() for b in old.bases], old.cores.copy())
+    cells = _copied(old)
     kernels.fit_cells(cells, residual, sweeps, WARM)
     rounded = cells.rounded()
     # So close to the optimum that rounding outweighs the gain?

@@ -26,7 +26,7 @@ _SLAB = 1 << 22
 
 
 @dataclass(eq=False)
-class _Sums:
+class Sums:
     """Squares of the values and, for each level, of the errors; the largest error of each level."""
 
     levels: int
@@ -47,6 +47,12 @@ class _Sums:
         """Count errors of a level, from 0."""
         self.noise[level] += float(np.square(error).sum())
         self.largest[level] = max(self.largest[level], float(np.abs(error).max(initial=0.0)))
+
+    def merge(self, other: Sums) -> None:
+        """Add what was counted elsewhere."""
+        self.signal, self.count = self.signal + other.signal, self.count + other.count
+        self.noise = [a + b for a, b in zip(self.noise, other.noise, strict=True)]
+        self.largest = [max(a, b) for a, b in zip(self.largest, other.largest, strict=True)]
 
     def quality(self) -> tuple[LevelQuality, ...]:
         """An exact reconstruction has an infinite SNR, whatever its signal."""
@@ -87,7 +93,7 @@ def measure_both(model: Model, source: Any, *, nan: float | None = None, progres
     metadata = model.metadata
     sizes = mode_sizes(metadata.axes, metadata.organisation)
     transform = from_json(metadata.transform)
-    plain, transformed = _Sums(len(model.levels)), _Sums(len(model.levels))
+    plain, transformed = Sums(len(model.levels)), Sums(len(model.levels))
     for part in slabs(model.shape, slab):
         values = _finite(np.asarray(source[part], np.float64), nan, part)
         axes = [replace(axis, size=size, coords=None) for axis, size in zip(metadata.axes, values.shape, strict=True)]

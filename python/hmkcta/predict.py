@@ -5,16 +5,29 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import prod
 
+from .memory import memory_budget
 from .plan import LevelSpec, Plan
 
 #: Bytes of memory for each element while fitting: the float32 tensor, its residual, a saved residual, working copies.
 MEMORY_AN_ELEMENT = 20
+#: Most elements of a tensor that is fitted in one piece: more elements fit it no better.
+WORKSET = 1 << 26
+#: Bytes for each of them: the tensor, its residual, and what is made on the way; and bytes of the process itself.
+WORKING, PROCESS = 14, 200 * 2**20
 #: Bytes of the header, with the metadata, for a file of four axes and few levels.
 HEADER_BYTES = 6144
 #: Bytes of tables: of a node besides its rows and cells, of a node for each mode, of a cell.
 _NODE, _NODE_MODE, _CELL = 12, 24, 4
 #: Bytes of tables for each row a node owns: a cluster number, and where it goes at the next level.
 _CLUSTER, _PART_LOCAL = 2, 6
+
+
+def memory_limit(plan: Plan, sizes: Sequence[int], memory: int | None) -> int:
+    """How many elements are worked on at once as one tensor; a larger tensor is streamed."""
+    limit = max(1, min(WORKSET, (memory_budget(memory) - PROCESS) // WORKING))
+    if prod(sizes) <= limit or plan.levels[0].search != "fast":
+        return limit
+    return prod(sizes)
 
 
 def fitting_memory(shape: Sequence[int]) -> int:

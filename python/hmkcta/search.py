@@ -62,7 +62,11 @@ def joint_rows(cells: Cells, tensor: F32, n: int, mixture: int, search: str) -> 
 
     `search` is ``optimal``, ``greedy`` or ``fixed`` (keep the subsets). The rows are not orthonormal afterwards.
     """
-    coding = code(cells, tensor, n)
+    choose_rows(cells, code(cells, kernels.project_cells(cells, tensor, n), n), n, mixture, search)
+
+
+def choose_rows(cells: Cells, coding: Coding, n: int, mixture: int, search: str) -> None:
+    """`joint_rows` with b and H at hand."""
     clusters, size = cells.spec.clusters[n], cells.sizes[n]
     everyone = np.arange(size)
     if search == "fixed":
@@ -79,10 +83,9 @@ def joint_rows(cells: Cells, tensor: F32, n: int, mixture: int, search: str) -> 
     _store(cells, n, coding, mixture)
 
 
-def code(cells: Cells, tensor: F32, n: int) -> Coding:
-    """b and H of mode n, grouped by its clusters."""
+def code(cells: Cells, y: NDArray[np.floating], n: int) -> Coding:
+    """b and H of mode n, grouped by its clusters, from the projections `y` `[PC, I_n, prod_{m != n} R_m]`."""
     rank, clusters = cells.ranks[n], cells.spec.clusters[n]
-    y = kernels.project_cells(cells, tensor, n)  # [PC, I_n, prod_{m != n} R_m]
     cores = np.moveaxis(cells.cores, n + 1, 1).reshape(cells.spec.cells, rank, -1)
     b = np.matmul(cores.astype(np.float64), y.transpose(0, 2, 1))  # [PC, R_n, I_n]
     order = np.argsort(np.indices(cells.spec.clusters)[n].reshape(-1), kind="stable")
@@ -97,6 +100,28 @@ def code(cells: Cells, tensor: F32, n: int) -> Coding:
         subset=[()] * size,
         coefficients=[np.zeros(0)] * size,
     )
+
+
+def project_model(cells: Cells, other: Cells, n: int) -> F64:
+    """What `project_cells` makes of the other cells' reconstruction, from their bases and cores alone.
+
+    `Y_n[c] = sum_d Z_d x_{m != n} (U_{m,c}^T U_{m,d}) x_n U_{n,d}`, `[PC, I_n, prod_{m != n} R_m]`; nothing the size of
+    the tensor is touched.
+    """
+    modes = [m for m in range(cells.order) if m != n and not cells.undecomposed[m]]
+    theirs = {m: dense_basis(other, m).astype(np.float64).transpose(0, 2, 1) for m in [*modes, n]}  # [PD, R_m, I_m]
+    ours = {m: dense_basis(cells, m).astype(np.float64) for m in modes}  # [PC, I_m, R_m]
+    expand = theirs[n].transpose(2, 0, 1).reshape(cells.sizes[n], -1)  # [I_n, PD R_n]
+    y: list[F64] = []
+    for c in range(cells.spec.cells):
+        x: F64 = other.cores.astype(np.float64)
+        for m in modes:
+            gram = theirs[m] @ ours[m][c]  # [PD, R_m of d, R_m of c]
+            x = np.moveaxis(x, m + 1, -1)
+            shape = (*x.shape[:-1], gram.shape[2])
+            x = np.moveaxis((x.reshape(len(gram), -1, gram.shape[1]) @ gram).reshape(shape), -1, m + 1)
+        y.append(expand @ np.moveaxis(x, n + 1, 1).reshape(expand.shape[1], -1))
+    return np.array(y)
 
 
 def _patterns(members: NDArray[np.uint16]) -> Iterable[tuple[Subset, NDArray[np.intp]]]:

@@ -9,15 +9,20 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from . import backends as kernels
 from .cells import Cells
 from .memberships import uniform_blocks
-from .search import code
+from .search import code, project_model
 
 F32 = NDArray[np.float32]
 
 
-def subdivide(cells: Cells, tensor: F32, scheme: str) -> list[NDArray[np.intp]]:
-    """For each mode the part `[I_n]` of every row, 0 <= part < C_n; tensor is what the cells were fitted to."""
+def subdivide(cells: Cells, tensor: F32 | None, scheme: str) -> list[NDArray[np.intp]]:
+    """For each mode the part `[I_n]` of every row, 0 <= part < C_n.
+
+    Tensor is what the cells were fitted to. None: rows are taken for the best that their subsets allow together, where
+    b = H x, which is true of rows that were found jointly and nearly so of the others.
+    """
     parts: list[NDArray[np.intp]] = []
     for n, (size, clusters, mixture) in enumerate(
         zip(cells.sizes, cells.spec.clusters, cells.spec.mixture, strict=True)
@@ -33,9 +38,10 @@ def subdivide(cells: Cells, tensor: F32, scheme: str) -> list[NDArray[np.intp]]:
     return parts
 
 
-def _subset_errors(cells: Cells, tensor: F32, n: int) -> NDArray[np.float64]:
+def _subset_errors(cells: Cells, tensor: F32 | None, n: int) -> NDArray[np.float64]:
     """`[I_n, K_n]`: squared error of each row by each of its subsets alone, less |t_i|^2."""
-    coding = code(cells, tensor, n)
+    y = project_model(cells, cells, n) if tensor is None else kernels.project_cells(cells, tensor, n)
+    coding = code(cells, y, n)
     side = coding.q
     x = cells.bases[n].astype(np.float64)  # [I_n, K_n, PC_-n, R_n]
     errors = np.empty(cells.members[n].shape)

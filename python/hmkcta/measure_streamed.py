@@ -1,0 +1,113 @@
+"""Measure a fitted hierarchy whose tensor memory does not hold, in one pass over the source.
+
+Every block of the tensor loses level after level; where a node was subdivided, so is its part of the block.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import backends as kernels
+from .hierarchy import Hierarchy, Node, Progress
+from .measure import Sums
+from .packed import LevelQuality
+from .streamed import Rows, Streamed, in_order, split
+from .transform import Transform
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+#: Elements of a slab: many, so that the parts of small nodes in it are not tiny; some 12 bytes each.
+SLAB = 1 << 23
+#: Numbers turned to float64 at a time.
+_PIECE = 1 << 18
+
+
+@dataclass(frozen=True, eq=False)
+class _Errors:
+    """What is summed up over a block: in the domain of the source values, and in that of the value transform."""
+
+    transform: Transform
+    unit: float
+    plain: Sums
+    transformed: Sums
+
+    def add_values(self, values: F32) -> None:
+        """Values of the block."""
+        for piece in _pieces(values):
+            self.plain.add_values(self.transform.inverse(piece * self.unit))
+            self.transformed.add_values(piece * self.unit)
+
+    def add(self, levels: range, values: F32, left: F32) -> None:
+        """What some levels leave of values."""
+        for wide, error in zip(_pieces(values), _pieces(left), strict=True):
+            for level in levels:
+                self.transformed.add_error(level, error * self.unit)
+                if self.transform.name != "identity":
+                    original = self.transform.inverse(wide * self.unit)
+                    self.plain.add_error(level, original - self.transform.inverse((wide - error) * self.unit))
+
+    def below(self, node: Node, depth: int, rows: Rows, values: F32, left: F32) -> None:
+        """Take the node's model and all below it from `left`, what is left of values above it; rows are the node's."""
+        if node.cells is not None:
+            kernels.accumulate(node.cells.part(rows), left, -1.0)
+        deepest = self.transformed.levels
+        if node.parts is None or not node.children:
+            return self.add(range(depth, deepest), values, left)
+        self.add(range(depth, depth + 1), values, left)
+        assert node.cells is not None
+        counts = node.cells.spec.clusters
+        places = [_places(part) for part in node.parts]
+        parts = split(left, rows, node.parts)
+        # Without a value transform nobody looks at the values again.
+        kept = split(values, rows, node.parts) if self.transform.name != "identity" else parts
+        if kept is parts:
+            found = ((child, sub, sub, own) for child, sub, own in parts)
+        else:
+            found = ((child, sub, old, own) for (child, sub, own), (_, old, _) in zip(parts, kept, strict=True))
+        for child, sub, old, own in found:
+            below = node.children[int(np.ravel_multi_index(child, counts))]
+            sub = np.array(sub, order="C")
+            self.below(below, depth + 1, tuple(p[r] for p, r in zip(places, own, strict=True)), old, sub)
+
+
+def measure_streamed(
+    tree: Hierarchy, residual: Streamed, progress: Progress
+) -> tuple[tuple[LevelQuality, ...], tuple[LevelQuality, ...]]:
+    """As `measure_both`, of the stored numbers of every node against the source."""
+    source, levels, root = residual.source, len(tree.levels), tree.levels[0][0]
+    total = Sums(levels), Sums(levels)
+
+    def measured(part: tuple[slice, ...]) -> _Errors:
+        rows, values = source.block(residual.organisation, part)
+        errors = _Errors(source.value_transform, source.unit, Sums(levels), Sums(levels))
+        errors.add_values(values)
+        left = values if errors.transform.name == "identity" else values.copy()
+        errors.below(root, 0, tuple(rows), values, left)
+        return errors
+
+    parts = source.parts(SLAB)
+    tasks = [lambda part=part: measured(part) for part in parts]
+    for number, errors in enumerate(in_order(tasks, residual.workers(4 * SLAB)), start=1):
+        total[0].merge(errors.plain)
+        total[1].merge(errors.transformed)
+        progress("measuring", number / len(parts))
+    transformed = total[1].quality()
+    return (transformed if source.value_transform.name == "identity" else total[0].quality()), transformed
+
+
+def _pieces(values: F32) -> list[F64]:
+    flat = values.reshape(-1)
+    return [flat[start : start + _PIECE].astype(np.float64) for start in range(0, flat.size, _PIECE)]
+
+
+def _places(part: NDArray[np.intp]) -> NDArray[np.intp]:
+    """For each row its position among the rows of its part."""
+    place = np.empty(len(part), np.intp)
+    for c in np.unique(part):
+        rows = np.flatnonzero(part == c)
+        place[rows] = np.arange(len(rows))
+    return place

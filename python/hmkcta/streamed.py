@@ -1,0 +1,311 @@
+"""The residual of a tensor that memory does not hold.
+
+Levels whose node is the whole tensor are fitted from the source, read slab by slab; their models are never subtracted
+from anything stored, but taken into account in closed form (`terms`). Where the tensor is subdivided, what these levels
+leave is written to a scratch file in the order of the nodes, each in one *piece*. From then on only pieces are read.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from itertools import product
+from math import prod
+from threading import local
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import backends as kernels
+from .axes import Organisation, mode_sizes
+from .cells import Cells
+from .errors import invalid
+from .scratch import Scratch
+from .source import Source
+
+F32 = NDArray[np.float32]
+Rows = tuple[NDArray[np.intp], ...]
+T = TypeVar("T")
+
+#: Elements of a slab: 16 MiB, which the allocator keeps instead of asking the system for zeroed pages each time.
+SLAB = 1 << 22
+
+
+@dataclass(eq=False)
+class Piece:
+    """A node's sub-tensor in the scratch file: its rows in every mode, where it starts, its squared norm."""
+
+    rows: Rows
+    start: int
+    energy: float = 0.0
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Mode sizes."""
+        return tuple(len(rows) for rows in self.rows)
+
+    @property
+    def elements(self) -> int:
+        """How many elements it has."""
+        return prod(self.sizes)
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Some elements of the tensor: an outer product of rows."""
+
+    rows: Rows
+    tensor: F32
+
+
+@dataclass(eq=False)
+class Streamed:
+    """A tensor in a source or in pieces, less the models of `wholes`.
+
+    Attributes:
+        source: where the tensor is read from.
+        organisation: of its axes into modes.
+        threads: how many read and work at once.
+        limit: most elements that are worked on in memory as one tensor.
+        wholes: the cells of the levels whose node is the whole tensor, as they are now.
+        stored: of those, the cells that what lies in the pieces was computed with.
+        pieces: empty as long as the source is read.
+    """
+
+    source: Source
+    organisation: Organisation
+    threads: int
+    limit: int
+    wholes: list[Cells | None] = field(default_factory=list["Cells | None"])
+    stored: list[Cells | None] = field(default_factory=list["Cells | None"])
+    pieces: list[Piece] = field(default_factory=list[Piece])
+    scratch: Scratch | None = None
+    _held: local = field(default_factory=local)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Mode sizes."""
+        return mode_sizes(self.source.axes, self.organisation)
+
+    def terms(self, without: int | None = None) -> list[tuple[float, Cells]]:
+        """What to add to the blocks as they are read, weights and models, to have the tensor less all of `wholes`.
+
+        All but the one numbered `without`, where given.
+        """
+        stored = [*self.stored, *[None] * (len(self.wholes) - len(self.stored))]
+        changes: list[tuple[float, Cells]] = []
+        for number, (now, then) in enumerate(zip(self.wholes, stored, strict=True)):
+            wanted = None if number == without else now
+            if wanted is not then:
+                changes += [(1.0, then)] if then is not None else []
+                changes += [(-1.0, wanted)] if wanted is not None else []
+        return changes
+
+    def change(self, number: int, cells: Cells | None) -> None:
+        """The cells of level `number` (from 0), whose node is the whole tensor, are these from now on."""
+        self.wholes += [None] * (number + 1 - len(self.wholes))
+        self.wholes[number] = cells
+
+    def blocks(self, steps: Sequence[int] | None = None) -> list[Callable[[], Block]]:
+        """Readers of all blocks, thinned to every steps-th row of each mode."""
+        if self.pieces:
+            return [lambda piece=piece: self._thinned(piece, steps) for piece in self.pieces if piece.elements]
+
+        def slab(part: tuple[slice, ...]) -> Block:
+            rows, tensor = self.source.block(self.organisation, part, steps)
+            return Block(tuple(rows), tensor)
+
+        return [lambda part=part: slab(part) for part in self.source.parts(SLAB)]
+
+    def _thinned(self, piece: Piece, steps: Sequence[int] | None) -> Block:
+        tensor, rows = self.read(piece), list(piece.rows)
+        for n, step in enumerate(steps or ()):
+            if step > 1:
+                kept = np.flatnonzero(rows[n] % step == 0)
+                tensor, rows[n] = tensor.take(kept, axis=n), rows[n][kept] // step
+        return Block(tuple(rows), np.ascontiguousarray(tensor))
+
+    def read(self, piece: Piece) -> F32:
+        """A piece as it lies in the scratch file."""
+        assert self.scratch is not None
+        return self.scratch.read(piece.start, piece.elements).reshape(piece.sizes)
+
+    def settled(self, block: Block, without: int | None = None, steps: Sequence[int] | None = None) -> F32:
+        """The block, in place, with the terms added."""
+        if block.tensor.size:
+            for weight, cells in self.terms(without):
+                kernels.accumulate(thinned_cells(cells, steps).part(block.rows), block.tensor, weight)
+        return block.tensor
+
+    def sample(self, steps: Sequence[int], without: int | None = None) -> F32:
+        """Every steps-th row of each mode of the tensor less all of `wholes` but one, in one piece."""
+        values = np.zeros([-(-size // step) for size, step in zip(self.shape, steps, strict=True)], np.float32)
+
+        def copy(block: Block) -> None:
+            if block.tensor.size:
+                values[np.ix_(*block.rows)] = self.settled(block, without, steps)
+
+        for _ in self.each(copy, self.blocks(steps)):
+            pass
+        return values
+
+    def each(self, work: Callable[[Block], T], readers: Sequence[Callable[[], Block]]) -> Iterator[T]:
+        """The results of working on every block, in order."""
+        return in_order([lambda reader=reader: work(reader()) for reader in readers], self.workers(SLAB))
+
+    def workers(self, elements: int) -> int:
+        """How many tensors of this size may be worked on at once."""
+        return max(1, min(self.threads, self.limit // max(1, elements)))
+
+    @property
+    def error(self) -> float:
+        """Squared norm of the tensor less all of `wholes`, and less what has been subtracted from pieces."""
+        if self.pieces and not self.terms():
+            return sum(piece.energy for piece in self.pieces)
+        return sum(self.each(lambda block: squared_norm(self.settled(block)), self.blocks()))
+
+    def cut(self, parts: Sequence[NDArray[np.intp]], counts: Sequence[int], folder: str | None = None) -> list[Piece]:
+        """Write what `wholes` leave to a scratch file: a piece for each combination of parts of rows, in C order."""
+        lists = [[np.flatnonzero(part == c) for c in range(count)] for part, count in zip(parts, counts, strict=True)]
+        places = [_places(rows) for rows in lists]
+        pieces, start = list[Piece](), 0
+        for rows in product(*lists):
+            pieces.append(Piece(rows, start))
+            start += pieces[-1].elements
+        largest = max(piece.elements for piece in pieces)
+        if largest > self.limit:
+            found, allowed = f"a sub-tensor of {largest} elements", f"up to {self.limit}"
+            raise invalid("node-too-large", "plan", found, allowed, "raise --max-memory or give the level more clusters")
+        scratch = Scratch(start, folder)
+
+        def write(block: Block) -> list[tuple[int, float]]:
+            tensor, found = self.settled(block), list[tuple[int, float]]()
+            for child, sub, rows in split(tensor, block.rows, parts):
+                number = int(np.ravel_multi_index(child, tuple(counts)))
+                put(scratch, pieces[number], [place[r] for place, r in zip(places, rows, strict=True)], sub)
+                found.append((number, squared_norm(sub)))
+            return found
+
+        for found in self.each(write, self.blocks()):
+            for number, energy in found:
+                pieces[number].energy += energy
+        self.scratch, self.pieces, self.stored = scratch, pieces, list(self.wholes)
+        return pieces
+
+    @contextmanager
+    def holding(self, piece: Piece) -> Iterator[None]:
+        """Keep a piece in this thread's memory while nodes in it are worked on; written back if it has changed."""
+        tensor = self.settled(Block(piece.rows, self.read(piece)))
+        self._held.piece, self._held.tensor, self._held.changed = piece, tensor, bool(self.terms())
+        try:
+            yield
+            if self._held.changed and piece.elements:
+                assert self.scratch is not None
+                self.scratch.write(piece.start, tensor)
+                piece.energy = squared_norm(tensor)
+        finally:
+            self._held.piece = self._held.tensor = None
+
+    def gather(self, rows: Rows, piece: Piece) -> F32:
+        """A node's sub-tensor out of the piece that this thread holds; a copy."""
+        assert self._held.piece is piece
+        if len(rows[0]) and all(len(r) == size for r, size in zip(rows, piece.sizes, strict=True)):
+            return self._held.tensor.copy()
+        return np.ascontiguousarray(self._held.tensor[self._within(rows, piece)])
+
+    def scatter(self, rows: Rows, piece: Piece, values: F32) -> None:
+        """Put it back."""
+        assert self._held.piece is piece
+        self._held.tensor[self._within(rows, piece)] = values
+        self._held.changed = True
+
+    def _within(self, rows: Rows, piece: Piece) -> tuple[NDArray[np.intp], ...]:
+        return np.ix_(*[np.searchsorted(all_, r) for all_, r in zip(piece.rows, rows, strict=True)])
+
+    def settle(self) -> None:
+        """All pieces have been held with the present terms: there are none any more."""
+        self.stored = list(self.wholes)
+
+    def close(self) -> None:
+        """Give the scratch space back."""
+        if self.scratch is not None:
+            self.scratch.close()
+
+
+def squared_norm(tensor: F32) -> float:
+    """Sum of squares in float64, slab by slab."""
+    total = 0.0
+    for i in range(tensor.shape[0]):
+        total += float(np.square(tensor[i : i + 1], dtype=np.float64).sum())
+    return total
+
+
+def thinned_cells(cells: Cells, steps: Sequence[int] | None) -> Cells:
+    """The cells of every steps-th row of each mode."""
+    if steps is None or max(steps) == 1:
+        return cells
+    return cells.part([np.arange(0, size, step) for size, step in zip(cells.sizes, steps, strict=True)])
+
+
+def in_order(tasks: Sequence[Callable[[], T]], workers: int) -> Iterator[T]:
+    """Results of the tasks in their order, few of them ahead of what is taken."""
+    if workers == 1:
+        yield from (task() for task in tasks)
+        return
+    waiting: deque[Future[T]] = deque()
+    with ThreadPoolExecutor(workers) as pool:
+        try:
+            for task in tasks:
+                waiting.append(pool.submit(task))
+                if len(waiting) > workers:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+
+
+def _places(lists: Sequence[NDArray[np.intp]]) -> NDArray[np.intp]:
+    """For each row its position among the rows of its part."""
+    place = np.empty(sum(map(len, lists)), np.intp)
+    for rows in lists:
+        place[rows] = np.arange(len(rows))
+    return place
+
+
+def split(
+    tensor: F32, rows: Rows, parts: Sequence[NDArray[np.intp]], n: int = 0, done: tuple[int, ...] = ()
+) -> Iterator[tuple[tuple[int, ...], F32, Rows]]:
+    """The block's elements of every combination of parts, with their rows."""
+    if n == tensor.ndim:
+        yield done, tensor, rows
+        return
+    labels = parts[n][rows[n]]
+    for c in np.unique(labels):
+        at = np.flatnonzero(labels == c)
+        chosen = (*rows[:n], rows[n][at], *rows[n + 1 :])
+        sub = tensor if len(at) == len(labels) else tensor.take(at, axis=n)
+        yield from split(sub, chosen, parts, n + 1, (*done, int(c)))
+
+
+def put(scratch: Scratch, piece: Piece, places: Sequence[NDArray[np.intp]], values: F32) -> None:
+    """Write a block into a piece: in runs of elements that lie side by side in both."""
+    sizes, inner = piece.sizes, values.ndim - 1
+    while inner > 0 and len(places[inner]) == sizes[inner]:
+        inner -= 1
+    if len(places[inner]) == int(places[inner][-1] - places[inner][0]) + 1:  # neighbours of the first mode not whole
+        inner -= 1
+    outer = places[: inner + 1]
+    run = values.reshape(prod(len(p) for p in outer), -1)
+    strides = [prod(sizes[n + 1 :]) for n in range(len(sizes))]
+    first = sum(int(p[0]) * s for p, s in zip(places[inner + 1 :], strides[inner + 1 :], strict=True))
+    offsets = np.zeros((), np.intp)
+    for place, stride in zip(outer, strides, strict=False):
+        offsets = np.add.outer(offsets, place * stride)
+    for offset, numbers in zip(offsets.reshape(-1), run, strict=True):
+        scratch.write(piece.start + first + int(offset), numbers)
