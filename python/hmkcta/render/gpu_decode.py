@@ -108,7 +108,7 @@ class GpuDecoder:
             head = self.buffers.prelude(options)
             self._sums[counts, channels] = _Pass(
                 self.device, self.buffers, "decode_sums", compose(head, "image", "decode", "weighted", "picked"))
-        wanted = _picked_words(picks, max(counts), channels)
+        wanted = picked_words(picks, max(counts), channels)
         group, work = self.buffers.bind_group(level), self._sums[counts, channels]
         batches = [work.run(wanted[start : start + _BATCH], group, channels) for start in range(0, len(wanted), _BATCH)]
         values = np.concatenate([np.empty(0, np.float32), *batches])
@@ -133,7 +133,7 @@ class _Pass:
         return self._device.read(values).view(np.float32)
 
 
-def _picked_words(picks: Sequence[Picks], most: int, channels: int) -> NDArray[np.uint32]:
+def picked_words(picks: Sequence[Picks], most: int, channels: int) -> NDArray[np.uint32]:
     """What `picked.wgsl` reads, [P, axes, most, 1 + channels]."""
     points = max(len(index) for index, _ in picks)
     words = np.zeros((points, len(picks), most, 1 + channels), np.uint32)

@@ -1,0 +1,122 @@
+"""The decoder in WGSL gives what the NumPy decoder gives, on whatever adapter there is (lavapipe in CI)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gpu_tools import KINDS, Kind, adapter, random_indices
+from hmkcta import Model
+from hmkcta.axes import axis_order
+from hmkcta.errors import HmkctaError
+from hmkcta.render.gpu_decode import GpuDecoder
+from hmkcta.render.image import pack_image
+from hmkcta.render.prelude import MOST_ROWS
+from hmkcta.render.weighted import Picks, decode_picked
+
+#: Largest error over the largest value.
+CLOSE = 1e-5
+
+
+def error(found: NDArray[np.float32], expected: NDArray[np.float32]) -> float:
+    """The largest error in units of the largest value."""
+    assert found.shape == expected.shape
+    assert np.abs(expected).max() > 0, "a test on zeros tests nothing"
+    return float(np.abs(found - expected).max() / np.abs(expected).max())
+
+
+def random_picks(model: Model, counts: tuple[int, ...], sums: int, channel: int | None = None) -> list[Picks]:
+    """Random weighted indices for each axis; the channel axis, if any, goes to red, green and blue."""
+    rng = np.random.default_rng(5)
+    picks: list[Picks] = [
+        (rng.integers(size, size=(sums, k)), rng.uniform(-1, 1, (sums, k)).astype(np.float32))
+        for size, k in zip(model.shape, counts, strict=True)]
+    if channel is not None:
+        picks[channel] = (np.tile(np.arange(3), (sums, 1)), np.tile(np.eye(3, dtype=np.float32), (sums, 1, 1)))
+    return picks
+
+
+def fitting(model: Model, wanted: int) -> tuple[int, ...]:
+    """As many picks an axis as wanted, fewer where a merged mode would have too many rows."""
+    members = [[next(order) for _ in mode] for order in [iter(axis_order(model.metadata.axes,
+               model.metadata.organisation))] for mode in model.metadata.organisation]
+    counts = [1] * model.ndim
+    for axes in members:
+        room = MOST_ROWS
+        for axis in axes:
+            counts[axis] = min(wanted, room)
+            room //= counts[axis]
+    return tuple(counts)
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
+def test_elements_at_every_level(kind: Kind) -> None:
+    model = kind.model()
+    decoder = GpuDecoder(model, adapter())
+    indices = random_indices(model, 2000)
+    for level in range(1, kind.levels + 1):
+        expected = model.at_level(level)[tuple(indices.T)]
+        assert error(decoder.elements(indices, level), expected) <= CLOSE
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
+def test_weighted_sums_at_every_level(kind: Kind) -> None:
+    model = kind.model(seed=2)
+    decoder = GpuDecoder(model, adapter())
+    picks = random_picks(model, fitting(model, 2), 300)
+    for level in range(1, kind.levels + 1):
+        assert error(decoder.picked(picks, level), decode_picked(model, picks, level)) <= CLOSE
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind.sizes[4:5] == (3,)], ids=lambda kind: kind.name)
+def test_colours_in_one_walk(kind: Kind) -> None:
+    model = kind.model(seed=3)
+    counts = tuple(3 if size >= 3 and axis in (0, 4) else 1 for axis, size in enumerate(kind.sizes))
+    picks = random_picks(model, counts, 200, channel=4)
+    found = GpuDecoder(model, adapter()).picked(picks)
+    assert found.shape == (200, 3)
+    assert error(found, decode_picked(model, picks)) <= CLOSE
+
+
+def test_images_of_several_pages() -> None:
+    model = KINDS[3].model()
+    words = pack_image(model.levels).words.size
+    shift = int(np.ceil(np.log2(words / 4)))
+    decoder = GpuDecoder(model, adapter(), page_shift=shift)
+    assert decoder.buffers.pages > 2
+    indices = random_indices(model, 1000)
+    assert error(decoder.elements(indices), model[tuple(indices.T)]) <= CLOSE
+
+
+def test_all_elements() -> None:
+    model = KINDS[2].model()
+    assert error(GpuDecoder(model, adapter()).reconstruct(), model.reconstruct()) <= CLOSE
+
+
+def test_values_beyond_float32_stay_finite() -> None:
+    model = Kind("log1p", (4, 3), transform="log1p", levels=1).model()
+    level = model.levels[0]
+    level.core_scale[:] = 1000.0
+    found = GpuDecoder(model, adapter()).reconstruct()
+    assert np.isfinite(found).all()
+    assert found.max() > 8e37  # the scale of the transform, 0.25, times almost the largest
+
+
+@pytest.mark.parametrize(("indices", "reason"), [
+    ([[0, 0, 7]], "index-out-of-range"), ([[-1, 0, 0]], "index-out-of-range"), ([[0, 0]], "coords-shape"),
+    ([[0.5, 0, 0]], "index-type"),
+])
+def test_bad_indices_are_refused(indices: list[list[float]], reason: str) -> None:
+    decoder = GpuDecoder(Kind("small", (3, 4, 5)).model(), adapter())
+    with pytest.raises(HmkctaError) as caught:
+        decoder.elements(np.array(indices))
+    assert caught.value.reason == reason
+
+
+def test_too_many_rows_are_refused() -> None:
+    model = KINDS[9].model()
+    picks = random_picks(model, (6, 1, 1, 1, 6), 1)
+    with pytest.raises(HmkctaError) as caught:
+        GpuDecoder(model, adapter()).picked(picks)
+    assert caught.value.reason == "picks-too-many"
