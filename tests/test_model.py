@@ -81,6 +81,8 @@ def advanced_keys(shape: tuple[int, ...]) -> st.SearchStrategy[Any]:
 @example(0, ([0, 1], slice(None), 0, [1, 2]), False)  # so do slices, and an integer is an index array
 @example(1, np.zeros(SHAPE, np.bool_), True)
 @example(0, (2**70,), True)
+@example(0, (slice(None), [], [9]), False)  # NumPy looks at no index that broadcasting leaves nothing of,
+@example(0, (slice(None), [], 9), False)  # but at integers
 def test_indexing_is_numpys(which: int, key: Any, blocks: bool) -> None:
     model, reference = MODELS[which], DENSE[which]
     try:

@@ -70,7 +70,9 @@ def select(key: Any, shape: Sequence[int]) -> Selection:
             found.append((len(result), index))
             result.append(len(index))
         elif isinstance(item, np.ndarray):
-            found.append((-1, _in_range(item, axis, shape[axis])))
+            # As in NumPy, indices that broadcasting leaves nothing of may be anything; integers may not.
+            gone = 0 in together and item.ndim > 0
+            found.append((-1, np.zeros(item.shape, np.intp) if gone else _in_range(item, axis, shape[axis])))
         elif isinstance(item, int):
             found.append((0, _in_range(np.asarray(item), axis, shape[axis])))
     return _spread(result, found, first, together)
