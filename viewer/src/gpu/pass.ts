@@ -61,17 +61,15 @@ export class Pass {
     return new Pass(device, pipeline, own, new UniformLayout(code, struct));
   }
 
-  /** Fill the uniform and encode the pass over so many invocations. */
-  run(
-    encoder: GPUCommandEncoder, values: Values, resources: Resource[], size: [number, number, number],
-    decoder?: GPUBindGroup,
-  ): void {
+  /** Fill the uniform and submit the pass over so many invocations. */
+  run(values: Values, resources: Resource[], size: [number, number, number], decoder?: GPUBindGroup): void {
     this.device.queue.writeBuffer(this.uniform, 0, this.fields.pack(values));
     const group = this.device.createBindGroup({
       layout: this.layout,
       entries: [this.uniform, ...resources].map((each, binding) => (
         { binding, resource: each instanceof GPUBuffer ? { buffer: each } : each.createView() })),
     });
+    const encoder = this.device.createCommandEncoder();
     const pass = encoder.beginComputePass();
     pass.setPipeline(this.pipeline);
     if (decoder !== undefined) {
@@ -80,6 +78,7 @@ export class Pass {
     pass.setBindGroup(1, group);
     pass.dispatchWorkgroups(Math.ceil(size[0] / 8), Math.ceil(size[1] / 8), size[2]);
     pass.end();
+    this.device.queue.submit([encoder.finish()]); // at once: the uniform is used again by the next run
   }
 
   destroy(): void {

@@ -1,0 +1,34 @@
+/** A file from its first byte to its last level, checked on the way, announced part by part. */
+
+import { LENGTH_BYTES, headerLength } from "./reader/header";
+import { DEFAULT_LIMITS } from "./reader/limits";
+import { Reading } from "./reader/read";
+import type { ByteSource } from "./stream";
+
+/**
+ * What the viewer takes less of than other readers: a shader that runs for seconds is stopped by the system.
+ * The product of K R is what one element costs at a level.
+ */
+export const VIEWER_LIMITS = { ...DEFAULT_LIMITS, level_cost: 2 ** 17 };
+
+export interface Listener {
+  onTables(reading: Reading): Promise<void> | void;
+  onLevel(reading: Reading, level: number): Promise<void> | void;
+}
+
+/** Read a file; throws `HmkError` or `Problem`. */
+export async function load(source: ByteSource, listener: Listener): Promise<Reading> {
+  await source.upTo(LENGTH_BYTES);
+  const length = headerLength(source.bytes, source.size, VIEWER_LIMITS);
+  await source.upTo(LENGTH_BYTES + length);
+  const reading = new Reading(source.bytes.subarray(LENGTH_BYTES, LENGTH_BYTES + length), source.size, VIEWER_LIMITS);
+  await source.upTo(reading.tablesEnd);
+  reading.readTables(source.bytes);
+  await listener.onTables(reading);
+  for (let level = 1; level <= reading.metadata.levels.length; level += 1) {
+    await source.upTo(reading.levelEnd(level));
+    reading.readLevel(level, source.bytes);
+    await listener.onLevel(reading, level);
+  }
+  return reading;
+}

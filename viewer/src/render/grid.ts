@@ -1,0 +1,136 @@
+/**
+ * Decoded elements in a 3D texture: pictures of cameras, slices of a volume. What a frame needs is decoded once and
+ * kept for as long as level, time and axes stay; a large request is decoded over several frames.
+ */
+
+import type { Decoder } from "../gpu/decoder";
+import { Pass } from "../gpu/pass";
+import { prelude } from "../gpu/prelude";
+import { Problem } from "../problem";
+import { timeSteps } from "./layout";
+
+const NO_AXIS = 0xff;
+
+/** Which elements: for each group (a camera, a z) its slices, each an index of every source axis. */
+export interface GridRequest {
+  level: number;
+  x: number; // axis numbers
+  y: number;
+  time: { axis: number; at: number } | null;
+  groups: number[][][];
+}
+
+/** The shader that decodes a model's grids. */
+export function gridPass(device: GPUDevice, decoder: Decoder): Promise<Pass> {
+  const picks = decoder.metadata.axes.map((axis) => (axis.role === "time" ? 2 : 1));
+  return Pass.make(device, {
+    entry: "decode_grid", struct: "GridFrame", decoder: decoder.layout,
+    head: prelude(decoder.metadata, decoder.pages, { picks }), shaders: ["image", "decode", "weighted", "grid"],
+    bindings: ["storage", "store-3d"],
+  });
+}
+
+export class GridCache {
+  texture: GPUTexture | null = null;
+  private slots: GPUBuffer | null = null;
+  private key = "";
+  private held: (string | null)[] = []; // what each slot has decoded
+
+  constructor(private readonly device: GPUDevice, private readonly decoder: Decoder, private readonly pass: Pass) {}
+
+  /**
+   * Decode up to `budget` missing elements of a request (at least one group). Returns the first slice of each group,
+   * and whether all are there.
+   */
+  fill(request: GridRequest, budget: number): { first: number[]; complete: boolean } {
+    const axes = this.decoder.metadata.axes;
+    const [width, height] = [axes[request.x]!.size, axes[request.y]!.size];
+    const each = request.groups[0]?.length ?? 1;
+    const wanted = request.groups.map((group) => group.flat().join());
+    const key = JSON.stringify([request.level, request.x, request.y, request.time, each]);
+    const room = this.texture === null ? 0 : this.texture.depthOrArrayLayers / each;
+    if (this.texture?.width !== width || this.texture.height !== height || room < wanted.length || room % 1 !== 0) {
+      this.allocate(width, height, wanted.length, each, request.x, request.y);
+    } else if (key !== this.key) {
+      this.held.fill(null);
+    }
+    this.key = key;
+    const places = this.place(wanted);
+    let left = budget;
+    let complete = true;
+    wanted.forEach((name, i) => {
+      const slot = places[i]!;
+      if (this.held[slot] === name) {
+        return;
+      }
+      if (left <= 0) {
+        complete = false;
+        return;
+      }
+      this.decode(request, request.groups[i]!, slot * each, width, height);
+      this.held[slot] = name;
+      left -= width * height * each;
+    });
+    return { first: places.map((slot) => slot * each), complete };
+  }
+
+  destroy(): void {
+    this.texture?.destroy();
+    this.slots?.destroy();
+    this.texture = null;
+  }
+
+  private allocate(width: number, height: number, groups: number, each: number, x: number, y: number): void {
+    const most = this.device.limits.maxTextureDimension3D;
+    const [columns, rows] = [this.decoder.metadata.axes[x]!.name, this.decoder.metadata.axes[y]!.name];
+    if (Math.max(width, height, groups * each) > most) {
+      throw new Problem(`A picture of ${columns} x ${rows} is too large for the graphics adapter.`,
+        `It has ${width} x ${height} x ${groups * each} elements; ${most} are allowed each way.`,
+        "Choose other axes, or a smaller aperture.");
+    }
+    this.destroy();
+    this.texture = this.device.createTexture({
+      size: [width, height, groups * each], dimension: "3d", format: "r32float",
+      usage: GPUTextureUsage.STORAGE_BINDING | GPUTextureUsage.TEXTURE_BINDING,
+    });
+    this.slots = this.device.createBuffer({
+      size: 32 * groups * each, usage: GPUBufferUsage.STORAGE | GPUBufferUsage.COPY_DST,
+    });
+    this.held = new Array<string | null>(groups).fill(null);
+  }
+
+  /** A slot for each group: where it is already, else any that no other wanted group has. */
+  private place(wanted: string[]): number[] {
+    const taken = new Set<number>();
+    const places = wanted.map((name) => {
+      const slot = this.held.indexOf(name);
+      if (slot >= 0) {
+        taken.add(slot);
+      }
+      return slot;
+    });
+    let next = 0;
+    return places.map((slot) => {
+      if (slot >= 0) {
+        return slot;
+      }
+      while (taken.has(next)) {
+        next += 1;
+      }
+      taken.add(next);
+      return next;
+    });
+  }
+
+  private decode(request: GridRequest, group: number[][], first: number, width: number, height: number): void {
+    const table = new Uint32Array(8 * group.length);
+    group.forEach((slice, i) => table.set(slice, 8 * i));
+    this.device.queue.writeBuffer(this.slots!, 32 * first, table);
+    const count = request.time === null ? 1 : this.decoder.metadata.axes[request.time.axis]!.size;
+    const { frames, weight } = timeSteps(request.time?.at ?? 0, count);
+    this.pass.run({
+      width, height, depth: first + group.length, first, x_axis: request.x, y_axis: request.y,
+      time_axis: request.time?.axis ?? NO_AXIS, time: frames, time_weight: [1 - weight, weight],
+    }, [this.slots!, this.texture!], [width, height, group.length], this.decoder.group(request.level));
+  }
+}

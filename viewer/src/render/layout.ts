@@ -1,0 +1,53 @@
+/** Which source axes are lights, views, rows, columns, colours and frames: the twin of `hmkcta.render.layout`. */
+
+import { Problem } from "../problem";
+import type { Axis, FileKind, Role } from "../reader/metadata";
+
+export interface Layout {
+  light: number | null;
+  views: number[];
+  time: number | null;
+  space: number[]; // y, x, or z, y, x of a volume
+  channel: number | null;
+  channels: number[]; // indices shown as red, green, blue; one for grey
+}
+
+/** Find the axes of a kind's renderer by their roles; throws a sentence if they do not make this kind. */
+export function layOut(axes: Axis[], kind: Exclude<FileKind, "generic">): Layout {
+  const having = (role: Role): number[] => axes.flatMap((axis, n) => (axis.role === role ? [n] : []));
+  const [lights, views] = [having("light"), having("view")];
+  const wanted = kind === "volume" ? 3 : 2;
+  const space = having("space").slice(-wanted);
+  if (space.length < wanted) {
+    throw new Problem(`A ${kind} needs ${wanted} axes of role space; this file has ${space.length}.`, "",
+      "It is shown as slices.");
+  }
+  if (kind === "svbrdf" && (lights.length > 1 || views.length > 1)) {
+    throw new Problem("A material needs one axis of lights and one of views; this file has several.", "",
+      "It is shown as slices.");
+  }
+  if (kind === "lightfield" && (views.length < 1 || views.length > 2)) {
+    throw new Problem(`A light field needs one or two axes of role view; this file has ${views.length}.`, "",
+      "It is shown as slices.");
+  }
+  const channel = kind === "volume" ? null : having("channel").find((n) => axes[n]!.size > 1) ?? null;
+  return {
+    space, channel, views: kind === "volume" ? [] : views, time: having("time")[0] ?? null,
+    light: kind === "svbrdf" ? lights[0] ?? null : null,
+    channels: channel === null ? [0] : shownChannels(axes[channel]!.size),
+  };
+}
+
+/** The first three of a colour, else long, middle and short end of a spectrum. */
+export function shownChannels(size: number): number[] {
+  if (size === 2) {
+    return [0];
+  }
+  return size <= 4 ? [0, 1, 2] : [size - 1, Math.floor(size / 2), 0];
+}
+
+/** The two frames a time lies between, and the weight of the second. */
+export function timeSteps(time: number, count: number): { frames: [number, number]; weight: number } {
+  const first = Math.min(Math.floor(time), Math.max(count - 2, 0));
+  return { frames: [first, Math.min(first + 1, count - 1)], weight: time - first };
+}

@@ -1,0 +1,28 @@
+/** What all renderers share: a picture of a model at a level, as radiance in a texture. */
+
+import type { Decoder } from "../gpu/decoder";
+import type { State } from "../state";
+
+/** One side of a comparison: a model on the GPU and how many of its levels are shown. */
+export interface Side {
+  decoder: Decoder;
+  level: number;
+}
+
+/** A renderer of one kind. */
+export interface Renderer {
+  /** Sentences on what had to be assumed. */
+  readonly notes: string[];
+  /** What this picture's work is measured in, for the budget of a frame. */
+  draw(side: Side, slot: 0 | 1, state: State, target: GPUTexture, budget: number): boolean;
+  destroy(): void;
+}
+
+/** A buffer with some numbers. */
+export function filledBuffer(
+  device: GPUDevice, data: Float32Array<ArrayBuffer> | Uint32Array<ArrayBuffer>, usage: number,
+): GPUBuffer {
+  const buffer = device.createBuffer({ size: Math.max(16, data.byteLength), usage: usage | GPUBufferUsage.COPY_DST });
+  device.queue.writeBuffer(buffer, 0, data);
+  return buffer;
+}

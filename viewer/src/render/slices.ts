@@ -1,0 +1,90 @@
+/** Any model as a picture of two of its axes, at chosen places of the others. */
+
+import type { Decoder } from "../gpu/decoder";
+import { Pass } from "../gpu/pass";
+import type { Metadata } from "../reader/metadata";
+import type { State } from "../state";
+import { colourTable } from "./colours";
+import { GridCache, gridPass } from "./grid";
+import { shownChannels } from "./layout";
+import { type Renderer, type Side, filledBuffer } from "./renderer";
+
+/** Where a picture of rows x columns lies in a frame: pixels of it a frame pixel, and those at the first one's centre. */
+export function fitted(
+  rows: number, columns: number, width: number, height: number, state: State,
+): { scale: number; offsetY: number; offsetX: number } {
+  const scale = Math.max(rows / height, columns / width) / state.zoom;
+  return {
+    scale, offsetY: (rows - 1) / 2 - (scale * (height - 1)) / 2 - state.pan[1],
+    offsetX: (columns - 1) / 2 - (scale * (width - 1)) / 2 - state.pan[0],
+  };
+}
+
+/** The axis whose indices can be shown as colours: another one than those across and down. */
+export function colourAxis(metadata: Metadata, state: State): number | null {
+  const { x, y, colour } = state.slice;
+  const n = metadata.axes.findIndex((axis, i) => axis.role === "channel" && axis.size > 2 && i !== x && i !== y);
+  return colour && n >= 0 ? n : null;
+}
+
+export class SliceRenderer implements Renderer {
+  readonly notes: string[] = [];
+  private readonly colours: GPUBuffer;
+  private colourName = "";
+
+  private constructor(
+    private readonly device: GPUDevice, private readonly pass: Pass, private readonly caches: Map<Decoder, [GridCache, GridCache]>,
+  ) {
+    this.colours = filledBuffer(device, colourTable("grey"), GPUBufferUsage.STORAGE);
+  }
+
+  static async make(device: GPUDevice, decoders: Decoder[]): Promise<SliceRenderer> {
+    const pass = await Pass.make(device, {
+      entry: "shade_slice", struct: "SliceFrame", shaders: ["slice"], bindings: ["storage", "texture-3d", "store-2d"],
+    });
+    return new SliceRenderer(device, pass, await makeCaches(device, decoders));
+  }
+
+  draw(side: Side, slot: 0 | 1, state: State, target: GPUTexture, budget: number): boolean {
+    const { metadata } = side.decoder;
+    const { x, y, low, high, colours } = state.slice;
+    const channel = colourAxis(metadata, state);
+    const shown = channel === null ? [state.position] : shownChannels(metadata.axes[channel]!.size).map((index) =>
+      state.position.map((place, n) => (n === channel ? index : place)));
+    const cache = this.caches.get(side.decoder)![slot];
+    const group = shown.map((index) => index.map((place, n) => (n === x || n === y ? 0 : place)));
+    const { complete } = cache.fill({ level: side.level, x, y, time: null, groups: [group] }, budget);
+    if (colours !== this.colourName) {
+      this.device.queue.writeBuffer(this.colours, 0, colourTable(colours));
+      this.colourName = colours;
+    }
+    const [rows, columns] = [metadata.axes[y]!.size, metadata.axes[x]!.size];
+    const { scale, offsetY, offsetX } = fitted(rows, columns, target.width, target.height, state);
+    this.pass.run({
+      width: target.width, height: target.height, channels: shown.length, rows, columns, scale, offset_y: offsetY,
+      offset_x: offsetX, low, high: high > low ? high : low + 1e-30,
+    }, [this.colours, cache.texture!, target], [target.width, target.height, 1]);
+    return complete;
+  }
+
+  destroy(): void {
+    this.pass.destroy();
+    this.colours.destroy();
+    destroyCaches(this.caches);
+  }
+}
+
+/** For each model two caches, one a side of a comparison. */
+export async function makeCaches(device: GPUDevice, decoders: Decoder[]): Promise<Map<Decoder, [GridCache, GridCache]>> {
+  const entries = decoders.map(async (decoder): Promise<[Decoder, [GridCache, GridCache]]> => {
+    const pass = await gridPass(device, decoder);
+    return [decoder, [new GridCache(device, decoder, pass), new GridCache(device, decoder, pass)]];
+  });
+  return new Map(await Promise.all(entries));
+}
+
+export function destroyCaches(caches: Map<Decoder, [GridCache, GridCache]>): void {
+  for (const pair of caches.values()) {
+    pair.forEach((cache) => cache.destroy());
+  }
+}

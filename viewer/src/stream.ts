@@ -1,0 +1,175 @@
+/** The bytes of a file, from the first to the last: by ranges where the server has them, else as one body. */
+
+import { Problem } from "./problem";
+
+const FIRST = 65536;
+const TRIES = 3;
+const WAIT = 400; // milliseconds before another try
+
+/** Bytes that come in order into one piece of memory. */
+export abstract class ByteSource {
+  have = 0;
+  onBytes: () => void = () => undefined;
+
+  protected constructor(readonly name: string, readonly bytes: Uint8Array<ArrayBuffer>) {}
+
+  get size(): number {
+    return this.bytes.length;
+  }
+
+  /** Wait until the first `end` bytes are there; no more than the size. */
+  async upTo(end: number): Promise<void> {
+    const goal = Math.min(end, this.size);
+    if (this.have < goal) {
+      await this.fetchTo(goal);
+    }
+  }
+
+  protected abstract fetchTo(end: number): Promise<void>;
+
+  protected add(chunk: Uint8Array): void {
+    this.bytes.set(chunk.subarray(0, this.size - this.have), this.have);
+    this.have = Math.min(this.size, this.have + chunk.length);
+    this.onBytes();
+  }
+}
+
+function memory(size: number): Uint8Array<ArrayBuffer> {
+  try {
+    return new Uint8Array(size);
+  } catch {
+    throw new Problem("The file is too large for this browser.", `It has ${size} bytes.`, "Compress it with a smaller --size.");
+  }
+}
+
+function lost(name: string, have: number, size: number, error: unknown): Problem {
+  const mib = (bytes: number): string => (bytes / 2 ** 20).toFixed(1);
+  return new Problem(`The connection was lost after ${mib(have)} of ${mib(size)} MiB of ${name}.`,
+    error instanceof Error ? error.message : "", "Reload the page to try again.");
+}
+
+/** A file that was dropped on the page or chosen. */
+export class BlobSource extends ByteSource {
+  constructor(private readonly file: File) {
+    super(file.name, memory(file.size));
+  }
+
+  protected override async fetchTo(end: number): Promise<void> {
+    try {
+      this.add(new Uint8Array(await this.file.slice(this.have, end).arrayBuffer()));
+    } catch (error) {
+      throw new Problem(`${this.name} can no longer be read.`, String(error), "Choose it again.");
+    }
+  }
+}
+
+/** A server that has byte ranges: each part is asked for when it is needed, and asked for again when it breaks off. */
+class RangeSource extends ByteSource {
+  constructor(name: string, private readonly url: URL, size: number) {
+    super(name, memory(size));
+  }
+
+  async take(response: Response): Promise<void> {
+    const reader = response.body!.getReader();
+    for (;;) {
+      const { done, value } = await reader.read();
+      if (done) {
+        return;
+      }
+      this.add(value);
+    }
+  }
+
+  protected override async fetchTo(end: number): Promise<void> {
+    for (let tries = 1; this.have < end; tries += 1) {
+      const before = this.have;
+      try {
+        const response = await request(this.url, { Range: `bytes=${this.have}-${end - 1}` });
+        if (response.status !== 206) {
+          throw new Error(`status ${response.status} for a range`);
+        }
+        await this.take(response);
+      } catch (error) {
+        if (tries >= TRIES) {
+          throw lost(this.name, this.have, this.size, error);
+        }
+        await new Promise((resolve) => setTimeout(resolve, WAIT));
+      }
+      tries = this.have > before ? 0 : tries;
+    }
+  }
+}
+
+/** A server that sends the whole file. */
+class BodySource extends ByteSource {
+  constructor(name: string, size: number, private readonly reader: ReadableStreamDefaultReader<Uint8Array>) {
+    super(name, memory(size));
+  }
+
+  protected override async fetchTo(end: number): Promise<void> {
+    while (this.have < end) {
+      let chunk: ReadableStreamReadResult<Uint8Array>;
+      try {
+        chunk = await this.reader.read();
+      } catch (error) {
+        throw lost(this.name, this.have, this.size, error);
+      }
+      if (chunk.done) {
+        throw lost(this.name, this.have, this.size, new Error("The body ended."));
+      }
+      this.add(chunk.value);
+    }
+  }
+}
+
+async function request(url: URL, headers: Record<string, string>): Promise<Response> {
+  return fetch(url, { headers, cache: "no-cache", credentials: "same-origin" });
+}
+
+/** The address of a file named on the page's address: http or https, nothing else. */
+export function fileUrl(name: string, base: string): URL {
+  let url: URL;
+  try {
+    url = new URL(name, base);
+  } catch {
+    throw new Problem(`"${name}" is no address of a file.`);
+  }
+  if (url.protocol !== "http:" && url.protocol !== "https:") {
+    throw new Problem(`Files are loaded by http and https only, not by ${url.protocol}`);
+  }
+  return url;
+}
+
+/** Start to fetch a file. */
+export async function openUrl(url: URL): Promise<ByteSource> {
+  const name = decodeURIComponent(url.pathname.split("/").pop() ?? "") || url.href;
+  let response: Response;
+  try {
+    response = await request(url, { Range: `bytes=0-${FIRST - 1}` });
+  } catch (error) {
+    throw new Problem(`${name} could not be fetched from ${url.host}.`, String(error),
+      "Check the connection, and that the server allows this page to load it.");
+  }
+  const total = /^bytes 0-\d+\/(\d+)$/.exec(response.headers.get("Content-Range") ?? "");
+  if (response.status === 206 && total !== null) {
+    const source = new RangeSource(name, url, Number(total[1]));
+    await source.take(response).catch(() => undefined); // what is missing is asked for again
+    return source;
+  }
+  if (response.status === 416) {
+    return new BlobSource(new File([], name));
+  }
+  if (!response.ok || response.body === null) {
+    throw new Problem(response.status === 404 ? `There is no file ${name} on ${url.host}.`
+      : `${url.host} refused ${name} with status ${response.status}.`, "", "Check the address.");
+  }
+  const length = Number(response.headers.get("Content-Length") ?? "0");
+  if (length > 0 && response.headers.get("Content-Encoding") === null) {
+    return new BodySource(name, length, response.body.getReader());
+  }
+  try {
+    return new BlobSource(new File([await response.blob()], name)); // packed on the way: the length comes last
+  } catch (error) {
+    throw lost(name, 0, 0, error);
+  }
+}

@@ -1,0 +1,100 @@
+/** What the viewer makes as Python does: shader heads, images, single elements, uniforms. */
+
+import { readFileSync } from "node:fs";
+import { join } from "node:path";
+import { describe, expect, it } from "vitest";
+import { decodeElement, decodeRows, sourceValue, valueRange } from "../src/decode/element";
+import { eachCoefficients, layOutImage, packTables } from "../src/gpu/image";
+import { decoderUniform, prelude } from "../src/gpu/prelude";
+import { UniformLayout } from "../src/gpu/uniform";
+import { crc32 } from "../src/reader/digests";
+import { loads } from "../src/reader/read";
+import { fixture } from "./corpus";
+
+const TESTS = join(import.meta.dirname, "..", "..", "tests");
+
+interface HeadCase {
+  file: string;
+  pages: number;
+  options: { picks: number[] | null; channels: 1 | 3; contracted: number[]; page_shift: number };
+  text: string;
+  words: number;
+  crc32: number;
+  rows: number;
+  scales: number;
+  coefficients: number[];
+  uniform: string;
+}
+
+const HEADS = JSON.parse(readFileSync(join(TESTS, "corpus-render", "prelude.json"), "utf-8")) as HeadCase[];
+
+function model(name: string): ReturnType<typeof loads> {
+  return loads(new Uint8Array(fixture(name)));
+}
+
+describe("shader heads and images", () => {
+  it.each(HEADS)("$file $options", (each) => {
+    const { metadata, levels } = model(each.file);
+    const { picks, channels, contracted, page_shift: pageShift } = each.options;
+    const options = { channels, contracted, pageShift, ...(picks === null ? {} : { picks }) };
+    expect(prelude(metadata, each.pages, options)).toBe(each.text);
+    const layout = layOutImage(levels);
+    expect([layout.rows[0]?.[0], layout.scales[0], layout.coefficients]).toEqual([each.rows, each.scales, each.coefficients]);
+    const words = new Uint32Array(each.words);
+    words.set(packTables(levels, layout));
+    const halves = new Uint16Array(words.buffer);
+    levels.forEach((level, l) => eachCoefficients(level, l, layout, (at, part) => halves.set(part, 2 * at)));
+    expect(crc32(new Uint8Array(words.buffer))).toBe(each.crc32);
+    expect(Buffer.from(decoderUniform(metadata, levels.length)).toString("hex")).toBe(each.uniform);
+  });
+});
+
+describe("single elements", () => {
+  it.each(["v1.0-small", "v1.0-merged"])("%s", (name) => {
+    const { levels } = model(`${name}.hmk`);
+    const expected = JSON.parse(fixture(`${name}.json`).toString("utf-8")) as
+      { indices: number[][]; values: number[][] };
+    expected.indices.forEach((index, i) => {
+      expected.values[i]!.forEach((value, l) => {
+        expect(decodeRows(levels, index, l + 1)).toBeCloseTo(value, 9);
+      });
+    });
+  });
+
+  it("reads merged axes by their strides", () => {
+    const { metadata, levels } = model("v1.0-merged.hmk");
+    const sizes = metadata.axes.map((axis) => axis.size);
+    const [low, high] = valueRange(metadata, levels, levels.length);
+    expect(low).toBeLessThan(high);
+    const rows = metadata.modeSizes.map((size) => size - 1); // the last element by axes is the last by modes
+    expect(decodeElement(metadata, levels, sizes.map((size) => size - 1), levels.length))
+      .toBe(decodeRows(levels, rows, levels.length));
+  });
+
+  it("undoes value transforms", () => {
+    expect(sourceValue(Math.log1p(3), { name: "log1p", scale: 0.5 })).toBeCloseTo(1.5, 12);
+    expect(sourceValue(Math.asinh(3), { name: "asinh", scale: 2 })).toBeCloseTo(6, 12);
+    expect(sourceValue(-1, { name: "sqrt", scale: 1 })).toBe(0);
+  });
+});
+
+describe("uniforms by name", () => {
+  const shader = `struct Lamp { place: vec4f, strength: vec4f }
+    struct Frame { a: u32, b: f32, /* */
+      low: vec3f, iso: f32,   // packs behind the vector
+      at: array<vec4u, 2>, lamps: array<Lamp, 2>, }`;
+
+  it("lays out as WGSL does", () => {
+    const layout = new UniformLayout(shader, "Frame");
+    expect(layout.size).toBe(16 + 16 + 32 + 64);
+    const bytes = layout.pack({ a: 7, b: 0.5, low: [1, 2, 3], iso: 4, "at[1]": [9, 8], "lamps[1].strength": [5] });
+    const [words, floats] = [new Uint32Array(bytes), new Float32Array(bytes)];
+    expect([words[0], floats[1], ...floats.slice(4, 8), words[12], words[13], floats[28]])
+      .toEqual([7, 0.5, 1, 2, 3, 4, 9, 8, 5]);
+  });
+
+  it("refuses a field that is not there", () => {
+    expect(() => new UniformLayout(shader, "Frame").pack({ c: 1 })).toThrow("no field c");
+    expect(() => new UniformLayout(shader, "Nothing")).toThrow("no struct Nothing");
+  });
+});
