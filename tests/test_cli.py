@@ -6,6 +6,7 @@ import io
 import json
 import re
 import shlex
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -108,8 +109,28 @@ def test_info_counts_what_carries_nothing(tmp_path: Path) -> None:
 def test_transform_is_shown(tmp_path: Path) -> None:
     source = saved(tmp_path / "a.npy", smooth(6, 8, 4))
     run("compress", source, "-o", tmp_path / "a.hmk", "--plan", "R=2", "--transform", "log1p:0.5", "--quiet")
-    assert "log1p, scale 0.5" in run("info", tmp_path / "a.hmk").stdout
+    text = run("info", tmp_path / "a.hmk").stdout
+    assert "log1p, scale 0.5" in text
+    assert "SNR dB  SNR of log1p" in text
+    level = report("info", tmp_path / "a.hmk")["levels"][0]
+    values, decoded = np.load(source).astype(float), np.asarray(hmkcta.open(tmp_path / "a.hmk"), float)
+    for key, before, after in (("snr_db", values, decoded),
+                               ("transformed_snr_db", np.log1p(2 * values), np.log1p(2 * decoded))):
+        assert level[key] == pytest.approx(10 * np.log10(np.sum(before**2) / np.sum((before - after) ** 2)), abs=1e-3)
+        assert f" {level[key]:.2f} " in text
     run("verify", tmp_path / "a.hmk", "--against", source)
+
+
+@pytest.mark.parametrize(("told", "shown"), [
+    ([None], "exact"), ("much", None), ([1, 2], None), (["x"], None), ({"a": 1}, None), ([20], "20.00"),
+])
+def test_what_a_file_says_of_its_source_may_be_anything(told: object, shown: str | None, tmp_path: Path) -> None:
+    model = hmkcta.compress(smooth(6, 8), "R=2", transform="sqrt")
+    metadata = replace(model.metadata, source={"transformed_snr_db": told})
+    hmkcta.Model(metadata, model.levels).save(tmp_path / "a.hmk")
+    text = run("info", tmp_path / "a.hmk", "-v").stdout
+    assert ("SNR of sqrt" in text) == (shown is not None)
+    assert (shown or "") in text
 
 
 def test_verify_measures_again(source: Path, packed: Path) -> None:

@@ -13,7 +13,7 @@ from ..model import Model
 from .failure import Exit
 from .goal import KINDS, Goal, goal_from, goal_options
 from .options import Command, json_option, overwrite_option, quiet_option, together, verbose_option
-from .output import decibels, emit, mebibytes, seconds, table
+from .output import decibels, emit, mebibytes, ratio, seconds, table
 from .progress import Progress
 from .resume import journal_beside, resume_option
 
@@ -81,7 +81,7 @@ def describe(model: Model, array: NDArray[Any], progress: Progress) -> dict[str,
 
 def as_text(report: dict[str, Any]) -> str:
     """The table, and the time that belongs to no level."""
-    rows = [[str(level["level"]), decibels(level["snr_db"]), mebibytes(level["bytes"]), f"{level['ratio']:.1f}",
+    rows = [[str(level["level"]), decibels(level["snr_db"]), mebibytes(level["bytes"]), ratio(level["ratio"]),
              str(level["decode_cost"]), f"{level['seconds']:.1f}"] for level in report["levels"]]
     whole = table(["level", "SNR dB", "MiB", "ratio", "decode cost", "seconds"], rows)
     resumed = f" {report['nodes_resumed']} nodes were finished before." if report["nodes_resumed"] else ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from math import inf
 from typing import Any, cast
 
 import click
@@ -64,7 +65,8 @@ def _level(model: Model, number: int) -> dict[str, Any]:
         "nodes": level.nodes, "nodes_that_carry_nothing": int((~level.shape.any(axis=(1, 2))).sum()),
         "clusters": cells, "clusters_that_carry_nothing": zero_cells,
         "bytes": 2 * level.numbers() + sum(array.nbytes for _, array in level.tables()),
-        "snr_db": quality.snr_db, "rmse": quality.rmse, "max_abs_error": quality.max_abs_error,
+        "snr_db": quality.snr_db, "transformed_snr_db": _transformed(model)[number - 1],
+        "rmse": quality.rmse, "max_abs_error": quality.max_abs_error,
     }
 
 
@@ -89,13 +91,15 @@ def cells_of(level: PackedLevel) -> tuple[int, int]:
 def as_text(report: dict[str, Any], verbose: bool) -> str:
     """The facts for people."""
     axes = ", ".join(f"{axis['name']} {axis['size']} ({axis['role']})" for axis in report["axes"])
+    domain = [report["transform"]["name"]] if any(level["transformed_snr_db"] for level in report["levels"]) else []
     levels = table(
-        ["level", "R", "C", "K", "subdivision", "nodes", "empty", "clusters", "empty", "SNR dB", "RMSE", "max error",
-         "size"],
+        ["level", "R", "C", "K", "subdivision", "nodes", "empty", "clusters", "empty", "SNR dB",
+         *(f"SNR of {name}" for name in domain), "RMSE", "max error", "size"],
         [[str(level["level"]), *(",".join(map(str, level[key])) for key in "RCK"), level["subdivision"],
           str(level["nodes"]), str(level["nodes_that_carry_nothing"]),
           str(level["clusters"]), str(level["clusters_that_carry_nothing"]),
-          decibels(level["snr_db"]), f"{level['rmse']:.4g}", f"{level['max_abs_error']:.4g}",
+          decibels(level["snr_db"]), *(_shown(level["transformed_snr_db"]) for _ in domain),
+          f"{level['rmse']:.4g}", f"{level['max_abs_error']:.4g}",
           format_bytes(level["bytes"])] for level in report["levels"]], "  ", left=[1, 2, 3, 4])
     parts = report["bytes"]
     transform = report["transform"]["name"] + "".join(
@@ -106,9 +110,8 @@ def as_text(report: dict[str, Any], verbose: bool) -> str:
         f"  axes          {axes}",
         f"  organisation  {report['organisation']}",
         f"  transform     {transform}",
-        *(f"  {name:<13} {value}" for name, value in _domain_lines(report)),
         f"  decode cost   {report['decode_cost']} multiply-adds an element",
-        f"  size          {format_bytes(parts['file'])}, 1/{report['ratio']:.1f} of the source: numbers "
+        f"  size          {format_bytes(parts['file'])}, {_share(report['ratio'])} the source: numbers "
         f"{format_bytes(parts['numbers'])}, tables {format_bytes(parts['tables'])}, "
         f"header {format_bytes(parts['header'])}",
         "", levels,
@@ -118,9 +121,21 @@ def as_text(report: dict[str, Any], verbose: bool) -> str:
     return "\n".join(lines)
 
 
-def _domain_lines(report: dict[str, Any]) -> list[tuple[str, str]]:
-    """SNR in the domain of the value transform, where the file says it: the levels' own is that of the values."""
-    transformed = report["source"].get("transformed_snr_db")
-    if not isinstance(transformed, list):
-        return []
-    return [("transformed", " ".join(map(decibels, cast("list[float]", transformed))) + " dB, level by level")]
+def _share(ratio: float) -> str:
+    return f"1/{ratio:.1f} of" if ratio >= 1 else f"{1 / ratio:.1f} times"
+
+
+def _shown(snr: float | None) -> str:
+    return "unknown" if snr is None else decibels(snr)
+
+
+def _transformed(model: Model) -> list[float | None]:
+    """SNR of each level in the domain of the value transform, None where the file does not say it.
+
+    The levels' own SNR is that of the values. What a file says of its source is free, so it may be anything.
+    """
+    told, count = model.metadata.source.get("transformed_snr_db"), len(model.levels)
+    if not isinstance(told, list) or len(cast("list[Any]", told)) != count:
+        return [None] * count
+    return [float(snr) if isinstance(snr, int | float) else inf if snr is None else None
+            for snr in cast("list[Any]", told)]

@@ -64,6 +64,15 @@ def mebibytes(count: int) -> str:
     return f"{size:.2f}" if size >= 1 else f"{size:.2g}" if size < 0.01 else f"{size:.3f}"
 
 
+def ratio(times: float) -> str:
+    """How many times smaller than the source, with the digits that a file larger than its source needs.
+
+    >>> ratio(304.52), ratio(0.026)
+    ('304.5', '0.026')
+    """
+    return f"{times:.1f}" if times >= 1 else f"{times:.2g}"
+
+
 def seconds(time: float) -> str:
     """A duration for people.
 

@@ -29,7 +29,7 @@ def _version(name: str) -> str:
 
 def _native() -> str:
     try:
-        from .. import _native as module  # pyright: ignore[reportAttributeAccessIssue, reportUnknownVariableType]
+        from .. import _native as module
     except ImportError as error:
         return f"missing ({error})"
     del module
