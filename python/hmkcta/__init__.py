@@ -1,5 +1,8 @@
 """Hierarchical multiway K-clustered tensor approximation: compress visual data, decode any element on its own."""
 
+from importlib import import_module
+from typing import Any
+
 from ._version import __version__
 from .axes import Axis
 from .encode import choose_plan, compress
@@ -21,3 +24,10 @@ __all__ = [
     "open",
     "parse_plan",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """`hmkcta.render` is loaded when it is first used."""
+    if name == "render":
+        return import_module(".render", __name__)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,87 @@
+"""Host of `grid.wgsl`: a box of decoded elements as a 3D texture, kept as long as nothing it depends on changes."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import HmkctaError, Kind
+from ..model import Model
+from .device import Device
+from .gpu_pass import ComputePass, Slot, out_texture, tiles
+from .grid import Grid
+from .layout import Layout
+from .prelude import Options, compose
+from .upload import DecoderBuffers
+
+FRAME = np.dtype([
+    ("width", "u4"), ("height", "u4"), ("depth", "u4"), ("first", "u4"),
+    ("x_axis", "u4"), ("y_axis", "u4"), ("time_axis", "u4"), ("unused", "u4"),
+    ("time", "u4", 4), ("time_weight", "f4", 4),
+])
+NO_AXIS = 0xFF
+SLOTS = (Slot("uniform"), Slot("storage"), Slot("out", "3d", "r32float"))
+ELEMENTS = 1 << 22  # decoded by one dispatch, so that none takes long enough for a driver to give up on it
+KEPT = 2  # boxes kept: two levels, when they are compared
+
+
+@final
+class GpuGrid:
+    """Decodes boxes of one model."""
+
+    def __init__(self, device: Device, model: Model, layout: Layout) -> None:
+        picks = [1] * len(layout.sizes)
+        if layout.time is not None:
+            picks[layout.time] = 2
+        self._device = device
+        self._buffers = DecoderBuffers(device, model, Options(picks=tuple(picks)))
+        code = compose(self._buffers.prelude(), "image", "decode", "weighted", "grid")
+        self._pass = ComputePass(device, "decode_grid", code, SLOTS, self._buffers)
+        self._kept: OrderedDict[Any, Any] = OrderedDict()
+
+    def texture(self, grid: Grid, level: int | None) -> Any:
+        """The box as a texture r32float, slices along its z.
+
+        Raises:
+            HmkctaError: a side is longer than a 3D texture's.
+        """
+        key = (grid.slices.tobytes(), grid.frames, grid.weights, level)
+        if key in self._kept:
+            self._kept.move_to_end(key)
+            return self._kept[key]
+        depth, rows, columns = grid.shape
+        most = self._device.limits.get("max-texture-dimension-3d", 2048)
+        if max(grid.shape) > most:
+            raise HmkctaError(Kind.RESOURCE_LIMIT, "texture-too-large", "decoded elements",
+                              found=f"{columns} x {rows} x {depth}", allowed=f"up to {most} a side",
+                              hint="use --backend numpy")
+        while len(self._kept) >= KEPT:
+            self._kept.popitem(last=False)
+        texture = out_texture(self._device, "grid", (columns, rows, depth), "r32float", "3d")
+        self._decode(grid, texture, level)
+        self._kept[key] = texture
+        return texture
+
+    def _decode(self, grid: Grid, texture: Any, level: int | None) -> None:
+        depth, rows, columns = grid.shape
+        slots = np.zeros((depth, 8), np.uint32)
+        slots[:, : grid.slices.shape[1]] = grid.slices
+        buffer = self._device.buffer("slots", slots)
+        step = max(1, ELEMENTS // (rows * columns))
+        for first in range(0, depth, step):
+            uniform = self._device.buffer("grid", _frame(grid, first).tobytes(), "UNIFORM")
+            self._pass.run((uniform, buffer, texture), tiles(columns, rows, min(step, depth - first)),
+                           self._buffers.bind_group(level))
+
+
+def _frame(grid: Grid, first: int) -> NDArray[np.void]:
+    frame = np.zeros((), FRAME)
+    frame["depth"], frame["height"], frame["width"] = grid.shape
+    frame["first"] = first
+    frame["y_axis"], frame["x_axis"] = grid.layout.space[-2:]
+    frame["time_axis"] = NO_AXIS if grid.layout.time is None else grid.layout.time
+    frame["time"][:2], frame["time_weight"][:2] = grid.frames, grid.weights
+    return frame

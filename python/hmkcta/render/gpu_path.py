@@ -1,0 +1,118 @@
+"""Rendering by the shaders: hosts of `svbrdf.wgsl`, `lightfield.wgsl` and `volume.wgsl` behind one method."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model import Model
+from . import lightfield, volume
+from .device import Device
+from .gpu_grid import GpuGrid
+from .gpu_pass import ComputePass, Slot, out_texture, read_texture, tiles
+from .gpu_svbrdf import GpuSvbrdf
+from .grid import grid_at, volume_slices
+from .layout import Layout
+from .numpy_path import rays_of
+from .prelude import shader
+from .scene import VOLUME_MODES, Scene
+
+F32 = NDArray[np.float32]
+
+LIGHTFIELD_FRAME = np.dtype([
+    ("width", "u4"), ("height", "u4"), ("cameras", "u4"), ("channels", "u4"),
+    ("rows", "u4"), ("columns", "u4"), ("scale", "f4"), ("unused_0", "f4"),
+    ("offset_y", "f4"), ("offset_x", "f4"), ("unused_1", "f4", 2),
+])
+VOLUME_FRAME = np.dtype([
+    ("width", "u4"), ("height", "u4"), ("mode", "u4"), ("most_steps", "u4"),
+    ("eye", "f4", 4), ("right", "f4", 4), ("up", "f4", 4), ("forward", "f4", 4),
+    ("half", "f4", 3), ("step", "f4"), ("clip_low", "f4", 3), ("iso", "f4"), ("clip_high", "f4", 3), ("unit", "f4"),
+    ("low", "f4"), ("high", "f4"), ("ambient", "f4"), ("specular", "f4"),
+    ("light", "f4", 4), ("background", "f4", 4),
+])
+#: Uniform, cameras or transfer function, decoded elements, radiance: of both shaders.
+SLOTS = (Slot("uniform"), Slot("storage"), Slot("texture", "3d"), Slot("out", format="rgba32float"))
+
+
+@final
+class GpuPath:
+    """Radiance of scenes of one model, by the shaders."""
+
+    def __init__(self, device: Device, model: Model, layout: Layout, kind: str) -> None:
+        makers: dict[str, Callable[[], GpuSvbrdf | GpuLightfield | GpuVolume]] = {
+            "svbrdf": lambda: GpuSvbrdf(device, model, layout),
+            "lightfield": lambda: GpuLightfield(device, model, layout),
+            "volume": lambda: GpuVolume(device, model, layout),
+        }
+        self._renderer = makers[kind]()
+
+    def radiance(self, scene: Scene, level: int | None) -> F32:
+        """Radiance and coverage ``[height, width, 4]``."""
+        return self._renderer.radiance(scene, level)
+
+
+@final
+class GpuLightfield:
+    """Host of `lightfield.wgsl`."""
+
+    def __init__(self, device: Device, model: Model, layout: Layout) -> None:
+        self._device, self._layout = device, layout
+        self._cameras = lightfield.find_cameras(model.metadata.axes, layout)
+        self._grid = GpuGrid(device, model, layout)
+        self._pass = ComputePass(device, "shade_lightfield", shader("lightfield"), SLOTS)
+
+    def radiance(self, scene: Scene, level: int | None) -> F32:
+        """Radiance and coverage ``[height, width, 4]``."""
+        aimed = lightfield.aim(self._cameras, scene.viewpoint)
+        grid = grid_at(self._layout, lightfield.camera_slices(self._layout, aimed), scene.time)
+        channels = len(self._layout.channels)
+        cameras = np.zeros((len(aimed.weight), 4), np.float32)
+        cameras[:, 0], cameras[:, 1:3] = aimed.weight, aimed.shift
+        cameras[:, 3] = np.arange(len(cameras)) * channels
+        frame = np.zeros((), LIGHTFIELD_FRAME)
+        frame["width"], frame["height"], frame["cameras"] = scene.width, scene.height, len(cameras)
+        frame["channels"] = channels
+        frame["rows"], frame["columns"] = grid.shape[1:]
+        frame["scale"], frame["offset_y"], frame["offset_x"] = lightfield.fit(scene, *grid.shape[1:])
+        texture = self._grid.texture(grid, level)
+        return _shaded(self._device, self._pass, scene, (frame, cameras, texture))
+
+
+@final
+class GpuVolume:
+    """Host of `volume.wgsl`."""
+
+    def __init__(self, device: Device, model: Model, layout: Layout) -> None:
+        self._device, self._layout, self._model = device, layout, model
+        self._grid = GpuGrid(device, model, layout)
+        self._pass = ComputePass(device, "shade_volume", shader("volume"), SLOTS)
+
+    def radiance(self, scene: Scene, level: int | None) -> F32:
+        """Premultiplied display colour and opacity ``[height, width, 4]``."""
+        marching = volume.prepare(self._model, self._model.metadata.axes, self._layout, scene)
+        rays, look = rays_of(scene, "volume"), scene.volume
+        frame = np.zeros((), VOLUME_FRAME)
+        frame["width"], frame["height"], frame["most_steps"] = scene.width, scene.height, marching.most_steps
+        frame["mode"] = VOLUME_MODES.index(look.mode)
+        for name in ("eye", "right", "up", "forward"):
+            frame[name][:3] = getattr(rays, name)
+        frame["half"], frame["step"], frame["unit"] = marching.half, marching.step, marching.unit
+        frame["clip_low"], frame["clip_high"], frame["iso"] = look.clip_low, look.clip_high, look.iso
+        frame["low"], frame["high"] = marching.window
+        frame["ambient"], frame["specular"] = look.ambient, look.specular
+        frame["light"][:3] = marching.light
+        texture = self._grid.texture(grid_at(self._layout, volume_slices(self._layout), scene.time), level)
+        return _shaded(self._device, self._pass, scene, (frame, marching.table, texture))
+
+
+def _shaded(device: Device, work: ComputePass, scene: Scene, inputs: tuple[NDArray[np.void], F32, Any]) -> F32:
+    """Run a renderer on its uniform, its table and the decoded elements."""
+    frame, table, texture = inputs
+    out = out_texture(device, "radiance", (scene.width, scene.height, 1), "rgba32float")
+    resources = (device.buffer("frame", frame.tobytes(), "UNIFORM"), device.buffer("table", table), texture, out)
+    work.run(resources, tiles(scene.width, scene.height))
+    return read_texture(device, out, "f4", 4)

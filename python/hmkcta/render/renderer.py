@@ -1,0 +1,154 @@
+"""Pictures of a model: by the shaders where there is an adapter, else by NumPy (`hmkcta render`; paper, section 5)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+from typing import Any, Protocol, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import invalid
+from ..model import Model
+from .display import Display, display_of, heat_gain, show
+from .layout import lay_out, value_range
+from .numpy_path import NumpyPath
+from .scene import Scene
+
+F32 = NDArray[np.float32]
+U8 = NDArray[np.uint8]
+
+BACKENDS = ("auto", "gpu", "numpy")
+
+
+class Path(Protocol):
+    """What makes radiance of a model: the shaders or NumPy."""
+
+    def radiance(self, scene: Scene, level: int | None) -> F32:
+        """Radiance and coverage ``[height, width, 4]``."""
+        ...
+
+
+def render(model: Model, scene: Scene | None = None, *, original: Any = None, backend: str = "auto") -> U8:
+    """One picture ``[height, width, 3]``, uint8, of a model.
+
+    Args:
+        model: the model.
+        scene: what to show; by default what suits the model's kind.
+        original: an array of the model's shape, for scenes that compare with it.
+        backend: ``gpu`` (wgpu), ``numpy``, or ``auto``: the first that works.
+
+    Raises:
+        HmkctaError: the scene does not fit the model; `backend` is ``gpu`` and there is no adapter.
+
+    >>> from hmkcta import compress, synthetic
+    >>> data = synthetic.light_field(views=2, size=12, frames=2)
+    >>> model = compress(data.values, "R=2,2,6,6,2", axes=data.axes, kind=data.kind)
+    >>> render(model, Scene(width=32, height=24), backend="numpy").shape
+    (24, 32, 3)
+    """
+    scene = scene or Scene()
+    renderer = Renderer(model, original=original, backend=backend, kind=scene.kind, position=scene.position)
+    return renderer.picture(scene)
+
+
+@final
+class Renderer:
+    """Renders several scenes of one model; what they share is made once.
+
+    Args:
+        model, original, backend: as `render` takes them.
+        kind: what to show it as; by default the model's.
+        position: where axes stand that the renderer does not move along, by name.
+
+    Attributes:
+        kind: of `hmkcta.render.scene.KINDS`.
+        backend: ``gpu`` or ``numpy``, what is used.
+        adapter: the name of the adapter, empty for NumPy.
+
+    Raises:
+        HmkctaError: the axes do not make this kind; `original` has another shape; no adapter, for ``gpu``.
+    """
+
+    def __init__(self, model: Model, *, original: Any = None, backend: str = "auto", kind: str | None = None,
+                 position: dict[str, int] | None = None) -> None:
+        if backend not in BACKENDS:
+            raise invalid("unknown-backend", "backend", repr(backend), ", ".join(BACKENDS))
+        if original is not None and tuple(original.shape) != model.shape:
+            raise invalid("original-shape", "original", tuple(original.shape), f"{model.shape}, the model's")
+        self.kind = kind or model.metadata.kind
+        self._model = model
+        self._original = original
+        self._layout = lay_out(model.metadata.axes, self.kind, position)
+        self._numpy = NumpyPath(model, model.metadata.axes, self._layout, self.kind, model)
+        device = None if backend == "numpy" or self.kind == "generic" else _device(backend)
+        self.backend = "numpy" if device is None else "gpu"
+        self.adapter = "" if device is None else str(device.name)
+        self._device = device
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What had to be assumed, in sentences."""
+        assumed = "has no directions as coordinates: a Fibonacci spiral down to 75 degrees is assumed"
+        return tuple(f"Axis {name!r} {assumed}." for name in self._numpy.assumed)
+
+    def picture(self, scene: Scene) -> U8:
+        """The picture ``[height, width, 3]`` of a scene.
+
+        Raises:
+            HmkctaError: the scene does not fit the model.
+        """
+        display = self.display(scene)
+        one = self.radiance(scene)
+        two = one
+        if display.mode != "none":
+            two = self._compared(scene)
+            if scene.compare.gain is None:
+                display = replace(display, gain=heat_gain(one, two, display.exposure))
+        if self._device is None:
+            return show(one, two, display)
+        from .gpu_display import show_on_gpu
+
+        return show_on_gpu(self._device, one, two, display)
+
+    def radiance(self, scene: Scene) -> F32:
+        """Radiance and coverage ``[height, width, 4]``, before exposure; of a volume, display colours times opacity."""
+        return self._path.radiance(scene, scene.level or len(self._model.levels))
+
+    def display(self, scene: Scene) -> Display:
+        """How a scene's radiance is shown; white is taken from all levels, so that levels compare."""
+        return display_of(scene.tone, scene.compare, self.kind, self._white)
+
+    def _compared(self, scene: Scene) -> F32:
+        """Radiance of the other level, or of the original."""
+        if scene.compare.level is not None:
+            return self._path.radiance(scene, scene.compare.level)
+        if self._original is None:
+            raise invalid("no-original", "compare", f"{scene.compare.mode} without a level",
+                          "the original array, or a level to compare with", "give --against FILE, or compare.level")
+        return self._original_path.radiance(scene, None)
+
+    @cached_property
+    def _white(self) -> float:
+        white = value_range(self._model, self._model.shape)[1]
+        return white if white > 0 else 1.0
+
+    @cached_property
+    def _path(self) -> Path:
+        if self._device is None:
+            return self._numpy
+        from .gpu_path import GpuPath
+
+        return GpuPath(self._device, self._model, self._layout, self.kind)
+
+    @cached_property
+    def _original_path(self) -> NumpyPath:
+        return NumpyPath(self._original, self._model.metadata.axes, self._layout, self.kind, self._model)
+
+
+def _device(backend: str) -> Any:
+    """A device of an adapter; None where there is none and the backend is ``auto``."""
+    from .device import find_device, shared_device
+
+    return shared_device() if backend == "gpu" else find_device()

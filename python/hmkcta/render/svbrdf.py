@@ -1,0 +1,189 @@
+"""SVBRDF renderer in NumPy, the readable twin of `svbrdf.wgsl` (paper, section 5.1).
+
+Per pixel: the directions of the light and of the eye in the frame of the surface, interpolated among the measured ones,
+times bilinear texels, for each colour; summed over the lights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..axes import Axis
+from .directions import DirectionTable, build_table, directions_of
+from .elements import fetch, source_values
+from .gbuffer import GBuffer, Rays
+from .layout import Layout, time_steps
+from .scene import Light, Scene, direction
+
+F32 = NDArray[np.float32]
+Index = NDArray[np.intp]
+
+LEAST_VIEW = 0.01  # z of a view direction: smooth normals turn away before the surface does
+PIXELS = 1 << 13  # shaded together: bounds memory to some 100 MB
+#: Directions that do not matter, because the data has no such axis: one tap of weight one.
+Taps = tuple[Index, F32]
+
+
+@dataclass(frozen=True, eq=False)
+class Shading:
+    """What does not change from frame to frame: the axes, and the tables of measured directions (None: no such axis).
+
+    `assumed` names the axes whose directions had to be assumed because they have no coordinates.
+    """
+
+    layout: Layout
+    light: DirectionTable | None
+    view: DirectionTable | None
+    assumed: tuple[str, ...]
+
+
+def prepare(axes: Sequence[Axis], layout: Layout) -> Shading:
+    """Triangulate the measured directions of lights and views.
+
+    >>> from hmkcta.axes import name_axes
+    >>> from hmkcta.render.layout import lay_out
+    >>> axes = name_axes((9, 8, 8), ["light", "y", "x"])
+    >>> prepare(axes, lay_out(axes, "svbrdf")).assumed
+    ('light',)
+    """
+    tables: list[DirectionTable | None] = []
+    assumed: list[str] = []
+    for number in (layout.light, next(iter(layout.views), None)):
+        if number is None:
+            tables.append(None)
+            continue
+        vectors, guessed = directions_of(axes[number])
+        tables.append(build_table(vectors))
+        assumed += [axes[number].name] if guessed else []
+    return Shading(layout, tables[0], tables[1], tuple(assumed))
+
+
+def at_time(layout: Layout, time: float | None) -> Layout:
+    """The layout of an SVBRDF that changes with time, standing at the nearest frame."""
+    if layout.time is None:
+        return layout
+    frames, weights = time_steps(time, layout.sizes[layout.time])
+    stands = list(layout.stands)
+    stands[layout.time] = frames[int(weights[1] > 0.5)]
+    return replace(layout, stands=tuple(stands))
+
+
+def shade(source: Any, shading: Shading, scene: Scene, seen: GBuffer, rays: Rays) -> F32:
+    """Radiance and coverage ``[height, width, 4]`` of what the G-buffer shows, from a model or an array."""
+    height, width = seen.surface.shape[:2]
+    picture = np.zeros((height * width, 4), np.float32)
+    covered = np.flatnonzero(seen.surface.reshape(-1, 4)[:, 3] > 0)
+    pixel_rays = rays.through_pixels(width, height).reshape(-1, 3).astype(np.float32)
+    for start in range(0, len(covered), PIXELS):
+        part = covered[start : start + PIXELS]
+        surface, normal, tangent = (a.reshape(-1, 4)[part] for a in (seen.surface, seen.normal, seen.tangent))
+        picture[part, :3] = _shade_pixels(source, shading, scene, (surface, normal, tangent), pixel_rays[part], rays)
+        picture[part, 3] = 1
+    return picture.reshape(height, width, 4)
+
+
+def _shade_pixels(source: Any, shading: Shading, scene: Scene, seen: tuple[F32, F32, F32], pixel_rays: F32,
+                  rays: Rays) -> F32:
+    """Radiance ``[b, 3]`` of pixels that see the surface."""
+    surface, normal, tangent = seen
+    layout = at_time(shading.layout, scene.time)
+    rows, columns = (layout.sizes[axis] for axis in layout.space)
+    x, x_sign = texel_taps(surface[:, 0], columns)
+    y, y_sign = texel_taps(surface[:, 1], rows)
+    frame = local_frame(normal[:, :3], tangent, x_sign, y_sign * (-1 if scene.surface.y_axis == "up" else 1))
+    view = np.einsum("bjk,bk->bj", frame, -pixel_rays)
+    view[:, 2] = np.maximum(view[:, 2], np.float32(LEAST_VIEW))
+    view /= np.linalg.norm(view, axis=1, keepdims=True)
+    view_taps, _ = direction_taps(shading.view, view)
+
+    place = np.asarray(rays.eye.astype(np.float32) + surface[:, 2:3] * pixel_rays, np.float32)
+    radiance = np.zeros((len(surface), 3), np.float32)
+    for light in scene.lights:
+        towards, strength = incident(light, place)
+        local = np.einsum("bjk,bk->bj", frame, towards)
+        lit = np.flatnonzero(local[:, 2] > 0)
+        taps, height = direction_taps(shading.light, local[lit])
+        scale = strength[lit] * horizon(local[lit, 2], height, scene.surface.cosine)
+        chosen = [(index[lit], weight[lit]) for index, weight in (view_taps, y, x)]
+        radiance[lit] += scale * interpolate(source, layout, [taps, *chosen])
+    return radiance
+
+
+def texel_taps(coordinate: F32, count: int) -> tuple[Taps, F32]:
+    """The two texels around a texture coordinate (in repeats) and their weights; -1 where a repeat is mirrored.
+
+    >>> (index, weight), sign = texel_taps(np.array([0.25, 1.25], np.float32), 4)
+    >>> index.tolist(), weight.tolist(), sign.tolist()
+    ([[0, 1], [2, 3]], [[0.5, 0.5], [0.5, 0.5]], [1.0, -1.0])
+    """
+    repeat = np.floor(coordinate)
+    within = coordinate - repeat
+    odd = repeat % 2 == 1
+    within = np.where(odd, 1 - within, within)
+    place = np.clip(within * count - np.float32(0.5), 0, count - 1)
+    first = np.minimum(place.astype(np.intp), max(count - 2, 0))
+    share = (place - first).astype(np.float32)
+    index = np.stack([first, np.minimum(first + 1, count - 1)], axis=1)
+    return (index, np.stack([1 - share, share], axis=1)), np.where(odd, -1, 1).astype(np.float32)
+
+
+def local_frame(normal: F32, tangent: F32, x_sign: F32, y_sign: F32) -> F32:
+    """Rows x, y, z of the measured directions' frame in world coordinates, ``[b, 3, 3]``."""
+    along = tangent[:, :3] - np.einsum("bk,bk->b", tangent[:, :3], normal)[:, None] * normal
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+    down = np.asarray(np.cross(normal, along) * tangent[:, 3:], np.float32)
+    return np.stack([along * x_sign[:, None], down * y_sign[:, None], normal], axis=1).astype(np.float32)
+
+
+def incident(light: Light, place: F32) -> tuple[F32, F32]:
+    """Unit vectors ``[b, 3]`` towards a light from points ``[b, 3]``, and its strength there ``[b, 3]``."""
+    colour = np.float32(light.intensity) * np.array(light.colour, np.float32)
+    if light.position is None:
+        towards = np.array(direction(light.azimuth, light.elevation), np.float32)
+        return np.broadcast_to(towards, place.shape), np.broadcast_to(colour, place.shape)
+    offset = np.array(light.position, np.float32) - place
+    square = np.maximum(np.einsum("bk,bk->b", offset, offset), np.float32(1e-8))[:, None]
+    return offset / np.sqrt(square), colour / square
+
+
+def direction_taps(table: DirectionTable | None, directions: F32) -> tuple[Taps, F32]:
+    """Measured directions around each direction ``[b, 3]`` with weights, and the z that they interpolate."""
+    if table is None:
+        count = len(directions)
+        return (np.zeros((count, 1), np.intp), np.ones((count, 1), np.float32)), directions[:, 2]
+    index, weight, height = table.interpolate(np.asarray(directions, np.float32))
+    return (index.astype(np.intp), weight), height
+
+
+def horizon(z: F32, measured: F32, contains_cosine: bool) -> F32:
+    """Factor ``[b, 1]`` of a light at height z: values beyond the measured ones fall to 0 at the horizon with z.
+
+    >>> horizon(np.array([0.1], np.float32), np.array([0.2], np.float32), True).tolist()
+    [[0.5]]
+    """
+    if contains_cosine:
+        return np.asarray(np.minimum(1, z / np.maximum(measured, 1e-6)), np.float32)[:, None]
+    return np.asarray(z, np.float32)[:, None]
+
+
+def interpolate(source: Any, layout: Layout, taps: Sequence[Taps]) -> F32:
+    """Interpolated values ``[b, 3]``, from taps of light, view, y and x, each ``[b, taps]``."""
+    axes = (layout.light, next(iter(layout.views), None), *layout.space)
+    indices: dict[int, Index] = {}
+    weight = np.ones((len(taps[0][0]), 1, 1, 1, 1), np.float32)
+    for number, (axis, (index, share)) in enumerate(zip(axes, taps, strict=True)):
+        shape = [len(index), *(index.shape[1] if n == number else 1 for n in range(4))]
+        weight = weight * share.reshape(shape)
+        if axis is not None:
+            indices[axis] = index.reshape(*shape, 1)
+    if layout.channel is not None:
+        indices[layout.channel] = np.array(layout.channels, np.intp).reshape(1, 1, 1, 1, 1, -1)
+    values = fetch(source, layout, indices)
+    shape = np.broadcast_shapes(values.shape, (*weight.shape, 1))
+    values = source_values(source, np.einsum("blvyxc,blvyx->bc", np.broadcast_to(values, shape), weight))
+    return np.asarray(np.broadcast_to(values, (len(values), 3)), np.float32)

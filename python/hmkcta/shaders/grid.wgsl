@@ -1,0 +1,42 @@
+// A box of elements as a 3D texture, at a time that may lie between two frames: what a light field or a volume shows for
+// as long as its time and level stay. Before it: the weighted decoder with picks 2 for time, 1 for all else.
+
+struct GridFrame {
+  width: u32, height: u32, depth: u32, first: u32,          // elements; the first slice of this dispatch
+  x_axis: u32, y_axis: u32, time_axis: u32, unused: u32,    // 0xff: none
+  time: vec4u,                                              // the two frames
+  time_weight: vec4f,
+}
+@group(1) @binding(0) var<uniform> grid: GridFrame;
+@group(1) @binding(1) var<storage, read> slots: array<vec4u>;  // two a slice: the index of every axis there
+@group(1) @binding(2) var grid_out: texture_storage_3d<r32float, write>;
+
+@compute @workgroup_size(8, 8, 1)
+fn decode_grid(@builtin(global_invocation_id) id: vec3u) {
+  let at = vec3u(id.xy, id.z + grid.first);
+  if (at.x >= grid.width || at.y >= grid.height || at.z >= grid.depth) { return; }
+  pick_nothing();
+  for (var axis = 0u; axis < AXES; axis++) {
+    if (axis == grid.x_axis) {
+      pick_index(axis, at.x);
+    } else if (axis == grid.y_axis) {
+      pick_index(axis, at.y);
+    } else if (axis != grid.time_axis) {
+      pick_index(axis, slots[2u * at.z + axis / 4u][axis % 4u]);
+    }
+  }
+  if (grid.time_axis < AXES) {
+    if (grid.time_weight.y == 0.0) {
+      pick_index(grid.time_axis, grid.time.x);
+    } else {
+      var picks: Picks;
+      picks.count = 2u;
+      for (var k = 0u; k < 2u; k++) {
+        picks.index[k] = grid.time[k];
+        picks.weight[k] = Value(grid.time_weight[k]);
+      }
+      pick_axis(grid.time_axis, picks);
+    }
+  }
+  textureStore(grid_out, at, vec4f(f32(source_values(decode_picked(decoder.levels)))));
+}
