@@ -31,6 +31,7 @@ LAYERS = (
     ("tuning", "follow"),
     ("encode",),
     ("", "pictures", "readers", "synthetic"),
+    ("render",),
     ("cli",),
     ("__main__",),
 )
