@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from gpu_tools import KINDS, Kind, adapter, job, random_indices, run_in_dawn
 from hmkcta import Model
+from hmkcta.render.contract import contraction_constants, contraction_shader
 from hmkcta.render.device import spread
 from hmkcta.render.gpu_decode import picked_words
 from hmkcta.render.image import pack_image
@@ -37,6 +38,7 @@ class Pass:
 
 PLAIN, WEIGHTED = ("image", "decode"), ("image", "decode", "weighted")
 PIECES = {"image", "decode", "weighted"}
+CONTRACTION = {"contract"}
 PASSES = {
     "elements": Pass(PLAIN),
     "picked": Pass(WEIGHTED, (1, 3)),
@@ -52,9 +54,17 @@ BUILT_FOR = [kind for kind in KINDS if kind.name in
              ("one-mode", "pca", "order-8", "folded-colour", "merged-texels", "time-undecomposed")]
 
 
+def contraction(kind: Kind) -> str:
+    """The pass that contracts the last mode."""
+    model = kind.model()
+    options = Options(contracted=(len(model.metadata.organisation) - 1,))
+    constants = contraction_constants(model.metadata, model.levels, pack_image(model.levels), options)
+    return contraction_shader(prelude(model.metadata, 1), constants)
+
+
 def texts() -> dict[str, str]:
     """All shaders, put together for several models and options."""
-    made: dict[str, str] = {}
+    made = {f"contract of {kind.name}": contraction(kind) for kind in BUILT_FOR}
     for name, built in PASSES.items():
         if not built.pieces:
             made[name] = shader(name)
@@ -69,7 +79,7 @@ def texts() -> dict[str, str]:
 
 
 def test_every_file_is_compiled() -> None:
-    assert {path.stem for path in SHADERS.glob("*.wgsl")} == PIECES | PASSES.keys()
+    assert {path.stem for path in SHADERS.glob("*.wgsl")} == PIECES | CONTRACTION | PASSES.keys()
 
 
 def test_naga_takes_every_shader(tmp_path: Path) -> None:

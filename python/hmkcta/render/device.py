@@ -6,7 +6,7 @@ wgpu's own types are incomplete: its objects are `Any` here, and everything but 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
@@ -57,16 +57,16 @@ class Device:
         """A buffer of `size` bytes, zeros."""
         return self.gpu.create_buffer(label=label, size=size, usage=usage)
 
-    def layout(self, label: str, kinds: Sequence[str]) -> Any:
-        """The layout of a compute pass's bind group of buffers, from binding 0: WebGPU's buffer types."""
+    def layout(self, label: str, kinds: Sequence[str] | Mapping[int, str]) -> Any:
+        """The layout of a compute pass's bind group of buffers: WebGPU's buffer types, from binding 0 or by binding."""
         entries = [{"binding": binding, "visibility": "COMPUTE", "buffer": {"type": kind}}
-                   for binding, kind in enumerate(kinds)]
+                   for binding, kind in _by_binding(kinds)]
         return self.gpu.create_bind_group_layout(label=label, entries=entries)
 
-    def group(self, label: str, layout: Any, buffers: Sequence[Any]) -> Any:
-        """A bind group of whole buffers, from binding 0."""
+    def group(self, label: str, layout: Any, buffers: Sequence[Any] | Mapping[int, Any]) -> Any:
+        """A bind group of whole buffers, from binding 0 or by binding."""
         entries = [{"binding": binding, "resource": {"buffer": buffer, "offset": 0, "size": buffer.size}}
-                   for binding, buffer in enumerate(buffers)]
+                   for binding, buffer in _by_binding(buffers)]
         return self.gpu.create_bind_group(label=label, layout=layout, entries=entries)
 
     def pipeline(self, entry: str, code: str, layouts: Sequence[Any]) -> Any:
@@ -100,6 +100,10 @@ def spread(groups: int) -> tuple[int, int, int]:
     """
     across = max(1, min(groups, _MOST_GROUPS))
     return across, -(-groups // across), 1
+
+
+def _by_binding(listed: Sequence[Any] | Mapping[int, Any]) -> Iterable[tuple[int, Any]]:
+    return listed.items() if isinstance(listed, Mapping) else enumerate(listed)
 
 
 def open_device() -> Device:

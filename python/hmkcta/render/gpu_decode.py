@@ -48,9 +48,9 @@ class GpuDecoder:
         self.model = model
         self.device = shared_device() if device is None else device
         self.buffers = DecoderBuffers(self.device, model, Options(page_shift=page_shift))
-        self._elements = _Pass(self.device, self.buffers, "decode_elements",
+        self._elements = ListPass(self.device, self.buffers, "decode_elements",
                                compose(self.buffers.prelude(), "image", "decode", "elements"))
-        self._sums: dict[tuple[tuple[int, ...], int], _Pass] = {}
+        self._sums: dict[tuple[tuple[int, ...], int], ListPass] = {}
 
     def elements(self, indices: Any, level: int | None = None) -> NDArray[np.float32]:
         """Scattered elements.
@@ -106,7 +106,7 @@ class GpuDecoder:
         if (counts, channels) not in self._sums:
             options = Options(picks=counts, channels=channels, page_shift=self.buffers.options.page_shift)
             head = self.buffers.prelude(options)
-            self._sums[counts, channels] = _Pass(
+            self._sums[counts, channels] = ListPass(
                 self.device, self.buffers, "decode_sums", compose(head, "image", "decode", "weighted", "picked"))
         wanted = picked_words(picks, max(counts), channels)
         group, work = self.buffers.bind_group(level), self._sums[counts, channels]
@@ -116,7 +116,7 @@ class GpuDecoder:
 
 
 @final
-class _Pass:
+class ListPass:
     """A pass with a list of what is wanted and a list of the results."""
 
     def __init__(self, device: Device, buffers: DecoderBuffers, entry: str, code: str) -> None:

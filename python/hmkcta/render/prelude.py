@@ -22,6 +22,8 @@ from ..transform import from_json
 PAGE_SHIFT = 25
 #: Of the 8 storage buffers that WebGPU guarantees a stage, those an image may take.
 MOST_PAGES = 5
+#: Of the contracted cores in group 0, behind all pages there can be.
+FRAME_BINDING = 8
 #: Rows of a mode are kept in a mask of one word.
 MOST_ROWS = 32
 
@@ -71,12 +73,8 @@ def prelude(metadata: Metadata, pages: int, options: Options = PLAIN) -> str:
         raise invalid("channels", "channels", options.channels, "1 or 3")
     order, picks = len(metadata.organisation), _picks(metadata, options)
     modes, strides = axis_places(metadata)
-    rooms = [prod(picks[axis] for axis, mode in enumerate(modes) if mode == n) for n in range(order)]
-    for n, rows in enumerate(rooms):
-        if rows > MOST_ROWS:
-            raise invalid("picks-too-many", f"weighted rows of mode {n + 1}", rows, f"at most {MOST_ROWS}",
-                          "interpolate along fewer of its axes")
-    first = [sum(rooms[:n]) for n in range(order + 1)]
+    room = rooms(metadata, options)
+    first = [sum(room[:n]) for n in range(order + 1)]
     lines = [
         "// Constants of one model: generated, not to be edited.",
         f"const AXES = {len(metadata.axes)}u;",
@@ -87,7 +85,7 @@ def prelude(metadata: Metadata, pages: int, options: Options = PLAIN) -> str:
         f"const NODE_WORDS = {node_words(order)}u;",
         f"const AXIS_MODE = {_array(modes)};",
         f"const AXIS_STRIDE = {_array(strides)};",
-        f"const RANK_SUM = {_rank_sum(metadata, rooms, options.contracted)}u;",
+        f"const RANK_SUM = {_rank_sum(metadata, room, options.contracted)}u;",
         f"const AXIS_PICKS = {_array(picks)};",
         f"const PICKS = {max(picks)}u;",
         f"const ROW_FIRST = {_array(first)};",
@@ -98,6 +96,22 @@ def prelude(metadata: Metadata, pages: int, options: Options = PLAIN) -> str:
         *_contraction(order, metadata.undecomposed, options.contracted),
     ]
     return "\n".join(lines) + "\n"
+
+
+def rooms(metadata: Metadata, options: Options) -> list[int]:
+    """For each mode the most rows that it has at once: the product of its axes' picks.
+
+    Raises:
+        HmkctaError: `picks` are not one number of 1 or more an axis, or give a mode more than 32 rows.
+    """
+    picks, (modes, _) = _picks(metadata, options), axis_places(metadata)
+    order = len(metadata.organisation)
+    found = [prod(picks[axis] for axis, mode in enumerate(modes) if mode == n) for n in range(order)]
+    for n, rows in enumerate(found):
+        if rows > MOST_ROWS:
+            raise invalid("picks-too-many", f"weighted rows of mode {n + 1}", rows, f"at most {MOST_ROWS}",
+                          "interpolate along fewer of its axes")
+    return found
 
 
 def shader(name: str) -> str:
@@ -183,10 +197,10 @@ def _picks(metadata: Metadata, options: Options) -> Sequence[int]:
     return picks
 
 
-def _rank_sum(metadata: Metadata, rooms: Sequence[int], contracted: Sequence[int]) -> int:
+def _rank_sum(metadata: Metadata, room: Sequence[int], contracted: Sequence[int]) -> int:
     """The most numbers that the weights of a cell take: R_n, or the rows where the mode is not decomposed."""
-    kept = [n for n in range(len(rooms)) if n not in contracted]
-    taken = (sum(rooms[n] if n in metadata.undecomposed else level.ranks[n] for n in kept) for level in metadata.levels)
+    kept = [n for n in range(len(room)) if n not in contracted]
+    taken = (sum(room[n] if n in metadata.undecomposed else level.ranks[n] for n in kept) for level in metadata.levels)
     return max(1, *taken)
 
 
@@ -230,7 +244,7 @@ def _contraction(order: int, undecomposed: Sequence[int], contracted: Sequence[i
     number = "bitcast<f32>(frame[cell_core + at])" if contracted else "coefficient(cell_core + at)"
     start = "frame[node / NODE_WORDS]" if contracted else "word(node + 1u)"
     if contracted:
-        lines.append("@group(0) @binding(8) var<storage, read> frame: array<u32>;")
+        lines.append(f"@group(0) @binding({FRAME_BINDING}) var<storage, read> frame: array<u32>;")
     lines += [f"fn contract_{order}(at: u32) -> Value {{", f"  return Value({number});", "}"]
     return [*lines, "fn node_core(node: u32) -> u32 {", f"  return {start};", "}"]
 

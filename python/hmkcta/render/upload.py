@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Any, final
 
 from ..model import Model
+from .contract import AxisPicks, FrameContraction
 from .device import Device
 from .image import pack_image
-from .prelude import PLAIN, Options, decoder_uniform, image_pages, prelude
+from .prelude import FRAME_BINDING, PLAIN, Options, decoder_uniform, image_pages, prelude
 
 
 @final
@@ -17,7 +18,7 @@ class DecoderBuffers:
     Args:
         device: where to.
         model: what.
-        options: of the shader; those that share buffers can differ in all but `page_shift`.
+        options: of the shader; those that share buffers can differ in picks and channels.
 
     Raises:
         HmkctaError: the image does not fit into the storage buffers that WebGPU guarantees.
@@ -38,11 +39,18 @@ class DecoderBuffers:
         page = 1 << options.page_shift
         self._buffers = [device.buffer(f"hmkcta image {number}", image.words[number * page : (number + 1) * page])
                          for number in range(self.pages)]
-        self.layout = device.layout("hmkcta decoder", ["uniform", *["read-only-storage"] * self.pages])
+        kinds = dict(enumerate(["uniform", *["read-only-storage"] * self.pages]))
+        self._whole = device.layout("hmkcta decoder", kinds)
+        self.layout = self._whole
+        self._contraction: FrameContraction | None = None
+        if options.contracted:
+            self.layout = device.layout("hmkcta decoder", {**kinds, FRAME_BINDING: "read-only-storage"})
+            self._contraction = FrameContraction(device, model, image, options, self._whole, self.pages)
+        self._uniforms: dict[int, Any] = {}
         self._groups: dict[int, Any] = {}
 
     def prelude(self, options: Options | None = None) -> str:
-        """The prelude for these buffers; other options than the buffers' own must have the same `page_shift`."""
+        """The prelude for these buffers; other options must have the same `page_shift` and contracted modes."""
         return prelude(self.metadata, self.pages, self.options if options is None else options)
 
     def bind_group(self, levels: int | None = None) -> Any:
@@ -53,6 +61,31 @@ class DecoderBuffers:
         """
         chosen = len(self.metadata.levels) if levels is None else levels
         if chosen not in self._groups:
-            uniform = self.device.buffer("hmkcta levels", decoder_uniform(self.metadata, chosen), "UNIFORM")
-            self._groups[chosen] = self.device.group("hmkcta decoder", self.layout, [uniform, *self._buffers])
+            buffers = self._bound(chosen)
+            if self._contraction is not None:
+                buffers[FRAME_BINDING] = self._contraction.cores
+            self._groups[chosen] = self.device.group("hmkcta decoder", self.layout, buffers)
         return self._groups[chosen]
+
+    @property
+    def contracted(self) -> Any:
+        """The buffer of the contracted cores, None without contracted modes."""
+        return None if self._contraction is None else self._contraction.cores
+
+    def contract(self, picks: AxisPicks) -> None:
+        """Fill the contracted cores for a frame: for each axis of the contracted modes its indices and weights.
+
+        What is decoded until the next call must pick the same indices and weights of these axes. Without contracted
+        modes there is nothing to do.
+        """
+        if self._contraction is not None:
+            levels = len(self.metadata.levels)
+            whole = self.device.group("hmkcta decoder", self._whole, self._bound(levels))
+            self._contraction.run(whole, picks)
+
+    def _bound(self, levels: int) -> dict[int, Any]:
+        """The buffers of group 0 that every model has."""
+        if levels not in self._uniforms:
+            uniform = decoder_uniform(self.metadata, levels)
+            self._uniforms[levels] = self.device.buffer("hmkcta levels", uniform, "UNIFORM")
+        return dict(enumerate([self._uniforms[levels], *self._buffers]))
