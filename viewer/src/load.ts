@@ -9,7 +9,7 @@ import type { ByteSource } from "./stream";
  * What the viewer takes less of than other readers: a shader that runs for seconds is stopped by the system.
  * The product of K R is what one element costs at a level.
  */
-export const VIEWER_LIMITS = { ...DEFAULT_LIMITS, level_cost: 2 ** 17 };
+export const VIEWER_LIMITS = { ...DEFAULT_LIMITS, level_cost: 2 ** 18 };
 
 export interface Listener {
   onTables(reading: Reading): Promise<void> | void;

@@ -25,6 +25,7 @@ from .plan import plan_command
 from .resume import abandon, going_on
 from .verify import verify_command
 from .versions import version_option
+from .view import view_command
 
 EXAMPLES = (
     "hmkcta plan wood.npy --snr 27",
@@ -72,7 +73,8 @@ def main() -> None:
     """Compress visual data so that any element can be decoded on its own."""
 
 
-for _command in (compress_command, plan_command, info_command, verify_command, decompress_command, demo_command):
+for _command in (compress_command, plan_command, info_command, verify_command, decompress_command, view_command,
+                 demo_command):
     main.add_command(_command)
 
 

@@ -3,6 +3,8 @@
 import { Problem } from "../problem";
 import type { Axis, FileKind, Role } from "../reader/metadata";
 
+const NAMES = { svbrdf: "material", lightfield: "light field", volume: "volume" };
+
 export interface Layout {
   light: number | null;
   views: number[];
@@ -19,7 +21,7 @@ export function layOut(axes: Axis[], kind: Exclude<FileKind, "generic">): Layout
   const wanted = kind === "volume" ? 3 : 2;
   const space = having("space").slice(-wanted);
   if (space.length < wanted) {
-    throw new Problem(`A ${kind} needs ${wanted} axes of role space; this file has ${space.length}.`, "",
+    throw new Problem(`A ${NAMES[kind]} needs ${wanted} axes of role space; this file has ${space.length}.`, "",
       "It is shown as slices.");
   }
   if (kind === "svbrdf" && (lights.length > 1 || views.length > 1)) {

@@ -1,0 +1,51 @@
+"""`hmkcta view`: the file in the browser, decoded on the GPU."""
+
+from __future__ import annotations
+
+import webbrowser
+from signal import SIGINT
+from typing import Any
+
+import click
+
+from ..readers import open_array
+from ..serve import serve
+from .interrupt import Interrupted
+from .options import Command, file_argument, source_options, verbose_option
+
+EXAMPLES = ("hmkcta view wood.hmk", "hmkcta view wood.hmk --original wood.npy",
+            "hmkcta view wood.hmk --no-browser --port 8080")
+
+
+@click.command("view", cls=Command, examples=EXAMPLES)
+@file_argument
+@click.option("--original", metavar="SRC", help="Compare with this: the source array, or another .hmk file.")
+@source_options
+@click.option("--port", type=click.IntRange(0, 65535), default=0, metavar="N",
+              help="Port on 127.0.0.1; any by default.")
+@click.option("--no-browser", is_flag=True, help="Print the address, open nothing.")
+@verbose_option
+def view_command(file: str, original: str | None, port: int, no_browser: bool, verbose: bool, **source: Any) -> None:
+    """Show FILE in the browser, which needs WebGPU. Ctrl-C ends it.
+
+    The page and FILE are served on this computer only. It streams: level 1 first.
+    """
+    del verbose
+    described = any(source.get(key) is not None for key in ("shape", "dtype", "member"))
+    array: Any = open_array(original, **source) if original is not None and described else original
+    with serve(file, original=array, port=port) as server:
+        click.echo(f"{server.url}\nCtrl-C ends it.")
+        if not no_browser and not _opened(server.url):
+            click.echo("hmkcta: no browser could be opened; open the address in one.", err=True)
+        try:
+            server.wait()
+        except Interrupted as signal:
+            if signal.number != SIGINT:
+                raise
+
+
+def _opened(url: str) -> bool:
+    try:
+        return webbrowser.open(url)
+    except (webbrowser.Error, OSError):
+        return False

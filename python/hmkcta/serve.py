@@ -1,0 +1,293 @@
+"""The viewer's page and one file on loopback: nothing else is served, to nobody else.
+
+Only 127.0.0.1 is listened on, only names in a fixed table are answered, and only requests that name this host are: a
+page of another site can neither read the file nor be pointed at this port by its name server.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import threading
+import webbrowser
+from collections.abc import Mapping
+from dataclasses import dataclass
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib import resources
+from importlib.resources.abc import Traversable
+from io import BytesIO
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO, cast
+from urllib.parse import quote, unquote, urlsplit
+
+from numpy.typing import NDArray
+
+from .errors import HmkctaError, Kind
+from .hmkfile import encode
+from .model import open as open_model
+from .readers import open_array
+from .verbatim import verbatim
+
+HOST = "127.0.0.1"
+PAGE = "viewer_page"
+CHUNK = 1 << 20
+
+TYPES = {".html": "text/html; charset=utf-8", ".js": "text/javascript; charset=utf-8",
+         ".css": "text/css; charset=utf-8"}
+#: The page decodes on the GPU, draws what it makes itself, and talks to nobody.
+POLICY = ("default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
+          "base-uri 'none'; form-action 'none'; frame-ancestors 'none'")
+HEADERS = {"Content-Security-Policy": POLICY, "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer",
+           "Cross-Origin-Resource-Policy": "same-origin", "Cache-Control": "no-cache"}
+
+_RANGE = re.compile(r"bytes=([0-9]{0,15})-([0-9]{0,15})")
+
+
+@dataclass(frozen=True)
+class Resource:
+    """Something that is served: a file of the disk, or bytes."""
+
+    content_type: str
+    path: Path | None = None
+    data: bytes = b""
+
+    def opened(self) -> tuple[BinaryIO, int]:
+        """A stream and its size."""
+        if self.path is None:
+            return BytesIO(self.data), len(self.data)
+        file = self.path.open("rb")
+        return file, os.fstat(file.fileno()).st_size
+
+
+class Server:
+    """A running server; a context manager that ends it.
+
+    Attributes:
+        url: of the page that shows the file.
+
+    >>> import tempfile, urllib.request
+    >>> from hmkcta import synthetic, compress
+    >>> data = synthetic.light_field(views=2, size=8, frames=1)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     compress(data.values, "R=2,2,4,4,1", axes=data.axes).save(f"{folder}/small.hmk")
+    ...     with serve(f"{folder}/small.hmk", page={"/": Resource("text/html", data=b"page")}) as server:
+    ...         request = urllib.request.Request(server.url.split("?")[0] + "files/small.hmk",
+    ...                                          headers={"Range": "bytes=8-8"})
+    ...         urllib.request.urlopen(request).read()
+    b'{'
+    """
+
+    def __init__(self, table: Mapping[str, Resource], query: str, port: int) -> None:
+        self._server = _Listener(table, port)
+        self.port = int(self._server.server_address[1])
+        self.url = f"http://{HOST}:{self.port}/{query}"
+        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> Server:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+                 ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop answering, and free the port."""
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()
+
+    def wait(self) -> None:
+        """Serve until interrupted."""
+        while self._thread.is_alive():
+            self._thread.join(0.5)
+
+
+def serve(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | NDArray[Any] | None = None, port: int = 0,
+          page: Mapping[str, Resource] | None = None) -> Server:
+    """Serve the viewer and a file on 127.0.0.1.
+
+    Args:
+        path: the `.hmk` file. It is not read here: the page reads it anew at each reload, and says what is wrong.
+        original: what to compare with: an array of the model's shape, its `.npy` file, or another `.hmk` file.
+        port: 0 takes a free one.
+        page: the page's files by path; by default the one that is installed.
+
+    Raises:
+        HmkctaError: the file cannot be read, the original does not fit, the port is taken, or the page was not built.
+    """
+    file = Path(path)
+    _check_readable(file)
+    table = dict(page if page is not None else installed_page())
+    table[f"/files/{file.name}"] = Resource("application/octet-stream", file)
+    query = f"?file=files/{quote(file.name)}"
+    if original is not None:
+        table["/original/original.hmk"] = _original(file, original)
+        query += "&original=original/original.hmk"
+    return Server(table, query, port)
+
+
+def view(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | NDArray[Any] | None = None, port: int = 0,
+         browser: bool = True) -> Server:
+    """Serve a file and open the page in the browser; the server runs until it is closed or the program ends.
+
+    Args:
+        path: the `.hmk` file.
+        original: what to compare with, as `serve` takes it.
+        port: 0 takes a free one.
+        browser: whether to open it.
+
+    Raises:
+        HmkctaError: as `serve`.
+    """
+    server = serve(path, original=original, port=port)
+    if browser:
+        webbrowser.open(server.url)
+    return server
+
+
+def installed_page() -> dict[str, Resource]:
+    """The files of the page that came with the package, by path.
+
+    Raises:
+        HmkctaError: a clone whose page was never built.
+    """
+    folder = resources.files("hmkcta").joinpath(PAGE)
+    if not folder.joinpath("index.html").is_file():
+        raise HmkctaError(Kind.IO, "page-missing", "viewer page", found="no built page in this installation",
+                          allowed="the page that wheels carry",
+                          hint="run `make page` in the clone, with Node 20.19 or later, or install a wheel")
+    table = {f"/{name}": Resource(TYPES[Path(name).suffix], data=item.read_bytes())
+             for name, item in _files(folder, "") if Path(name).suffix in TYPES}
+    table["/"] = table["/index.html"]
+    return table
+
+
+def _files(folder: Traversable, prefix: str) -> list[tuple[str, Traversable]]:
+    found: list[tuple[str, Traversable]] = []
+    for item in folder.iterdir():
+        name = f"{prefix}{item.name}"
+        found += _files(item, f"{name}/") if item.is_dir() else [(name, item)]
+    return found
+
+
+def _check_readable(file: Path) -> None:
+    try:
+        if not file.is_file():
+            raise HmkctaError(Kind.IO, "unreadable", str(file), found="no such file", allowed="an .hmk file")
+        file.open("rb").close()
+    except OSError as error:
+        raise HmkctaError(Kind.IO, "unreadable", str(file), found=error.strerror, allowed="a readable file") from error
+
+
+def _original(file: Path, original: str | os.PathLike[str] | NDArray[Any]) -> Resource:
+    """The original as a file that the page's decoder reads."""
+    if isinstance(original, str | os.PathLike):
+        if os.fspath(original).endswith(".hmk"):
+            _check_readable(Path(original))
+            return Resource("application/octet-stream", Path(original))
+        original = open_array(os.fspath(original))
+    metadata, level = verbatim(original, open_model(file).metadata)
+    return Resource("application/octet-stream", data=b"".join(encode(metadata, (level,))))
+
+
+class _Listener(ThreadingHTTPServer):
+    daemon_threads = True
+
+    def __init__(self, table: Mapping[str, Resource], port: int) -> None:
+        self.table = table
+        try:
+            super().__init__((HOST, port), _Handler)
+        except (OSError, OverflowError) as error:
+            raise HmkctaError(Kind.IO, "port-taken", f"port {port}", found=getattr(error, "strerror", error),
+                              allowed="a free port", hint="leave --port out to take any") from error
+
+
+class _Handler(BaseHTTPRequestHandler):
+    protocol_version = "HTTP/1.1"
+    server_version = "hmkcta"
+    sys_version = ""
+    timeout = 60
+
+    def do_GET(self) -> None:
+        self._answer(with_body=True)
+
+    def do_HEAD(self) -> None:
+        self._answer(with_body=False)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Requests are nobody's business on the terminal."""
+
+    def _answer(self, with_body: bool) -> None:
+        listener = cast("_Listener", self.server)
+        port = int(listener.server_address[1])
+        if self.headers.get("Host") not in (f"{HOST}:{port}", f"localhost:{port}"):
+            self._refuse(HTTPStatus.MISDIRECTED_REQUEST)
+            return
+        resource = listener.table.get(unquote(urlsplit(self.path).path))
+        if resource is None:
+            self._refuse(HTTPStatus.NOT_FOUND)
+            return
+        try:
+            stream, size = resource.opened()
+        except OSError:
+            self._refuse(HTTPStatus.NOT_FOUND)
+            return
+        with stream:
+            self._send(resource, stream, size, with_body)
+
+    def _send(self, resource: Resource, stream: BinaryIO, size: int, with_body: bool) -> None:
+        span = _span(self.headers.get("Range"), size)
+        if span is None:
+            self._refuse(HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE, {"Content-Range": f"bytes */{size}"})
+            return
+        begin, end = span
+        partial = self.headers.get("Range") is not None and span != (0, size)
+        self.send_response(HTTPStatus.PARTIAL_CONTENT if partial else HTTPStatus.OK)
+        extra = {"Content-Range": f"bytes {begin}-{end - 1}/{size}"} if partial else {}
+        for name, value in {**HEADERS, "Content-Type": resource.content_type, "Content-Length": str(end - begin),
+                            "Accept-Ranges": "bytes", **extra}.items():
+            self.send_header(name, value)
+        self.end_headers()
+        if not with_body:
+            return
+        stream.seek(begin)
+        try:
+            while begin < end and (chunk := stream.read(min(CHUNK, end - begin))):
+                self.wfile.write(chunk)
+                begin += len(chunk)
+        except ConnectionError:  # the page was closed or reloaded
+            self.close_connection = True
+        if begin < end:  # the file became shorter meanwhile: the length that was announced cannot be kept
+            self.close_connection = True
+
+    def _refuse(self, status: HTTPStatus, extra: Mapping[str, str] = {}) -> None:
+        body = f"{status.value} {status.phrase}\n".encode()
+        self.send_response(status)
+        for name, value in {**HEADERS, "Content-Type": "text/plain", "Content-Length": str(len(body)), **extra}.items():
+            self.send_header(name, value)
+        self.end_headers()
+        if self.command != "HEAD":
+            self.wfile.write(body)
+
+
+def _span(header: str | None, size: int) -> tuple[int, int] | None:
+    """Begin and end of the bytes that a `Range` header asks for; all of them without one, None if there are none such.
+
+    What is not understood (several ranges, other units) is ignored, as HTTP has it.
+
+    >>> [_span(text, 10) for text in ("bytes=2-5", "bytes=8-", "bytes=-3", "bytes=10-", "lines=1")]
+    [(2, 6), (8, 10), (7, 10), None, (0, 10)]
+    """
+    found = _RANGE.fullmatch(header.strip()) if header is not None else None
+    if found is None or found.groups() == ("", ""):
+        return 0, size
+    first, last = found.groups()
+    if not first:
+        return (max(0, size - int(last)), size) if int(last) and size else None
+    begin, end = int(first), min(size, int(last) + 1) if last else size
+    if begin >= size:
+        return None
+    return (begin, end) if begin < end else (0, size)

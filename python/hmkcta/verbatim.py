@@ -1,0 +1,81 @@
+"""An array as a model that leaves it as it is: one node, no mode decomposed, the numbers as float16 times one scale.
+
+A decoder that shows a model next to its original needs no other way to read the original. Of numbers far from the
+subnormal ones float16 keeps 11 bits, an SNR of about 73 dB.
+"""
+
+from __future__ import annotations
+
+from math import frexp
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .axes import deorganise, organise
+from .errors import HmkctaError, Kind, invalid
+from .packed import LevelBounds, LevelQuality, Metadata, PackedLevel
+
+#: What the viewer's GPU image may take, less than the 640 MiB of its five pages.
+MOST_BYTES = 512 << 20
+
+
+def verbatim(array: NDArray[Any], like: Metadata) -> tuple[Metadata, PackedLevel]:
+    """Metadata and the one level of a model with the array's values, in the axes and modes of another model.
+
+    Raises:
+        HmkctaError: the array has another shape than the model, numbers that are not finite, or more than
+            `MOST_BYTES` as float16.
+
+    >>> from hmkcta._example import example_metadata
+    >>> metadata, level = verbatim(np.arange(6.0).reshape(2, 3), example_metadata())
+    >>> metadata.undecomposed, (level.core_scale[0] * level.core.astype(np.float32)).tolist()
+    ((0, 1), [0.0, 1.0, 2.0, 3.0, 4.0, 5.0])
+    """
+    shape = tuple(axis.size for axis in like.axes)
+    if array.shape != shape:
+        raise invalid("original-shape", "original", array.shape, f"{shape}, the model's")
+    if 2 * array.size > MOST_BYTES:
+        raise HmkctaError(Kind.RESOURCE_LIMIT, "original-too-large", "original", found=f"{array.size} elements",
+                          allowed=f"at most {MOST_BYTES // 2}, which a GPU holds next to the model",
+                          hint="compress a part of it, and compare that")
+    values = np.asarray(array, np.float32)
+    peak = float(np.abs(values).max(initial=0))
+    if not np.isfinite(peak):
+        raise invalid("not-finite", "original", "NaN or infinity", "finite numbers", "give an array without them")
+    scale = 2.0 ** (max(frexp(peak)[1], -100) - 15)
+    core = organise(values / np.float32(scale), like.axes, like.organisation).astype(np.float16)
+    stored = deorganise(core.astype(np.float32) * np.float32(scale), like.axes, like.organisation)
+    metadata = Metadata(
+        source_dtype=like.source_dtype, axes=like.axes, organisation=like.organisation,
+        levels=(LevelBounds(*_bounds(core.shape), "most"),), undecomposed=tuple(range(core.ndim)), kind=like.kind,
+        quality=(_quality(values, values - stored),), writer=like.writer,
+    )
+    return metadata, _level(core, scale)
+
+
+def _bounds(sizes: tuple[int, ...]) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:
+    ones = (1,) * len(sizes)
+    return ones, ones, sizes
+
+
+def _level(core: NDArray[np.float16], scale: float) -> PackedLevel:
+    none = (None,) * core.ndim
+    return PackedLevel(
+        shape=np.array([_bounds(core.shape)], np.uint32), child=None,
+        row_offset=tuple(_offsets(size) for size in core.shape), core=core.reshape(-1), core_offset=_offsets(core.size),
+        core_scale=np.array([scale], np.float32), cell_offset=_offsets(1), cluster=none, cluster_offset=none,
+        basis=none, basis_offset=none, part=none, local=none,
+    )
+
+
+def _offsets(size: int) -> NDArray[np.uint32]:
+    return np.array([0, size], np.uint32)
+
+
+def _quality(values: NDArray[np.float32], difference: NDArray[np.float32]) -> LevelQuality:
+    """Of what float16 makes of the values."""
+    error = float(np.square(difference, dtype=np.float64).sum())
+    power = float(np.square(values, dtype=np.float64).sum())
+    snr = float("inf") if error == 0 else float(10 * np.log10(power / error))
+    return LevelQuality(snr, (error / values.size) ** 0.5, float(np.abs(difference).max(initial=0)))

@@ -1,0 +1,299 @@
+/** One model on the page: its levels as they arrive, the renderer of what it is shown as, and the drawing of frames. */
+
+import { valueRange } from "./decode/element";
+import { Decoder } from "./gpu/decoder";
+import { type Gpu, guarded } from "./gpu/device";
+import { type Problem, asProblem } from "./problem";
+import type { FileKind, Metadata } from "./reader/metadata";
+import type { Reading } from "./reader/read";
+import { LightfieldRenderer, findCameras } from "./render/lightfield";
+import { layOut } from "./render/layout";
+import type { Renderer, Side } from "./render/renderer";
+import { Screen } from "./render/screen";
+import { SliceRenderer } from "./render/slices";
+import { SvbrdfRenderer } from "./render/svbrdf";
+import { VolumeRenderer } from "./render/volume";
+import { type State, newState } from "./state";
+
+const MOVING = 45; // milliseconds that a frame may take while something moves
+const STILL = 700; // and when nothing does: longer ones are stopped by some systems
+const SETTLED = 250; // milliseconds after the last change
+const DECODE = 120; // milliseconds of decoding a frame
+const SCALES = [1, 0.7, 0.5, 0.35, 0.25, 0.18, 0.125];
+const CAMERAS = { svbrdf: [20, 20, 3.4], volume: [30, 25, 5], plane: [0, 0, 3.6], cloth: [20, 38, 4.4] } as const;
+
+export interface Statistics {
+  milliseconds: number;
+  width: number;
+  height: number;
+  decoding: boolean;
+}
+
+/** What the page around is told. */
+export interface Watcher {
+  onFrame(statistics: Statistics): void;
+  onProblem(problem: Problem): void;
+  onNotes(notes: string[]): void;
+}
+
+export class App {
+  readonly metadata: Metadata;
+  state: State;
+  kind: FileKind = "generic";
+  original: Reading | null = null;
+  private readonly decoder: Decoder;
+  private originalDecoder: Decoder | null = null;
+  private renderer: Renderer | null = null;
+  private white = 1;
+  private dirty = false;
+  private drawing = false;
+  private closed = false;
+  private changed = 0;
+  private perPixel = 0; // milliseconds
+  private budget = 1 << 16; // elements decoded a frame
+  private fixedSize: [number, number] | null = null;
+
+  private constructor(
+    private readonly gpu: Gpu, private readonly canvas: HTMLCanvasElement, private readonly screen: Screen,
+    readonly reading: Reading, private readonly watcher: Watcher,
+  ) {
+    this.metadata = reading.metadata;
+    this.decoder = new Decoder(gpu.device, reading.metadata, reading.levels);
+    this.state = newState(reading.metadata.axes.length);
+    this.state.position = reading.metadata.axes.map((axis) => Math.floor(axis.size / 2));
+  }
+
+  /** Prepare to show a model whose tables are there. */
+  static make(gpu: Gpu, canvas: HTMLCanvasElement, screen: Screen, reading: Reading, watcher: Watcher): Promise<App> {
+    return guarded(gpu.device, "preparing the model", async () => {
+      const app = new App(gpu, canvas, screen, reading, watcher);
+      app.startAxes();
+      await app.showAs(reading.metadata.kind);
+      return app;
+    });
+  }
+
+  /** Levels that can be shown. */
+  get arrived(): number {
+    return this.decoder.arrived;
+  }
+
+  /** Bytes of the model on the GPU. */
+  get gpuBytes(): number {
+    return this.decoder.bytes;
+  }
+
+  /** Frames of the given size, whatever the page's. */
+  fixSize(size: [number, number] | null): void {
+    this.fixedSize = size;
+  }
+
+  /** The next level has arrived; it is shown unless another one was chosen. */
+  addLevel(): void {
+    const follow = this.decoder.arrived === 0 || this.state.level === this.decoder.arrived;
+    this.decoder.addLevel();
+    const arrived = this.decoder.arrived;
+    if (follow) {
+      this.state.level = arrived;
+    }
+    if (arrived === 1 || arrived === this.metadata.levels.length) {
+      this.measure(arrived === 1);
+    }
+    this.redraw();
+  }
+
+  /** A model to compare with, all of whose levels are there. */
+  async setOriginal(original: Reading): Promise<void> {
+    const sizes = (metadata: Metadata): string => metadata.axes.map((axis) => `${axis.name} ${axis.size}`).join(", ");
+    if (sizes(original.metadata) !== sizes(this.metadata)) {
+      throw asProblem(new Error(`The original has the axes ${sizes(original.metadata)}; the model ${sizes(this.metadata)}.`));
+    }
+    this.originalDecoder = new Decoder(this.gpu.device, original.metadata, original.levels);
+    original.levels.forEach(() => this.originalDecoder?.addLevel());
+    this.original = original;
+    await this.showAs(this.kind);
+  }
+
+  /** What the file can be shown as: its kind, if its axes make it, and slices. */
+  kinds(): FileKind[] {
+    const { kind, axes } = this.metadata;
+    try {
+      return kind === "generic" ? ["generic"] : (layOut(axes, kind), [kind, "generic"]);
+    } catch {
+      return ["generic"];
+    }
+  }
+
+  /** Change the renderer; what the axes do not make is shown as slices, with the reason. */
+  async showAs(kind: FileKind): Promise<void> {
+    const decoders = [this.decoder, ...(this.originalDecoder === null ? [] : [this.originalDecoder])];
+    const { device } = this.gpu;
+    const notes: string[] = [];
+    let made: Renderer | null = null;
+    try {
+      if (kind === "svbrdf") made = await SvbrdfRenderer.make(device, this.metadata, decoders);
+      if (kind === "lightfield") made = await LightfieldRenderer.make(device, this.metadata, decoders);
+      if (kind === "volume") made = await VolumeRenderer.make(device, this.metadata, decoders);
+    } catch (error) {
+      notes.push(asProblem(error).message);
+    }
+    this.kind = made === null ? "generic" : kind;
+    const before = this.renderer;
+    this.renderer = made ?? await SliceRenderer.make(device, decoders);
+    before?.destroy();
+    this.perPixel = 0;
+    this.watcher.onNotes([...notes, ...this.renderer.notes]);
+    this.resetView();
+    this.redraw();
+  }
+
+  /** The camera, view point and zoom that suit what is shown. */
+  resetView(): void {
+    const { shape } = this.state.surface;
+    const key = this.kind === "volume" ? "volume" : shape === "plane" || shape === "cloth" ? shape : "svbrdf";
+    const [azimuth, elevation, distance] = CAMERAS[key];
+    this.state.camera = { azimuth, elevation, distance, fov: 38, target: [0, 0, 0] };
+    this.state.zoom = 1;
+    this.state.pan = [0, 0];
+    if (this.kind === "lightfield") {
+      const { last } = findCameras(this.metadata.axes, layOut(this.metadata.axes, "lightfield"));
+      Object.assign(this.state.view, { row: last[0] / 2, column: last[1] / 2 });
+    }
+  }
+
+  /** Show a mesh of the user's. */
+  setMesh(make: Parameters<SvbrdfRenderer["setMesh"]>[0]): void {
+    if (this.renderer instanceof SvbrdfRenderer) {
+      this.renderer.setMesh(make);
+      this.state.surface.shape = "mesh";
+      this.redraw();
+    }
+  }
+
+  /** Draw soon, for something has changed. */
+  redraw(): void {
+    this.changed = performance.now();
+    this.dirty = true;
+    if (!this.drawing && !this.closed && this.decoder.arrived > 0) {
+      this.drawing = true;
+      requestAnimationFrame(() => void this.drawFrames());
+    }
+  }
+
+  /** The index of every source axis at a pixel of the canvas, of slices. */
+  close(): void {
+    this.closed = true;
+    this.renderer?.destroy();
+    this.decoder.destroy();
+    this.originalDecoder?.destroy();
+  }
+
+  private startAxes(): void {
+    const { axes } = this.metadata;
+    const { slice } = this.state;
+    const size = (n: number): number => axes[n]?.size ?? 1;
+    const space = axes.flatMap((axis, n) => (axis.role === "space" ? [n] : []));
+    const rest = axes.map((_, n) => n).sort((a, b) => size(b) - size(a));
+    const chosen = space.length >= 2 ? space.slice(-2) : [...new Set([...space, ...rest])].slice(0, 2).sort((a, b) => a - b);
+    [slice.y, slice.x] = [chosen[0] ?? 0, chosen[1] ?? chosen[0] ?? 0];
+    slice.colour = axes.some((axis) => axis.role === "channel" && axis.size > 2);
+  }
+
+  /** White and windows from a sample of the values. */
+  private measure(first: boolean): void {
+    const [low, high] = valueRange(this.metadata, this.reading.levels, this.decoder.arrived);
+    this.white = high > 0 ? high : 1;
+    const { slice, volume } = this.state;
+    if (first || !this.windowTouched) {
+      Object.assign(slice, { low: slice.colour ? Math.min(0, low) : low, high });
+      Object.assign(volume, { low, high: high > low ? high : low + 1 });
+    }
+    this.range = [low, high];
+  }
+
+  /** The values' range, for sliders; and whether the window was changed by hand. */
+  range: [number, number] = [0, 1];
+  windowTouched = false;
+
+  private async drawFrames(): Promise<void> {
+    try {
+      while (this.dirty && !this.closed) {
+        this.dirty = false;
+        await this.drawFrame();
+      }
+    } catch (error) {
+      this.closed = true;
+      this.watcher.onProblem(asProblem(error));
+    }
+    this.drawing = false;
+  }
+
+  private sides(): Side[] {
+    const level = Math.min(this.state.level, this.decoder.arrived);
+    const { mode, level: other } = this.state.compare;
+    const first: Side = { decoder: this.decoder, level };
+    if (mode === "none") {
+      return [first];
+    }
+    return other === null && this.originalDecoder !== null
+      ? [{ decoder: this.originalDecoder, level: this.originalDecoder.arrived }, first]
+      : [{ decoder: this.decoder, level: Math.min(other ?? 1, this.decoder.arrived) }, first];
+  }
+
+  private async drawFrame(): Promise<void> {
+    const moving = performance.now() - this.changed < SETTLED;
+    const [width, height] = this.frameSize(moving);
+    const start = performance.now();
+    const complete = await guarded(this.gpu.device, "drawing", async () => {
+      this.screen.resize(width, height);
+      const sides = this.sides();
+      const parts = sides.map((side, n) =>
+        this.renderer!.draw(side, n as 0 | 1, this.state, this.screen.pictures[n]!, this.budget / sides.length));
+      this.screen.present(this.state, {
+        white: this.kind === "svbrdf" || this.kind === "lightfield" ? this.white : 1, srgb: this.kind === "svbrdf",
+        premultiplied: this.kind === "volume",
+      });
+      await this.gpu.device.queue.onSubmittedWorkDone();
+      return parts.every((part) => part);
+    });
+    const milliseconds = performance.now() - start;
+    if (complete) {
+      this.perPixel = milliseconds / (width * height);
+    } else {
+      this.budget = Math.max(1024, Math.min(1 << 24, this.budget * (milliseconds < DECODE / 2 ? 2 : milliseconds > DECODE ? 0.5 : 1)));
+      this.dirty = true;
+    }
+    this.watcher.onFrame({ milliseconds, width, height, decoding: !complete });
+    if (complete && !this.dirty) {
+      await this.refine(width);
+    }
+    await new Promise((resolve) => requestAnimationFrame(resolve));
+  }
+
+  /** Once nothing has moved for a while, draw again in full. */
+  private async refine(width: number): Promise<void> {
+    if (this.frameSize(false)[0] <= width) {
+      return;
+    }
+    const wait = SETTLED - (performance.now() - this.changed);
+    const change = this.changed;
+    await new Promise((resolve) => setTimeout(resolve, Math.max(0, wait)));
+    this.dirty ||= change === this.changed && this.frameSize(false)[0] > width;
+  }
+
+  /** Pixels of a frame: those of the page, fewer where they would take too long. */
+  private frameSize(moving: boolean): [number, number] {
+    if (this.fixedSize !== null) {
+      return this.fixedSize;
+    }
+    const density = Math.min(window.devicePixelRatio, 2);
+    const most = this.gpu.device.limits.maxTextureDimension2D;
+    const full = [this.canvas.clientWidth, this.canvas.clientHeight].map((side) =>
+      Math.max(8, Math.min(most, Math.round(side * density))));
+    const time = full[0]! * full[1]! * this.perPixel;
+    const allowed = moving ? MOVING : STILL;
+    const unknown = this.perPixel === 0;
+    const scale = unknown ? SCALES.at(-1)! : SCALES.find((each) => each * each * time <= allowed) ?? SCALES.at(-1)!;
+    return [Math.max(8, Math.round(full[0]! * scale)), Math.max(8, Math.round(full[1]! * scale))];
+  }
+}

@@ -1,0 +1,335 @@
+/** The page: finds the file, shows how far it has come, and everything that goes wrong as a sentence. */
+
+import { App, type Statistics } from "./app";
+import { decodeElement } from "./decode/element";
+import { type Gpu, openGpu } from "./gpu/device";
+import { load } from "./load";
+import { Problem, asProblem } from "./problem";
+import type { Metadata } from "./reader/metadata";
+import type { Reading } from "./reader/read";
+import { parseObj } from "./render/mesh";
+import { Screen } from "./render/screen";
+import { colourAxis, fitted } from "./render/slices";
+import { BlobSource, type ByteSource, fileUrl, openUrl } from "./stream";
+import { plain } from "./ui/controls";
+import { Panel, type Player } from "./ui/panel";
+import { Pointer } from "./ui/pointer";
+
+const DEFAULT_FILE = "model.hmk";
+const FRAMES_A_SECOND = 8;
+const PARAMETERS = new URLSearchParams(location.search);
+const KIND_NAMES = { svbrdf: "Material", lightfield: "Light field", volume: "Volume", generic: "Array" };
+
+function byId<Type extends HTMLElement = HTMLElement>(id: string): Type {
+  return document.getElementById(id) as Type;
+}
+
+function mebibytes(bytes: number): string {
+  return bytes < 2 ** 20 ? `${Math.ceil(bytes / 1024)} KiB` : `${(bytes / 2 ** 20).toFixed(1)} MiB`;
+}
+
+/** For tests and for programs that embed the page: what has happened so far. */
+function mark(state: string): void {
+  document.documentElement.dataset["state"] = state;
+}
+
+class Page {
+  private app: App | null = null;
+  private panel: Panel | null = null;
+  private gpu: Gpu | null = null;
+  private screen: Screen | null = null;
+  private session = new AbortController();
+  private timer = 0;
+  private last: Statistics | null = null;
+  private fileBytes: [number, number] = [0, 0];
+  private drawn = 0;
+  private readonly canvas = byId<HTMLCanvasElement>("canvas");
+
+  async start(): Promise<void> {
+    this.listen();
+    mark("starting");
+    try {
+      const name = PARAMETERS.get("file");
+      await this.openGpu();
+      await this.openFile(name);
+    } catch (error) {
+      this.fail(asProblem(error));
+    }
+  }
+
+  private async openGpu(): Promise<void> {
+    this.gpu = await openGpu((problem) => {
+      this.app?.close();
+      this.fail(problem);
+    });
+    this.screen = await Screen.make(this.gpu.device, this.canvas);
+  }
+
+  /** The file that the address names, or one beside the page, or none. */
+  private async openFile(name: string | null): Promise<void> {
+    const source = await openUrl(fileUrl(name ?? DEFAULT_FILE, location.href)).catch((error: unknown) => {
+      if (name !== null) {
+        throw error;
+      }
+      return null;
+    });
+    if (source === null) {
+      byId("welcome").hidden = false;
+      mark("empty");
+      return;
+    }
+    await this.show(source);
+    const original = PARAMETERS.get("original");
+    if (original !== null && this.app !== null) {
+      byId("loading").textContent = "Loading the original ...";
+      await this.app.setOriginal(await load(await openUrl(fileUrl(original, location.href)), {
+        onTables: () => undefined, onLevel: () => undefined,
+      }));
+      this.panel?.build();
+      byId("loading").textContent = "";
+      mark("ready");
+    }
+  }
+
+  /** Show a file from its first bytes on. */
+  private async show(source: ByteSource): Promise<void> {
+    this.close();
+    mark("loading");
+    byId("file").textContent = source.name;
+    document.title = `${source.name}: hmkcta`;
+    source.onBytes = () => this.progress(source.have, source.size);
+    this.progress(source.have, source.size);
+    const session = this.session;
+    try {
+      await load(source, {
+        onTables: async (reading) => {
+          await this.begin(reading);
+        },
+        onLevel: async (_, level) => {
+          if (session.signal.aborted) {
+            throw new DOMException("another file was opened", "AbortError");
+          }
+          this.app!.addLevel();
+          this.panel!.refresh();
+          mark(`level-${level}`);
+          await new Promise((resolve) => setTimeout(resolve)); // let it be drawn before the next one is checked
+        },
+      });
+    } catch (error) {
+      if (error instanceof DOMException && error.name === "AbortError") {
+        return;
+      }
+      const problem = asProblem(error);
+      if (this.app !== null && this.app.arrived > 0 && !session.signal.aborted) {
+        this.fail(new Problem(problem.sentence, problem.detail,
+          `${problem.next} The first ${this.app.arrived} of ${this.app.metadata.levels.length} levels are whole, and are shown.`), true);
+        return;
+      }
+      throw error;
+    }
+    this.progress(source.size, source.size);
+    mark(PARAMETERS.get("original") === null ? "ready" : "model-ready");
+  }
+
+  private async begin(reading: Reading): Promise<void> {
+    const player: Player = { playing: false, toggle: () => this.play(player) };
+    this.app = await App.make(this.gpu!, this.canvas, this.screen!, reading, {
+      onFrame: (statistics) => this.frame(statistics),
+      onProblem: (problem) => this.fail(problem),
+      onNotes: (notes) => {
+        byId("loading").textContent = notes.join(" ");
+      },
+    });
+    const pixels = /^(\d+)x(\d+)$/.exec(PARAMETERS.get("pixels") ?? "");
+    this.app.fixSize(pixels === null ? null : [Number(pixels[1]), Number(pixels[2])]);
+    byId("facts").textContent = facts(reading.metadata, reading.size);
+    this.panel = new Panel(this.app, byId("controls"), player);
+    const { app, panel } = this;
+    new Pointer(app, this.canvas, player, () => panel.refresh(), (place) => this.read(place), this.session.signal);
+    new ResizeObserver(() => app.redraw()).observe(this.canvas);
+  }
+
+  private close(): void {
+    this.session.abort();
+    this.session = new AbortController();
+    this.app?.close();
+    this.app = null;
+    clearInterval(this.timer);
+    for (const id of ["message", "welcome", "readout", "divider"]) {
+      byId(id).hidden = true;
+    }
+    byId("controls").replaceChildren();
+    byId("facts").textContent = "";
+    byId("loading").textContent = "";
+    byId("statistics").textContent = "";
+  }
+
+  private progress(have: number, size: number): void {
+    this.fileBytes = [have, size];
+    const bar = byId("progress");
+    const percent = size === 0 ? 100 : Math.floor((100 * have) / size);
+    bar.hidden = have >= size;
+    bar.setAttribute("aria-valuenow", String(percent));
+    (bar.firstElementChild as HTMLElement).style.width = `${percent}%`;
+    this.statistics();
+  }
+
+  private frame(statistics: Statistics): void {
+    this.last = statistics;
+    this.drawn += 1;
+    this.canvas.dataset["frames"] = String(this.drawn);
+    this.canvas.dataset["complete"] = String(!statistics.decoding);
+    this.canvas.classList.toggle("crisp", this.app?.kind === "generic");
+    const divider = byId("divider");
+    const compare = this.app?.state.compare;
+    divider.hidden = compare?.mode !== "split";
+    divider.style.left = `${100 * (compare?.position ?? 0.5)}%`;
+    this.statistics();
+  }
+
+  private statistics(): void {
+    const [have, size] = this.fileBytes;
+    const bytes = have < size ? `${mebibytes(have)} of ${mebibytes(size)}` : mebibytes(size);
+    const { last } = this;
+    byId("statistics").textContent = last === null || this.app === null ? bytes
+      : [`${last.milliseconds.toFixed(1)} ms`, `${last.width} x ${last.height}`, bytes, ...(last.decoding ? ["decoding"] : []),
+        this.gpu?.name ?? ""].join("  ·  ");
+  }
+
+  /** The value under the pointer, of slices. */
+  private read(place: [number, number] | null): void {
+    const { app } = this;
+    const readout = byId("readout");
+    readout.hidden = true;
+    if (app === null || place === null || app.kind !== "generic" || app.arrived === 0) {
+      return;
+    }
+    const { state, metadata } = app;
+    const { x, y } = state.slice;
+    const [rows, columns] = [metadata.axes[y]!.size, metadata.axes[x]!.size];
+    const [width, height] = [this.canvas.width, this.canvas.height];
+    const { scale, offsetX, offsetY } = fitted(rows, columns, width, height, state);
+    const column = Math.round(offsetX + scale * (place[0] * width - 0.5));
+    const row = Math.round(offsetY + scale * (place[1] * height - 0.5));
+    if (row < 0 || row >= rows || column < 0 || column >= columns) {
+      return;
+    }
+    const index = state.position.map((at, n) => (n === x ? column : n === y ? row : at));
+    const channel = colourAxis(metadata, state);
+    const shown = channel === null ? [index] : [0, 1, 2].map((c) => index.map((at, n) => (n === channel ? c : at)));
+    const values = shown.map((at) => plain4(decodeElement(metadata, app.reading.levels, at, Math.min(state.level, app.arrived))));
+    const where = metadata.axes.map((axis, n) => (n === channel ? "" : `${axis.name} ${index[n]}`)).filter((part) => part !== "");
+    readout.textContent = `${where.join(", ")}: ${values.join(" ")}`;
+    readout.hidden = false;
+  }
+
+  private play(player: Player): void {
+    player.playing = !player.playing;
+    clearInterval(this.timer);
+    const frames = this.app?.metadata.axes.find((axis) => axis.role === "time")?.size ?? 1;
+    if (player.playing && frames > 1) {
+      this.timer = window.setInterval(() => {
+        const { app } = this;
+        if (app !== null) {
+          app.state.time = (Math.floor(app.state.time) + 1) % frames;
+          app.redraw();
+          this.panel?.refresh();
+        }
+      }, 1000 / FRAMES_A_SECOND);
+    }
+    this.panel?.refresh();
+  }
+
+  /** Say what went wrong; beside the picture where one is still shown. */
+  private fail(problem: Problem, aside = false): void {
+    byId("message").classList.toggle("aside", aside);
+    byId("message-sentence").textContent = problem.sentence;
+    byId("message-next").textContent = problem.next;
+    byId("message-detail").textContent = problem.detail;
+    byId("message").hidden = false;
+    byId("welcome").hidden = true;
+    byId("progress").hidden = true;
+    mark("failed");
+  }
+
+  private listen(): void {
+    const chooser = byId<HTMLInputElement>("chooser");
+    byId("choose").addEventListener("click", () => chooser.click());
+    chooser.addEventListener("change", () => void this.take(chooser.files?.[0]));
+    byId("toggle").addEventListener("click", () => {
+      const wide = document.body.classList.toggle("wide");
+      byId("toggle").setAttribute("aria-expanded", String(!wide));
+    });
+    const drop = byId("drop");
+    window.addEventListener("dragover", (event) => {
+      event.preventDefault();
+      drop.hidden = false;
+    });
+    window.addEventListener("dragleave", (event) => {
+      drop.hidden = event.relatedTarget === null;
+    });
+    window.addEventListener("drop", (event) => {
+      event.preventDefault();
+      drop.hidden = true;
+      void this.take(event.dataTransfer?.files[0]);
+    });
+    this.listenToDivider();
+  }
+
+  private listenToDivider(): void {
+    const divider = byId("divider");
+    divider.addEventListener("pointerdown", (event) => divider.setPointerCapture(event.pointerId));
+    divider.addEventListener("pointermove", (event) => {
+      if (divider.hasPointerCapture(event.pointerId) && this.app !== null) {
+        const box = this.canvas.getBoundingClientRect();
+        this.app.state.compare.position = Math.min(1, Math.max(0, (event.clientX - box.left) / box.width));
+        this.panel?.refresh();
+        this.app.redraw();
+      }
+    });
+  }
+
+  /** A file that was dropped or chosen: a model, or a mesh to put the material on. */
+  private async take(file: File | undefined): Promise<void> {
+    if (file === undefined) {
+      return;
+    }
+    try {
+      if (file.name.toLowerCase().endsWith(".obj")) {
+        await this.takeMesh(file);
+      } else {
+        if (this.gpu === null) {
+          await this.openGpu();
+        }
+        await this.show(new BlobSource(file));
+      }
+    } catch (error) {
+      this.fail(asProblem(error));
+    }
+  }
+
+  private async takeMesh(file: File): Promise<void> {
+    if (this.app?.kind !== "svbrdf") {
+      throw new Problem("A mesh can be shown with a material only.", "", "Open a material first.");
+    }
+    const text = await file.text();
+    parseObj(text, 1);
+    this.app.setMesh((repeat) => parseObj(text, repeat));
+    this.panel?.refresh();
+  }
+}
+
+function plain4(value: number): string {
+  return Math.abs(value) >= 1e5 || (value !== 0 && Math.abs(value) < 1e-4) ? value.toExponential(3) : plain(Number(value.toPrecision(4)));
+}
+
+/** One line on a model: its kind, its axes, and how much smaller it is. */
+function facts(metadata: Metadata, bytes: number): string {
+  const itemSize: Record<string, number> = { bool: 1, int8: 1, uint8: 1, int16: 2, uint16: 2, float16: 2, int64: 8, uint64: 8, float64: 8 };
+  const source = metadata.axes.reduce((all, axis) => all * axis.size, itemSize[metadata.sourceDtype] ?? 4);
+  const axes = metadata.axes.map((axis) => `${axis.name} ${axis.size}`).join(" × ");
+  const ratio = source > bytes ? `, 1/${plain(Number((source / bytes).toPrecision(3)))} of the source` : "";
+  return `${KIND_NAMES[metadata.kind]}: ${axes}. ${mebibytes(bytes)}${ratio}.`;
+}
+
+void new Page().start();

@@ -1,0 +1,164 @@
+/** Labelled controls of the panel. Each shows what `get` says whenever the panel is refreshed. */
+
+export interface Control {
+  element: HTMLElement;
+  refresh(): void;
+}
+
+let ids = 0;
+
+/** An element with properties, classes and children. */
+export function make<Tag extends keyof HTMLElementTagNameMap>(
+  tag: Tag, properties: Partial<Record<string, string | boolean>> = {}, ...children: (Node | string)[]
+): HTMLElementTagNameMap[Tag] {
+  const element = document.createElement(tag);
+  for (const [name, value] of Object.entries(properties)) {
+    if (typeof value === "boolean") {
+      element.toggleAttribute(name, value);
+    } else if (value !== undefined) {
+      element.setAttribute(name, value);
+    }
+  }
+  element.append(...children);
+  return element;
+}
+
+function labelled(label: string, input: HTMLElement, output?: HTMLElement): HTMLElement {
+  ids += 1;
+  input.id = `control-${ids}`;
+  return make("div", { class: output === undefined ? "row pair" : "row" },
+    make("label", { for: input.id, title: label }, label), input, ...(output === undefined ? [] : [output]));
+}
+
+export interface SliderOptions {
+  min: number;
+  max: number;
+  step: number | "any";
+  get: () => number;
+  set: (value: number) => void;
+  show?: (value: number) => string;
+}
+
+/** A slider with its value beside it. */
+export function slider(label: string, options: SliderOptions): Control {
+  const { min, max, step, get, set, show = plain } = options;
+  const input = make("input", { type: "range", min: String(min), max: String(max), step: String(step) });
+  const output = make("output");
+  const refresh = (): void => {
+    const value = get();
+    if (document.activeElement !== input || Number(input.value) !== value) {
+      input.value = String(value);
+    }
+    output.textContent = show(value);
+    input.setAttribute("aria-valuetext", show(value));
+  };
+  input.addEventListener("input", () => {
+    set(Number(input.value));
+    refresh();
+  });
+  return { element: labelled(label, input, output), refresh };
+}
+
+/** A number as short as it says enough. */
+export function plain(value: number): string {
+  return Number.isInteger(value) ? String(value) : String(Number(value.toPrecision(3)));
+}
+
+/** A choice of one out of several. */
+export function choice<Value extends string>(
+  label: string, options: readonly (readonly [Value, string])[], get: () => Value, set: (value: Value) => void,
+): Control {
+  const select = make("select", {}, ...options.map(([value, text]) => make("option", { value }, text)));
+  select.addEventListener("change", () => {
+    set(select.value as Value);
+  });
+  return {
+    element: labelled(label, select), refresh: () => {
+      select.value = get();
+    },
+  };
+}
+
+/** A box to tick. */
+export function check(label: string, get: () => boolean, set: (value: boolean) => void): Control {
+  const input = make("input", { type: "checkbox" });
+  input.addEventListener("change", () => {
+    set(input.checked);
+  });
+  return {
+    element: make("label", { class: "check" }, input, label), refresh: () => {
+      input.checked = get();
+    },
+  };
+}
+
+/** A colour. */
+export function colour(label: string, get: () => [number, number, number], set: (rgb: [number, number, number]) => void): Control {
+  const input = make("input", { type: "color" });
+  input.addEventListener("input", () => {
+    set([1, 3, 5].map((at) => parseInt(input.value.slice(at, at + 2), 16) / 255) as [number, number, number]);
+  });
+  return {
+    element: labelled(label, input), refresh: () => {
+      input.value = `#${get().map((part) => Math.round(255 * part).toString(16).padStart(2, "0")).join("")}`;
+    },
+  };
+}
+
+/** Buttons beside each other; one with `pressed` says whether it is on. */
+export function buttons(
+  ...entries: { label: string; act: () => void; pressed?: () => boolean; enabled?: () => boolean }[]
+): Control {
+  const made = entries.map(({ label, act }) => {
+    const button = make("button", { type: "button" }, label);
+    button.addEventListener("click", act);
+    return button;
+  });
+  return {
+    element: make("div", { class: "buttons" }, ...made), refresh: () => {
+      entries.forEach(({ pressed, enabled }, i) => {
+        if (pressed !== undefined) {
+          made[i]!.setAttribute("aria-pressed", String(pressed()));
+        }
+        made[i]!.disabled = enabled !== undefined && !enabled();
+      });
+    },
+  };
+}
+
+/** A text that changes. */
+export function note(text: () => string, className = "note"): Control {
+  const element = make("p", { class: className });
+  return {
+    element, refresh: () => {
+      element.textContent = text();
+      element.hidden = element.textContent === "";
+    },
+  };
+}
+
+/** Controls that belong together; `shown` false hides them. */
+export function group(title: string, controls: Control[], shown: () => boolean = () => true): Control {
+  ids += 1;
+  const heading = make("h3", { id: `group-${ids}` }, title);
+  const element = make("section", { role: "group", "aria-labelledby": heading.id }, heading,
+    ...controls.map((control) => control.element));
+  return {
+    element, refresh: () => {
+      element.hidden = !shown();
+      if (!element.hidden) {
+        controls.forEach((control) => control.refresh());
+      }
+    },
+  };
+}
+
+/** A control that is there only at times. */
+export function only(shown: () => boolean, control: Control): Control {
+  return {
+    element: control.element, refresh: () => {
+      control.element.hidden = !shown();
+      control.refresh();
+    },
+  };
+}

@@ -1,0 +1,441 @@
+/** The panel: which controls there are for a model, and what they change. */
+
+import type { App } from "../app";
+import type { FileKind } from "../reader/metadata";
+import { COLOURS } from "../render/colours";
+import { findCameras } from "../render/lightfield";
+import { layOut } from "../render/layout";
+import { colourAxis } from "../render/slices";
+import { CURVES, type State, VOLUME_MODES, newLight } from "../state";
+import { type Control, buttons, check, choice, colour, group, make, note, only, plain, slider } from "./controls";
+import { transferEditor } from "./transfer";
+
+const KINDS: Record<FileKind, string> = {
+  svbrdf: "Material", lightfield: "Light field", volume: "Volume", generic: "Slices",
+};
+const MOST_LIGHTS = 8;
+
+export interface Player {
+  playing: boolean;
+  toggle(): void;
+}
+
+/** Builds the controls of an app into an element; `refresh` shows the state anew. */
+export class Panel {
+  private controls: Control[] = [];
+  private light = 0;
+
+  constructor(private readonly app: App, private readonly element: HTMLElement, private readonly player: Player) {
+    this.build();
+  }
+
+  build(): void {
+    const { app } = this;
+    const kind = app.kind;
+    this.controls = [
+      this.levels(), this.compare(),
+      ...(kind === "svbrdf" ? this.material() : kind === "lightfield" ? this.lightfield() : kind === "volume" ? this.volume() : this.slices()),
+      this.axes(), this.tone(), this.view(), this.keys(),
+    ];
+    this.element.replaceChildren(...this.controls.map((control) => control.element));
+    this.refresh();
+  }
+
+  refresh(): void {
+    this.controls.forEach((control) => control.refresh());
+  }
+
+  private get state(): State {
+    return this.app.state;
+  }
+
+  /** Do something to the state, and draw. */
+  private change<Value>(act: (value: Value) => void): (value: Value) => void {
+    return (value) => {
+      act(value);
+      this.app.redraw();
+    };
+  }
+
+  private changed(): void {
+    this.refresh();
+    this.app.redraw();
+  }
+
+  private levels(): Control {
+    const { app } = this;
+    const { quality, levels } = app.metadata;
+    const decibels = (snr: number): string => (snr === Infinity ? "exact" : `${snr.toFixed(1)} dB`);
+    const big = make("p", { class: "big" });
+    const level = slider("Level", {
+      min: 1, max: levels.length, step: 1, get: () => Math.min(this.state.level, Math.max(1, app.arrived)),
+      show: (value) => `${value} of ${levels.length}`,
+      set: this.change((value) => {
+        this.state.level = Math.min(value, Math.max(1, app.arrived));
+      }),
+    });
+    return group("Level", [{
+      element: big, refresh: () => {
+        const shown = Math.min(this.state.level, Math.max(1, app.arrived));
+        const snr = decibels(quality[shown - 1]!.snrDb);
+        big.replaceChildren(snr, make("small", {}, levels.length === 1 ? " SNR, one level" : ` SNR at level ${shown} of ${levels.length}`));
+      },
+    }, only(() => levels.length > 1, level)]);
+  }
+
+  private compare(): Control {
+    const { app } = this;
+    const several = app.metadata.levels.length > 1;
+    const others = (): [string, string][] => [
+      ...(app.original === null ? [] : [["original", "Original"] as [string, string]]),
+      ...app.metadata.levels.map((_, l): [string, string] => [String(l + 1), `Level ${l + 1}`]),
+    ];
+    const { compare } = this.state;
+    if (app.original === null && compare.level === null) {
+      compare.level = 1;
+    }
+    const active = (): boolean => this.state.compare.mode !== "none";
+    return group("Compare", [
+      choice("Show", [["none", "This level"], ["split", "Side by side"], ["heat", "Error"]], () => compare.mode, (mode) => {
+        compare.mode = mode;
+        this.changed();
+      }),
+      only(active, choice("With", others(), () => (compare.level === null ? "original" : String(compare.level)), (value) => {
+        compare.level = value === "original" ? null : Number(value);
+        this.changed();
+      })),
+      only(() => compare.mode === "split", slider("Divider", {
+        min: 0, max: 1, step: 0.01, get: () => compare.position, show: (value) => `${Math.round(100 * value)} %`,
+        set: this.change((value) => {
+          compare.position = value;
+        }),
+      })),
+      only(() => compare.mode === "heat", slider("Amplify", {
+        min: -2, max: 12, step: 1, get: () => Math.log2(compare.gain), show: (value) => `x ${plain(2 ** value)}`,
+        set: this.change((value) => {
+          compare.gain = 2 ** value;
+        }),
+      })),
+    ], () => several || app.original !== null);
+  }
+
+  private material(): Control[] {
+    const { surface } = this.state;
+    return [group("Object", [
+      choice("Shape", [["sphere", "Sphere"], ["plane", "Plane"], ["cloth", "Cloth"], ["mesh", "Dropped mesh (.obj)"]],
+        () => surface.shape, (shape) => {
+          surface.shape = shape;
+          this.app.resetView();
+          this.changed();
+        }),
+      slider("Repeats", {
+        min: 0, max: 3, step: 0.5, get: () => Math.log2(surface.repeat), show: (value) => `x ${plain(2 ** value)}`,
+        set: this.change((value) => {
+          surface.repeat = 2 ** value;
+        }),
+      }),
+      check("Directions' y runs against the rows", () => surface.yUp, this.change((value) => {
+        surface.yUp = value;
+      })),
+      check("Values lack the cosine", () => !surface.cosine, this.change((value) => {
+        surface.cosine = !value;
+      })),
+    ]), this.lights(), this.time()];
+  }
+
+  private lights(): Control {
+    const light = (): State["lights"][number] => this.state.lights[Math.min(this.light, this.state.lights.length - 1)]!;
+    const { lights } = this.state;
+    const select = choice("Light", Array.from({ length: MOST_LIGHTS }, (_, n) => [String(n), `Light ${n + 1}`] as const),
+      () => String(this.light), (value) => {
+        this.light = Number(value);
+        this.changed();
+      });
+    const options = select.element.querySelectorAll("option");
+    const refresh = select.refresh.bind(select);
+    select.refresh = () => {
+      this.light = Math.min(this.light, lights.length - 1);
+      options.forEach((option, n) => {
+        option.hidden = n >= lights.length;
+        option.disabled = option.hidden;
+      });
+      refresh();
+    };
+    return group("Light", [
+      only(() => lights.length > 1, select),
+      choice("Kind", [["sun", "Directional"], ["point", "Point"]], () => (light().point ? "point" : "sun"), (value) => {
+        light().point = value === "point";
+        light().intensity = light().point ? light().distance ** 2 : 1;
+        this.changed();
+      }),
+      this.angle("Azimuth", -180, 180, () => light().azimuth, (value) => {
+        light().azimuth = value;
+      }),
+      this.angle("Elevation", -90, 90, () => light().elevation, (value) => {
+        light().elevation = value;
+      }),
+      only(() => light().point, slider("Distance", {
+        min: 1.05, max: 10, step: 0.05, get: () => light().distance, set: this.change((value) => {
+          light().distance = value;
+        }),
+      })),
+      slider("Intensity", {
+        min: -4, max: 6, step: 0.1, get: () => Math.log2(light().intensity), show: (value) => plain(2 ** value),
+        set: this.change((value) => {
+          light().intensity = 2 ** value;
+        }),
+      }),
+      colour("Colour", () => light().colour, this.change((value) => {
+        light().colour = value;
+      })),
+      buttons({
+        label: "Add a light", enabled: () => lights.length < MOST_LIGHTS, act: () => {
+          lights.push(newLight(light().azimuth + 120, 40));
+          this.light = lights.length - 1;
+          this.changed();
+        },
+      }, {
+        label: "Remove", enabled: () => lights.length > 1, act: () => {
+          lights.splice(this.light, 1);
+          this.changed();
+        },
+      }),
+    ]);
+  }
+
+  private angle(label: string, min: number, max: number, get: () => number, set: (value: number) => void): Control {
+    const wrapped = (): number => (max === 180 ? ((((get() + 180) % 360) + 360) % 360) - 180 : get());
+    return slider(label, { min, max, step: 1, get: wrapped, set: this.change(set), show: (value) => `${Math.round(value)}°` });
+  }
+
+  private lightfield(): Control[] {
+    const { axes } = this.app.metadata;
+    const { last } = findCameras(axes, layOut(axes, "lightfield"));
+    const { view } = this.state;
+    const along = (label: string, most: number, key: "row" | "column"): Control => only(() => most > 0, slider(label, {
+      min: 0, max: most, step: 0.01, get: () => view[key], show: (value) => value.toFixed(2), set: this.change((value) => {
+        view[key] = value;
+      }),
+    }));
+    return [group("View point", [
+      along("Row", last[0], "row"), along("Column", last[1], "column"),
+      slider("Focus", {
+        min: -8, max: 8, step: 0.05, get: () => view.focus, show: (value) => `${value.toFixed(2)} px`,
+        set: this.change((value) => {
+          view.focus = value;
+        }),
+      }),
+      slider("Aperture", {
+        min: 0, max: Math.max(1, Math.hypot(...last)), step: 0.1, get: () => view.aperture, set: this.change((value) => {
+          view.aperture = value;
+        }),
+      }),
+    ]), this.time()];
+  }
+
+  private volume(): Control[] {
+    const { volume } = this.state;
+    const iso = (): boolean => volume.mode === "iso";
+    const names = { emission: "Glow", shaded: "Shaded", iso: "Iso-surface", maximum: "Brightest on the ray" };
+    const clip = (name: string, axis: number, key: "clipLow" | "clipHigh"): Control => slider(name, {
+      min: 0, max: 1, step: 0.01, get: () => volume[key][axis]!, show: (value) => `${Math.round(100 * value)} %`,
+      set: this.change((value) => {
+        const other = key === "clipLow" ? volume.clipHigh[axis]! : volume.clipLow[axis]!;
+        volume[key][axis] = key === "clipLow" ? Math.min(value, other - 0.01) : Math.max(value, other + 0.01);
+      }),
+    });
+    const details = make("details", {}, make("summary", {}, "Clip"));
+    const clips = (["x", "y", "z"] as const).flatMap((name, axis) =>
+      [clip(`${name} from`, axis, "clipLow"), clip(`${name} to`, axis, "clipHigh")]);
+    details.append(...clips.map((control) => control.element));
+    return [group("Look", [
+      choice("Mode", VOLUME_MODES.map((mode) => [mode, names[mode]] as const), () => volume.mode, (mode) => {
+        volume.mode = mode;
+        this.changed();
+      }),
+      this.colourMap(() => volume.colours, (name) => {
+        volume.colours = name;
+      }),
+      only(() => !iso() && volume.mode !== "maximum", transferEditor(() => volume.opacity, this.change((points) => {
+        volume.opacity = points;
+      }), () => volume.colours)),
+      only(iso, slider("Iso value", {
+        min: 0, max: 1, step: 0.005, get: () => volume.iso, show: (value) => plain(volume.low + value * (volume.high - volume.low)),
+        set: this.change((value) => {
+          volume.iso = value;
+        }),
+      })),
+      ...this.window(() => volume),
+      slider("Step", {
+        min: 0.25, max: 2, step: 0.25, get: () => volume.step, show: (value) => `${value} voxel`, set: this.change((value) => {
+          volume.step = value;
+        }),
+      }),
+      this.angle("Light azimuth", -180, 180, () => this.state.lights[0]!.azimuth, (value) => {
+        this.state.lights[0]!.azimuth = value;
+      }),
+      this.angle("Light height", -90, 90, () => this.state.lights[0]!.elevation, (value) => {
+        this.state.lights[0]!.elevation = value;
+      }),
+      { element: details, refresh: () => clips.forEach((control) => control.refresh()) },
+    ]), this.time()];
+  }
+
+  private colourMap(get: () => string, set: (name: string) => void): Control {
+    return choice("Colours", Object.keys(COLOURS).map((name) => [name, name[0]!.toUpperCase() + name.slice(1)] as const),
+      get, (name) => {
+        set(name);
+        this.changed();
+      });
+  }
+
+  /** Sliders for the values at both ends of the colours. */
+  private window(get: () => { low: number; high: number }): Control[] {
+    const { app } = this;
+    const share = (value: number): number => (value - app.range[0]) / (app.range[1] - app.range[0] || 1);
+    const end = (label: string, key: "low" | "high"): Control => slider(label, {
+      min: -0.5, max: 1.5, step: 0.005, get: () => share(get()[key]), show: () => plain(get()[key]),
+      set: this.change((value) => {
+        app.windowTouched = true;
+        get()[key] = app.range[0] + value * (app.range[1] - app.range[0]);
+      }),
+    });
+    return [end("Low", "low"), end("High", "high")];
+  }
+
+  private slices(): Control[] {
+    const { axes } = this.app.metadata;
+    const { slice } = this.state;
+    const names = axes.map((axis, n) => [String(n), axis.name] as const);
+    const pick = (label: string, key: "x" | "y"): Control => choice(label, names, () => String(slice[key]), (value) => {
+      const other = key === "x" ? "y" : "x";
+      if (slice[other] === Number(value)) {
+        slice[other] = slice[key];
+      }
+      slice[key] = Number(value);
+      this.state.pan = [0, 0];
+      this.changed();
+    });
+    const channels = axes.some((axis) => axis.role === "channel" && axis.size > 2);
+    return [group("Picture", [
+      pick("Across", "x"), pick("Down", "y"),
+      only(() => channels, check("Channels as colours", () => slice.colour, (value) => {
+        slice.colour = value;
+        this.changed();
+      })),
+      only(() => colourAxis(this.app.metadata, this.state) === null, this.colourMap(() => slice.colours, (name) => {
+        slice.colours = name;
+      })),
+      ...this.window(() => slice),
+    ])];
+  }
+
+  /** Where the axes stand that nothing else moves along. */
+  private axes(): Control {
+    const { metadata, kind } = this.app;
+    const moved = this.movedAxes();
+    const sliders = metadata.axes.map((axis, n) => only(
+      () => kind !== "generic" || (n !== this.state.slice.x && n !== this.state.slice.y && n !== colourAxis(metadata, this.state)),
+      slider(axis.name, {
+        min: 0, max: axis.size - 1, step: 1, get: () => this.state.position[n]!, show: (value) => `${value} / ${axis.size - 1}`,
+        set: this.change((value) => {
+          this.state.position[n] = value;
+        }),
+      })));
+    const rest = sliders.filter((_, n) => !moved.includes(n) && metadata.axes[n]!.size > 1);
+    return group(kind === "generic" ? "Other axes" : "Further axes", rest, () => rest.length > 0
+      && (kind !== "generic" || rest.some((control) => !control.element.hidden) || metadata.axes.length > 2));
+  }
+
+  /** Axes that the renderer of the kind moves along. */
+  private movedAxes(): number[] {
+    const { metadata, kind } = this.app;
+    if (kind === "generic") {
+      return [];
+    }
+    const layout = layOut(metadata.axes, kind);
+    return [...layout.space, ...layout.views, layout.light, layout.time, layout.channel].filter((n) => n !== null);
+  }
+
+  private time(): Control {
+    const { axes } = this.app.metadata;
+    const n = axes.findIndex((axis) => axis.role === "time");
+    const last = Math.max(1, (axes[n]?.size ?? 1) - 1);
+    return group("Time", [
+      slider("Frame", {
+        min: 0, max: last, step: this.app.kind === "svbrdf" ? 1 : 0.05, get: () => this.state.time,
+        show: (value) => `${value.toFixed(this.app.kind === "svbrdf" ? 0 : 1)} / ${last}`, set: this.change((value) => {
+          this.state.time = value;
+        }),
+      }),
+      buttons({ label: "Play", pressed: () => this.player.playing, act: () => this.player.toggle() }),
+    ], () => (axes[n]?.size ?? 1) > 1);
+  }
+
+  private tone(): Control {
+    const { tone } = this.state;
+    return group("Tone", [
+      slider("Exposure", {
+        min: -6, max: 6, step: 0.1, get: () => tone.stops, show: (value) => `${value.toFixed(1)} EV`, set: this.change((value) => {
+          tone.stops = value;
+        }),
+      }),
+      choice("Curve", CURVES.map((curve) => [curve, curve[0]!.toUpperCase() + curve.slice(1)] as const), () => tone.curve,
+        this.change((curve) => {
+          tone.curve = curve;
+        })),
+    ]);
+  }
+
+  private view(): Control {
+    const kinds = this.app.kinds();
+    return group("View", [
+      only(() => kinds.length > 1, choice("Show as", kinds.map((kind) => [kind, KINDS[kind]] as const), () => this.app.kind,
+        (kind) => void this.app.showAs(kind).then(() => this.build()))),
+      buttons({
+        label: "Reset view", act: () => {
+          this.app.resetView();
+          this.changed();
+        },
+      }, { label: "Save picture", act: () => savePicture() }),
+    ]);
+  }
+
+  private keys(): Control {
+    const rows = Object.entries(KEYS).map(([keys, does]) => make("tr", {},
+      make("td", {}, ...keys.split(" ").flatMap((key) => [make("kbd", {}, key), " "])), make("td", {}, does)));
+    const details = make("details", { id: "keys" }, make("summary", {}, "Mouse, touch and keys"),
+      note(() => "Drag to turn or move, drag with the right button or Shift to move the light (two fingers on a touch screen), wheel or pinch to come nearer.").element,
+      make("table", {}, make("tbody", {}, ...rows)));
+    details.querySelector("p")!.textContent = "Drag: turn or move. Right button, Shift or two fingers: move the light. "
+      + "Wheel or pinch: nearer, farther. Pointing at a slice reads its value.";
+    return { element: make("section", {}, details), refresh: () => undefined };
+  }
+}
+
+/** What the keys do; `docs/viewer.md` has the same table. */
+export const KEYS: Record<string, string> = {
+  "← → ↑ ↓": "turn the camera, move the view point or the slice",
+  "Shift + ← → ↑ ↓": "move the light",
+  "+ -": "nearer, farther",
+  "[ ]": "level down, up",
+  ", .": "previous, next frame",
+  Space: "play or stop time",
+  C: "compare: off, side by side, error",
+  "E Shift+E": "exposure up, down",
+  R: "reset the view",
+  S: "save the picture",
+  "?": "this list",
+};
+
+/** Save what the canvas shows as a PNG file. */
+export function savePicture(): void {
+  const canvas = document.querySelector("canvas")!;
+  canvas.toBlob((blob) => {
+    if (blob !== null) {
+      const link = make("a", { href: URL.createObjectURL(blob), download: "hmkcta.png" });
+      link.click();
+      setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+    }
+  });
+}
