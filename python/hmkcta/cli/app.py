@@ -22,6 +22,7 @@ from .info import info_command
 from .interrupt import Interrupted, interruptible
 from .options import CONTEXT, VERBOSE, examples_first
 from .plan import plan_command
+from .render import render_command
 from .resume import abandon, going_on
 from .verify import verify_command
 from .versions import version_option
@@ -74,7 +75,7 @@ def main() -> None:
 
 
 for _command in (compress_command, plan_command, info_command, verify_command, decompress_command, view_command,
-                 demo_command):
+                 render_command, demo_command):
     main.add_command(_command)
 
 

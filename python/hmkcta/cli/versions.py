@@ -10,7 +10,7 @@ import click
 from .._version import __version__
 from ..hmkfile import VERSION
 
-LIBRARIES = ("numpy", "safetensors", "click", "rich", "pillow")
+LIBRARIES = ("numpy", "safetensors", "click", "rich", "pillow", "wgpu")
 
 
 def versions() -> str:

@@ -15,6 +15,7 @@ from .gpu_pass import ComputePass, Slot, out_texture, tiles
 from .grid import Grid
 from .layout import Layout
 from .prelude import Options, compose
+from .software import loop_turns
 from .upload import DecoderBuffers
 
 FRAME = np.dtype([
@@ -37,6 +38,7 @@ class GpuGrid:
         if layout.time is not None:
             picks[layout.time] = 2
         self._device = device
+        self._model = model
         self._buffers = DecoderBuffers(device, model, Options(picks=tuple(picks)))
         code = compose(self._buffers.prelude(), "image", "decode", "weighted", "grid")
         self._pass = ComputePass(device, "decode_grid", code, SLOTS, self._buffers)
@@ -64,6 +66,10 @@ class GpuGrid:
         self._decode(grid, texture, level)
         self._kept[key] = texture
         return texture
+
+    def turns(self, level: int) -> int:
+        """A bound of the turns of all loops of an invocation."""
+        return loop_turns(self._model, self._buffers.options.picks or (), level)
 
     def _decode(self, grid: Grid, texture: Any, level: int | None) -> None:
         depth, rows, columns = grid.shape

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import ceil
 from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import HmkctaError, Kind
 from ..model import Model
 from . import lightfield, volume
 from .device import Device
@@ -19,6 +21,7 @@ from .layout import Layout
 from .numpy_path import rays_of
 from .prelude import shader
 from .scene import VOLUME_MODES, Scene
+from .software import MOST_TURNS
 
 F32 = NDArray[np.float32]
 
@@ -48,7 +51,17 @@ class GpuPath:
             "lightfield": lambda: GpuLightfield(device, model, layout),
             "volume": lambda: GpuVolume(device, model, layout),
         }
+        self._device = device
         self._renderer = makers[kind]()
+
+    def refusal(self, scene: Scene, level: int) -> HmkctaError | None:
+        """Why a software adapter would not finish this picture, or None."""
+        turns = self._renderer.turns(scene, level) if self._device.software else 0
+        if turns <= MOST_TURNS:
+            return None
+        return HmkctaError(Kind.RESOURCE_LIMIT, "software-loops", f"picture by {self._device.name}",
+                           found=f"up to {turns} turns of the shader's loops", allowed=f"{MOST_TURNS} in software",
+                           hint="use --backend numpy, fewer lights, or a lower level")
 
     def radiance(self, scene: Scene, level: int | None) -> F32:
         """Radiance and coverage ``[height, width, 4]``."""
@@ -81,6 +94,11 @@ class GpuLightfield:
         texture = self._grid.texture(grid, level)
         return _shaded(self._device, self._pass, scene, (frame, cameras, texture))
 
+    def turns(self, scene: Scene, level: int) -> int:
+        """A bound of the turns of all loops of an invocation."""
+        del scene
+        return self._grid.turns(level)
+
 
 @final
 class GpuVolume:
@@ -107,6 +125,12 @@ class GpuVolume:
         frame["light"][:3] = marching.light
         texture = self._grid.texture(grid_at(self._layout, volume_slices(self._layout), scene.time), level)
         return _shaded(self._device, self._pass, scene, (frame, marching.table, texture))
+
+    def turns(self, scene: Scene, level: int) -> int:
+        """A bound of the turns of all loops of an invocation."""
+        marched = 4 * ceil(2 * 3**0.5 * max(self._layout.sizes[axis] for axis in self._layout.space)
+                           / scene.volume.step)
+        return max(self._grid.turns(level), marched)
 
 
 def _shaded(device: Device, work: ComputePass, scene: Scene, inputs: tuple[NDArray[np.void], F32, Any]) -> F32:

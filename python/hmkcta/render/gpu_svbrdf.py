@@ -18,6 +18,7 @@ from .mesh import make_mesh
 from .numpy_path import rays_of
 from .prelude import Options, compose
 from .scene import MOST_LIGHTS, Light, Scene, direction
+from .software import loop_turns
 from .svbrdf import at_time, prepare
 from .upload import DecoderBuffers
 
@@ -42,6 +43,7 @@ class GpuSvbrdf:
 
     def __init__(self, device: Device, model: Model, layout: Layout) -> None:
         self._device = device
+        self._model = model
         self._layout = layout
         self._shading = prepare(model.metadata.axes, layout)
         self._channels = 3 if layout.channel is not None and len(layout.channels) == 3 else 1
@@ -61,6 +63,10 @@ class GpuSvbrdf:
         resources = (uniform, self._directions, *self._surfaces(scene, rays), out)
         self._pass.run(resources, tiles(scene.width, scene.height), self._buffers.bind_group(level))
         return read_texture(self._device, out, "f4", 4)
+
+    def turns(self, scene: Scene, level: int) -> int:
+        """A bound of the turns of all loops of an invocation."""
+        return len(scene.lights) * loop_turns(self._model, self._buffers.options.picks or (), level)
 
     def _surfaces(self, scene: Scene, rays: Rays) -> tuple[Any, ...]:
         """The G-buffer's textures, kept while camera and surface stay."""

@@ -2,32 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, Protocol, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import invalid
 from ..model import Model
+from .animate import default_motion, moving
 from .display import Display, display_of, heat_gain, show
 from .layout import lay_out, value_range
 from .numpy_path import NumpyPath
 from .scene import Scene
 
+if TYPE_CHECKING:
+    from .device import Device
+    from .gpu_path import GpuPath
+
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 
 BACKENDS = ("auto", "gpu", "numpy")
-
-
-class Path(Protocol):
-    """What makes radiance of a model: the shaders or NumPy."""
-
-    def radiance(self, scene: Scene, level: int | None) -> F32:
-        """Radiance and coverage ``[height, width, 4]``."""
-        ...
 
 
 def render(model: Model, scene: Scene | None = None, *, original: Any = None, backend: str = "auto") -> U8:
@@ -64,7 +62,8 @@ class Renderer:
 
     Attributes:
         kind: of `hmkcta.render.scene.KINDS`.
-        backend: ``gpu`` or ``numpy``, what is used.
+        backend: ``gpu`` or ``numpy``, what is used; ``numpy`` also once software stood in for a GPU and would not have
+            finished a picture (`hmkcta.render.software`).
         adapter: the name of the adapter, empty for NumPy.
 
     Raises:
@@ -82,10 +81,10 @@ class Renderer:
         self._original = original
         self._layout = lay_out(model.metadata.axes, self.kind, position)
         self._numpy = NumpyPath(model, model.metadata.axes, self._layout, self.kind, model)
-        device = None if backend == "numpy" or self.kind == "generic" else _device(backend)
-        self.backend = "numpy" if device is None else "gpu"
-        self.adapter = "" if device is None else str(device.name)
-        self._device = device
+        self._device = None if backend == "numpy" or self.kind == "generic" else _device(backend)
+        self._strict = backend == "gpu"
+        self.backend = "numpy" if self._device is None else "gpu"
+        self.adapter = "" if self._device is None else str(self._device)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -114,7 +113,18 @@ class Renderer:
 
     def radiance(self, scene: Scene) -> F32:
         """Radiance and coverage ``[height, width, 4]``, before exposure; of a volume, display colours times opacity."""
-        return self._path.radiance(scene, scene.level or len(self._model.levels))
+        return self._radiance(scene, len(self._model.levels) if scene.level is None else scene.level)
+
+    def frames(self, scene: Scene, motion: str | None = None, count: int = 48) -> Iterator[U8]:
+        """Pictures of a film: `motion` is one of `hmkcta.render.animate.MOTIONS`, by default what suits the kind.
+
+        Raises:
+            HmkctaError: the motion does not suit the kind, or a scene does not fit the model.
+        """
+        axes = self._model.metadata.axes
+        motion = motion or default_motion(self.kind, self._layout)
+        for moved in moving(scene, motion, count, self.kind, axes, self._layout):
+            yield self.picture(moved)
 
     def display(self, scene: Scene) -> Display:
         """How a scene's radiance is shown; white is taken from all levels, so that levels compare."""
@@ -123,7 +133,7 @@ class Renderer:
     def _compared(self, scene: Scene) -> F32:
         """Radiance of the other level, or of the original."""
         if scene.compare.level is not None:
-            return self._path.radiance(scene, scene.compare.level)
+            return self._radiance(scene, scene.compare.level)
         if self._original is None:
             raise invalid("no-original", "compare", f"{scene.compare.mode} without a level",
                           "the original array, or a level to compare with", "give --against FILE, or compare.level")
@@ -134,10 +144,22 @@ class Renderer:
         white = value_range(self._model, self._model.shape)[1]
         return white if white > 0 else 1.0
 
+    def _radiance(self, scene: Scene, level: int) -> F32:
+        if not 1 <= level <= len(self._model.levels):
+            raise invalid("level-out-of-range", "level", level, f"1 to {len(self._model.levels)}")
+        if self._gpu is not None:
+            refusal = self._gpu.refusal(scene, level)
+            if refusal is None:
+                return self._gpu.radiance(scene, level)
+            if self._strict:
+                raise refusal
+            self.backend = "numpy"
+        return self._numpy.radiance(scene, level)
+
     @cached_property
-    def _path(self) -> Path:
+    def _gpu(self) -> GpuPath | None:
         if self._device is None:
-            return self._numpy
+            return None
         from .gpu_path import GpuPath
 
         return GpuPath(self._device, self._model, self._layout, self.kind)
@@ -147,7 +169,7 @@ class Renderer:
         return NumpyPath(self._original, self._model.metadata.axes, self._layout, self.kind, self._model)
 
 
-def _device(backend: str) -> Any:
+def _device(backend: str) -> Device | None:
     """A device of an adapter; None where there is none and the backend is ``auto``."""
     from .device import find_device, shared_device
 

@@ -273,13 +273,24 @@ def load_scene(path: str | Path) -> Scene:
     Raises:
         HmkctaError: the file cannot be read, is no JSON, or is no scene.
     """
+    return scene_from_json(read_json(path))
+
+
+def read_json(path: str | Path) -> dict[str, Any]:
+    """The JSON object of a file.
+
+    Raises:
+        HmkctaError: the file cannot be read, or is no JSON object.
+    """
     try:
-        value = json.loads(Path(path).read_text(encoding="utf-8"))
+        value: Any = json.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise HmkctaError(Kind.IO, "unreadable", str(path), found=error.strerror, allowed="a JSON file") from error
     except ValueError as error:
         raise invalid("not-json", str(path), error, "a JSON object, e.g. {\"width\": 640}") from error
-    return scene_from_json(value)
+    if not isinstance(value, dict):
+        raise invalid("not-json", str(path), type(value).__name__, "a JSON object, e.g. {\"width\": 640}")
+    return cast("dict[str, Any]", value)
 
 
 def _read(wanted: Any, value: Any, where: str) -> Any:

@@ -1,0 +1,75 @@
+"""Scenes of a film: an orbit of the camera, a sweep of the light, a walk among the cameras, time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from math import cos, pi, sin
+
+from ..axes import Axis
+from ..errors import invalid
+from .layout import Layout
+from .lightfield import find_cameras
+from .numpy_path import placed_camera
+from .scene import Light, Scene
+
+MOTIONS = ("orbit", "light", "view", "time")
+SWING = 40.0  # degrees to each side: an orbit about a plane, which is seen from the front only
+
+
+def default_motion(kind: str, layout: Layout) -> str:
+    """What moves where nobody says it: time of a volume, the view of a light field, else the camera."""
+    if kind == "lightfield":
+        return "view"
+    return "time" if kind == "volume" and layout.time is not None and layout.sizes[layout.time] > 1 else "orbit"
+
+
+def moving(scene: Scene, motion: str, count: int, kind: str, axes: Sequence[Axis], layout: Layout) -> Iterator[Scene]:
+    """The `count` scenes of a film; all but time come round to where they began.
+
+    >>> from hmkcta.axes import name_axes
+    >>> from hmkcta.render.layout import lay_out
+    >>> axes = name_axes((3, 4, 4, 4), ["time", "z", "y", "x"])
+    >>> [frame.time for frame in moving(Scene(), "time", 3, "volume", axes, lay_out(axes, "volume"))]
+    [0.0, 1.0, 2.0]
+
+    Raises:
+        HmkctaError: the motion is unknown or does not suit the kind; there is no frame.
+    """
+    fitting = {"orbit": ("svbrdf", "volume"), "light": ("svbrdf", "volume"), "view": ("lightfield",)}
+    if motion not in MOTIONS:
+        raise invalid("unknown-motion", "animate", repr(motion), ", ".join(MOTIONS))
+    if kind not in fitting.get(motion, (kind,)) or (motion == "time" and layout.time is None):
+        suiting = [m for m in MOTIONS if kind in fitting.get(m, ()) or (m == "time" and layout.time is not None)]
+        raise invalid("motion-kind", "animate", motion, f"{', '.join(suiting) or 'nothing'} for this {kind}")
+    if count < 1:
+        raise invalid("no-frames", "frames", count, "1 or more")
+    for number in range(count):
+        share = number / count
+        if motion == "orbit":
+            yield _orbit(scene, share, kind)
+        elif motion == "light":
+            light = scene.lights[0] if scene.lights else Light()
+            turned = replace(light, position=None, azimuth=light.azimuth + 360 * share)
+            yield replace(scene, lights=(turned, *scene.lights[1:]))
+        elif motion == "view":
+            yield _walk(scene, share, axes, layout)
+        else:
+            last = layout.sizes[layout.time or 0] - 1
+            yield replace(scene, time=last * number / max(count - 1, 1))
+
+
+def _orbit(scene: Scene, share: float, kind: str) -> Scene:
+    camera = placed_camera(scene, kind)
+    start = camera.azimuth or 0.0
+    flat = kind == "svbrdf" and scene.surface.shape == "plane"
+    azimuth = start + SWING * sin(2 * pi * share) if flat else start + 360 * share
+    return replace(scene, camera=replace(camera, azimuth=azimuth))
+
+
+def _walk(scene: Scene, share: float, axes: Sequence[Axis], layout: Layout) -> Scene:
+    """Once around an ellipse among the cameras."""
+    last = find_cameras(axes, layout).place.max(axis=0)
+    row, column = (float(most / 2 * (1 + 0.8 * wave(2 * pi * share)))
+                   for most, wave in zip(last, (sin, cos), strict=True))
+    return replace(scene, viewpoint=replace(scene.viewpoint, row=row, column=column))

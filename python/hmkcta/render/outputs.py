@@ -1,0 +1,115 @@
+"""Pictures and films as files: PNG, EXR (radiance), MP4 and GIF; none is ever half there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from importlib import import_module
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import HmkctaError, Kind, invalid
+from ..hmkfile import published
+
+F32 = NDArray[np.float32]
+U8 = NDArray[np.uint8]
+
+STILLS, FILMS = (".png", ".exr"), (".mp4", ".gif")
+QUALITY = 8  # of MP4, 0 to 10: hardly to be told from the frames
+
+
+def check_format(path: str | Path) -> str:
+    """The suffix of an output, one of `STILLS` or `FILMS`.
+
+    >>> check_format("frame.PNG")
+    '.png'
+
+    Raises:
+        HmkctaError: another suffix.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in (*STILLS, *FILMS):
+        raise invalid("output-format", "output", repr(str(path)), f"a name that ends with {', '.join(STILLS + FILMS)}")
+    return suffix
+
+
+def save_picture(path: str | Path, picture: U8, overwrite: bool = False) -> None:
+    """Write a picture ``[height, width, 3]`` as PNG.
+
+    Raises:
+        HmkctaError: Pillow is missing, or the file is there already or cannot be written.
+    """
+    image = _library("PIL.Image", "pillow", "render")
+    with published(path, overwrite) as target:
+        image.fromarray(picture).save(target, format="PNG")
+
+
+def save_radiance(path: str | Path, radiance: F32, overwrite: bool = False) -> None:
+    """Write radiance and coverage ``[height, width, 4]`` as EXR, float32, channels R, G, B, A.
+
+    Raises:
+        HmkctaError: OpenEXR is missing, or the file is there already or cannot be written.
+    """
+    exr = _library("OpenEXR", "OpenEXR", "exr")
+    header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
+    with TemporaryDirectory() as folder, published(path, overwrite) as target:
+        name = str(Path(folder) / "radiance.exr")
+        with exr.File(header, {"RGBA": np.ascontiguousarray(radiance, np.float32)}) as file:
+            file.write(name)
+        target.write(Path(name).read_bytes())
+
+
+def save_film(path: str | Path, frames: Iterable[U8], fps: float = 25.0, overwrite: bool = False) -> int:
+    """Write pictures ``[height, width, 3]`` of one size as MP4 (H.264) or GIF, by the path's suffix; their number.
+
+    An MP4 has even sides: an odd last row or column is left out.
+
+    Raises:
+        HmkctaError: there is no frame, a package is missing, or the file is there already or cannot be written.
+    """
+    writer = _write_gif if check_format(path) == ".gif" else _write_mp4
+    with TemporaryDirectory() as folder, published(path, overwrite) as target:
+        name = Path(folder) / f"film{Path(path).suffix.lower()}"
+        count = writer(name, iter(frames), fps)
+        if not count:
+            raise invalid("no-frames", "frames", 0, "one or more")
+        target.write(name.read_bytes())
+    return count
+
+
+def _write_mp4(path: Path, frames: Iterator[U8], fps: float) -> int:
+    ffmpeg = _library("imageio_ffmpeg", "imageio-ffmpeg", "video")
+    count, film = 0, None
+    try:
+        for frame in frames:
+            height, width = (max(2, side // 2 * 2) for side in frame.shape[:2])
+            even = np.resize(frame, (height, width, 3)) if min(frame.shape[:2]) < 2 else frame[:height, :width]
+            if film is None:
+                film = ffmpeg.write_frames(str(path), (width, height), fps=fps, codec="libx264", quality=QUALITY,
+                                           macro_block_size=1, pix_fmt_out="yuv420p", ffmpeg_log_level="error")
+                film.send(None)
+            film.send(np.ascontiguousarray(even).tobytes())
+            count += 1
+    finally:
+        if film is not None:
+            film.close()
+    return count
+
+
+def _write_gif(path: Path, frames: Iterator[U8], fps: float) -> int:
+    image = _library("PIL.Image", "pillow", "render")
+    pictures = [image.fromarray(frame) for frame in frames]
+    if pictures:
+        pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=round(1000 / fps), loop=0)
+    return len(pictures)
+
+
+def _library(module: str, package: str, extra: str) -> Any:
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise HmkctaError(Kind.INVALID_ARGUMENT, f"{package.lower()}-missing", "output",
+                          found=f"no {package} in this Python", hint=f'pip install "hmkcta[{extra}]"') from error
