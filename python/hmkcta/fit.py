@@ -29,17 +29,17 @@ class Effort:
     Attributes:
         candidates: disjoint starts tried for each node's memberships.
         searches: rounds of joint rows with a search for cluster subsets.
-        sweeps: Gauss-Seidel sweeps after each search; HOOI rounds where nothing is clustered (0: plain HOSVD).
+        sweeps: Gauss-Seidel sweeps after them; HOOI rounds where nothing is clustered (0: plain HOSVD).
         backfits: rounds in which every level is refitted to what the others leave.
     """
 
     candidates: int = 3
-    searches: int = 1
-    sweeps: int = 3
+    searches: int = 2
+    sweeps: int = 2
     backfits: int = 1
 
 
-EFFORTS = {"fast": Effort(2, 1, 2, 0), "medium": Effort(4, 1, 4, 1), "thorough": Effort(13, 2, 6, 4)}
+EFFORTS = {"fast": Effort(2, 2, 1, 0), "medium": Effort(4, 2, 3, 1), "thorough": Effort(13, 3, 6, 4)}
 
 #: Subspace iterations of a cell's mode update: at a random start, and when it is warm.
 COLD, WARM = 4, 2
@@ -79,14 +79,12 @@ def fit_level(
     if spec.search == "fast":
         _extend_memberships(cells, spec, residual)
     elif searched:
-        for round_ in range(effort.searches):
+        for _ in range(effort.searches):
             for n in (n for n in range(spec.order) if spec.ranks[n] is not None):
                 joint_rows(cells, tensor, n, spec.mixture[n], spec.search)
                 orthonormalise(cells, n)
-            residual[...] = tensor
-            kernels.accumulate(cells, residual, -1.0)
-            if round_ + 1 < effort.searches:
-                kernels.fit_cells(cells, residual, effort.sweeps, WARM)
+        residual[...] = tensor
+        kernels.accumulate(cells, residual, -1.0)
     kernels.fit_cells(cells, residual, effort.sweeps, WARM)
     return cells, residual
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from math import inf, log10, prod
+from math import inf, log10
 from typing import Any
 
 import numpy as np
@@ -38,15 +38,21 @@ class Sums:
     def __post_init__(self) -> None:
         self.noise, self.largest = [0.0] * self.levels, [0.0] * self.levels
 
+    def add(self, level: int | None, squares: float, largest: float = 0.0, count: int = 0) -> None:
+        """Count sums of squares and the largest error of a level, from 0; of values for None."""
+        if level is None:
+            self.signal, self.count = self.signal + squares, self.count + count
+        else:
+            self.noise[level] += squares
+            self.largest[level] = max(self.largest[level], largest)
+
     def add_values(self, values: F64) -> None:
         """Count values of the source."""
-        self.signal += float(np.square(values).sum())
-        self.count += values.size
+        self.add(None, float(np.square(values).sum()), count=values.size)
 
     def add_error(self, level: int, error: F64) -> None:
         """Count errors of a level, from 0."""
-        self.noise[level] += float(np.square(error).sum())
-        self.largest[level] = max(self.largest[level], float(np.abs(error).max(initial=0.0)))
+        self.add(level, float(np.square(error).sum()), float(np.abs(error).max(initial=0.0)))
 
     def merge(self, other: Sums) -> None:
         """Add what was counted elsewhere."""

@@ -14,16 +14,13 @@ from . import backends as kernels
 from .hierarchy import Hierarchy, Node, Progress
 from .measure import Sums
 from .packed import LevelQuality
-from .streamed import Rows, Streamed, in_order, split
+from .streamed import Rows, Streamed, in_float64, in_order, split, squared_norm
 from .transform import Transform
 
 F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
 
 #: Elements of a slab: many, so that the parts of small nodes in it are not tiny; some 12 bytes each.
 SLAB = 1 << 23
-#: Numbers turned to float64 at a time.
-_PIECE = 1 << 18
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,18 +34,21 @@ class _Errors:
 
     def add_values(self, values: F32) -> None:
         """Values of the block."""
-        for piece in _pieces(values):
-            self.plain.add_values(self.transform.inverse(piece * self.unit))
-            self.transformed.add_values(piece * self.unit)
+        self.transformed.add(None, squared_norm(values) * self.unit**2, count=values.size)
+        if self.transform.name != "identity":
+            for wide in in_float64(values):
+                self.plain.add_values(self.transform.inverse(wide * self.unit))
 
     def add(self, levels: range, values: F32, left: F32) -> None:
         """What some levels leave of values."""
-        for wide, error in zip(_pieces(values), _pieces(left), strict=True):
-            for level in levels:
-                self.transformed.add_error(level, error * self.unit)
-                if self.transform.name != "identity":
-                    original = self.transform.inverse(wide * self.unit)
-                    self.plain.add_error(level, original - self.transform.inverse((wide - error) * self.unit))
+        noise, most = squared_norm(left) * self.unit**2, max(float(left.max()), -float(left.min())) * self.unit
+        for level in levels:
+            self.transformed.add(level, noise, most)
+        if self.transform.name != "identity":
+            for wide, error in zip(in_float64(values), in_float64(left), strict=True):
+                change = self.transform.inverse(wide * self.unit) - self.transform.inverse((wide - error) * self.unit)
+                for level in levels:
+                    self.plain.add_error(level, change)
 
     def below(self, node: Node, depth: int, rows: Rows, values: F32, left: F32) -> None:
         """Take the node's model and all below it from `left`, what is left of values above it; rows are the node's."""
@@ -97,11 +97,6 @@ def measure_streamed(
         progress("measuring", number / len(parts))
     transformed = total[1].quality()
     return (transformed if source.value_transform.name == "identity" else total[0].quality()), transformed
-
-
-def _pieces(values: F32) -> list[F64]:
-    flat = values.reshape(-1)
-    return [flat[start : start + _PIECE].astype(np.float64) for start in range(0, flat.size, _PIECE)]
 
 
 def _places(part: NDArray[np.intp]) -> NDArray[np.intp]:

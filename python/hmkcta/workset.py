@@ -63,11 +63,18 @@ def fit_streamed(
     del sample
     if max(steps) == 1:
         return cells
-    for n in [n for n, step in enumerate(steps) if step > 1]:
+    thinned = [n for n, step in enumerate(steps) if step > 1]
+    for n in thinned:
         cells = widened(cells, n, residual.shape[n], steps[n])
         steps[n] = 1
         solve_rows(residual, number, cells, n, spec.search, steps)
-    return refit_streamed(residual, number, cells)
+    if spec.cells > 1:
+        # The other modes have samples enough on a part; those of which rows are new come last and see everything.
+        part = [2 if n in thinned else 1 for n in range(spec.order)]
+        for n in [n for n in range(spec.order) if n not in thinned and spec.ranks[n] is not None] + thinned:
+            seen = [1] * spec.order if n in thinned else part
+            solve_rows(residual, number, cells, n, spec.search, seen)
+    return cells
 
 
 def refit_streamed(residual: Streamed, number: int, cells: Cells) -> Cells:
@@ -89,9 +96,12 @@ def widened(cells: Cells, n: int, size: int, step: int) -> Cells:
 
 def solve_rows(residual: Streamed, number: int, cells: Cells, n: int, search: str, steps: Sequence[int]) -> None:
     """Best rows of mode n given all else, on the tensor thinned by `steps`."""
-    coding = code(cells, projected(residual, number, cells, n, steps), n)
-    choose_rows(cells, coding, n, cells.spec.mixture[n], search)
-    orthonormalise(cells, n)
+    sizes = tuple(-(-size // step) for size, step in zip(residual.shape, steps, strict=True))
+    seen = cells if cells.sizes == sizes else thinned_cells(cells, steps)
+    coding = code(seen, projected(residual, number, seen, n, steps), n)
+    choose_rows(seen, coding, n, cells.spec.mixture[n], search)
+    orthonormalise(seen, n)
+    cells.members[n], cells.bases[n], cells.cores = seen.members[n], seen.bases[n], seen.cores
 
 
 def projected(residual: Streamed, number: int, cells: Cells, n: int, steps: Sequence[int]) -> F64:
