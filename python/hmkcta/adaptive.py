@@ -202,11 +202,15 @@ class _LastLevel:
             if exact <= size and (fitting is None or chosen.nbytes > fitting.nbytes):
                 fitting = chosen
             self.beside = exact - chosen.nbytes
+        if len(self.tree.levels) == 1 and (fitting is None or not fitting.choice.any()):
+            # A file in which nothing is stored would be no answer: one with the least that can be, or none.
+            least = Allocation(np.ones(len(self.spectra), np.intp), 0.0, 0.0)
+            exact = self.goal.file_bytes(self._dressed(least))
+            fitting = least if exact <= size else None
         if fitting is None:
-            allowed = f"at least {exact} bytes for this plan"
-            raise invalid(
-                "size-too-small", "size", f"{int(size)} bytes", allowed, "ask for more or give a coarser --plan"
-            )
+            allowed = f"at least {exact} bytes for this plan and organisation"
+            hint = "ask for more, merge axes or give a coarser plan"
+            raise invalid("size-too-small", "size", f"{self.goal.size} bytes", allowed, hint)
         return fitting
 
     def _dressed(self, chosen: Allocation) -> Hierarchy:

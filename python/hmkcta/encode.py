@@ -16,10 +16,8 @@ from .follow import Task, follow
 from .hierarchy import Progress, Run
 from .hmkfile.metadata import KINDS
 from .journal import Journal, decisive
-from .memory import check_memory
 from .model import Model
 from .plan import SCHEMES, Plan, parse_plan
-from .predict import fitting_memory
 from .source import Source, prepare
 from .tuning import tune
 
@@ -127,7 +125,8 @@ def compress(
         if journal is not None:
             run = replace(run, journal=journal)
             journal.begin(decisive(source, plan, organisation=organisation, snr=snr, size=size, kind=kind,
-                                   decode_cost=decode_cost, quality=quality, scheme=scheme, seed=seed))
+                                   decode_cost=decode_cost, quality=quality, scheme=scheme, seed=seed,
+                                   max_memory=max_memory))
         plan = plan or run.journal.plan(lambda: _chosen(source, run, organisation, snr, size, decode_cost))
         return follow(Task(source, plan, scheme, decode_cost, kind or source.kind, run, max_memory))
 

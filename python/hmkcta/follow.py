@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from math import inf, isinf, log10, prod
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ._version import __version__
 from .adaptive import Goal, fit_to_goal
@@ -99,13 +98,14 @@ def _check(plan: Plan, sizes: Sequence[int]) -> None:
 def _begun(task: Task) -> tuple[Hierarchy, Goal]:
     """The hierarchy before any level, in memory or streamed, and the plan's goal with how it is measured."""
     source, organisation = task.source, task.plan.organisation
-    limit = memory_limit(task.plan, mode_sizes(source.axes, organisation), task.memory)
+    sizes = mode_sizes(source.axes, organisation)
+    limit = task.run.journal.settled("limit", lambda: memory_limit(task.plan, sizes, task.memory))
     if prod(source.shape) > limit:
         tree = whole(Streamed(source, organisation, task.run.threads, limit))
-        energy = tree.error
     else:
         tree = whole(source.tensor(organisation))
-        energy = tree.error
+    # Only goals ask for it, and the tensor may have to be read for it.
+    energy = 0.0 if task.plan.snr is None and task.plan.size is None else tree.error
 
     def file_bytes(tree: Hierarchy) -> int:
         return encoded_size(*_described(task, tree)) + HEADER_SLACK

@@ -2,8 +2,8 @@
 
 Fitting is deterministic, so a run that is begun again makes the same steps in the same order; the fitted cells of a
 node are known by the number of the step and of the node. The residual is never stored: it follows from the cells.
-A journal is a folder with `run.json` (all that decides the result), `plan.json` (the plan, if it was chosen) and
-`nodes.log` (`recordlog.py`).
+A journal is a folder with `run.json` (all that decides the result), `plan.json` (the plan, if it was chosen),
+`limit.json` (what memory allowed) and `nodes.log` (`recordlog.py`).
 """
 
 from __future__ import annotations
@@ -51,6 +51,11 @@ class NoJournal:
 
     def plan(self, choose: Callable[[], Plan]) -> Plan:
         """The plan that this run chose before, or chooses now."""
+        return choose()
+
+    def settled(self, name: str, choose: Callable[[], Any]) -> Any:
+        """What this run settled before under that name, or settles now: any JSON value."""
+        del name
         return choose()
 
     def step(self) -> int:
@@ -159,12 +164,16 @@ class Journal(NoJournal):
 
     def plan(self, choose: Callable[[], Plan]) -> Plan:
         """The plan of the interrupted run; else the one chosen now, which is written down."""
-        if (self.folder / PLAN).exists():
-            return _plan(self._read(PLAN))
-        plan = choose()
+        return _plan(self.settled("plan", lambda: asdict(choose())))
+
+    def settled(self, name: str, choose: Callable[[], Any]) -> Any:
+        """The interrupted run's value; else the one chosen now, which is written down."""
+        if (self.folder / f"{name}.json").exists():
+            return self._read(f"{name}.json")
+        value = choose()
         with self._as_io():
-            self._write(PLAN, asdict(plan))
-        return plan
+            self._write(f"{name}.json", value)
+        return value
 
     def step(self) -> int:
         """The number of the next step."""
@@ -219,13 +228,13 @@ class Journal(NoJournal):
                 Kind.INVALID_ARGUMENT, "partial-differs", str(self.folder), found=found,
                 allowed=f"{allowed}, as the interrupted run had", hint="give what it was begun with, or --overwrite")
 
-    def _read(self, name: str) -> dict[str, Any]:
+    def _read(self, name: str) -> Any:
         try:
             return json.loads((self.folder / name).read_text(encoding="utf-8"))
         except (FileNotFoundError, ValueError) as error:
             raise self._useless(f"no readable {name}", "the files of a run") from error
 
-    def _write(self, name: str, content: Mapping[str, Any]) -> None:
+    def _write(self, name: str, content: Any) -> None:
         with published(self.folder / name, overwrite=True) as file:
             file.write(json.dumps(content, indent=1).encode())
 
@@ -237,7 +246,7 @@ class Journal(NoJournal):
         """Nodes before the plan and the run they belong to, so that a crash in between leaves nothing that counts."""
         assert self._log is not None
         self._log.clear()
-        for path in (self.folder / PLAN, self.folder / RUN, *self.folder.glob(".*.tmp")):
+        for path in (*self.folder.glob("*.json"), *self.folder.glob(".*.tmp")):
             path.unlink(missing_ok=True)
 
     def _discard(self) -> None:
