@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..errors import HmkctaError, Kind
 from ..model import Model
+from .contract import contractable
 from .device import Device
 from .gpu_pass import ComputePass, Slot, out_texture, tiles
 from .grid import Grid
@@ -39,7 +40,10 @@ class GpuGrid:
             picks[layout.time] = 2
         self._device = device
         self._model = model
-        self._buffers = DecoderBuffers(device, model, Options(picks=tuple(picks)))
+        moving = (*layout.views, *layout.space, layout.channel)
+        self._still = [axis for axis in range(len(layout.sizes)) if axis not in moving]
+        contracted = contractable(model, self._still)
+        self._buffers = DecoderBuffers(device, model, Options(picks=tuple(picks), contracted=contracted))
         code = compose(self._buffers.prelude(), "image", "decode", "weighted", "grid")
         self._pass = ComputePass(device, "decode_grid", code, SLOTS, self._buffers)
         self._kept: OrderedDict[Any, Any] = OrderedDict()
@@ -73,6 +77,12 @@ class GpuGrid:
 
     def _decode(self, grid: Grid, texture: Any, level: int | None) -> None:
         depth, rows, columns = grid.shape
+        stands: dict[int, tuple[tuple[int, ...], tuple[float, ...]]] = {
+            axis: ((grid.layout.stands[axis],), (1.0,)) for axis in self._still
+        }
+        if grid.layout.time is not None:
+            stands[grid.layout.time] = _frames(grid)
+        self._buffers.contract(stands)
         slots = np.zeros((depth, 8), np.uint32)
         slots[:, : grid.slices.shape[1]] = grid.slices
         buffer = self._device.buffer("slots", slots)
@@ -81,6 +91,11 @@ class GpuGrid:
             uniform = self._device.buffer("grid", _frame(grid, first).tobytes(), "UNIFORM")
             self._pass.run((uniform, buffer, texture), tiles(columns, rows, min(step, depth - first)),
                            self._buffers.bind_group(level))
+
+
+def _frames(grid: Grid) -> tuple[tuple[int, ...], tuple[float, ...]]:
+    """Frames with a weight, and their weights."""
+    return (grid.frames, grid.weights) if grid.weights[1] else (grid.frames[:1], grid.weights[:1])
 
 
 def _frame(grid: Grid, first: int) -> NDArray[np.void]:
