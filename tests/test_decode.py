@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hmkcta import decode_dense, decode_scattered
+from hmkcta import backends, decode_dense, decode_scattered
 from hmkcta.decode import decode_block, decode_elements
 from hmkcta.errors import HmkctaError
 from hmkcta.packed import PackedLevel
@@ -37,6 +37,12 @@ MODELS: dict[str, tuple[tuple[int, ...], int, tuple[int, ...], Shapes]] = {
     "flat, many clusters": ((16, 12, 10), 1, (), Shapes(max_clusters=8, max_mixture=3, max_cells=200)),
     "many clusters in the last mode": ((5, 60), 1, (), Shapes(max_clusters=40, max_cells=80)),
 }
+
+
+@pytest.fixture(autouse=True)
+def _the_readable_decoder(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The twin of the native kernels, which tests/test_native_decode.py holds against it."""
+    monkeypatch.setattr(backends, "name", "reference")
 
 
 def slow_value(levels: Levels, index: Sequence[int], upto: int) -> float:

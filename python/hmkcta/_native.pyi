@@ -1,5 +1,7 @@
 """The Rust kernels; `backends/reference.py` says what each computes. All arrays are flat and contiguous."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,4 +20,12 @@ def project_cells(shape: _Shape, members: _Members, tensor: _F32, bases: list[_F
 def dictionary_gram(
     shape: _Shape, members: _Members, bases: list[_F32], cores: _F32, mode: int
 ) -> NDArray[np.float64]: ...
+
+# The arrays of one level by their names in `packed.PackedLevel`, float16 as its bits.
+_Level = dict[str, Any]
+_I64 = NDArray[np.int64]
+
+def decode_scattered_f32(levels: list[_Level], coords: _I64, out: _F32) -> None: ...
+def decode_scattered_f64(levels: list[_Level], coords: _I64, out: NDArray[np.float64]) -> None: ...
+def decode_block(levels: list[_Level], rows: list[_I64], first: int, out: _F32) -> None: ...
 def set_threads(count: int) -> None: ...

@@ -1,4 +1,7 @@
-"""The reference decoder in NumPy: elements of the tensor (indices of modes, not of source axes) from packed levels.
+"""Decoding: elements of the tensor (indices of modes, not of source axes) from packed levels.
+
+The kernels of `backends.decoding` do the work, or their readable twins `decode_scattered` and `decode_dense`, which
+also stand in for them where a block is asked for in float64.
 
 `decode_elements` follows `docs/format.md`, section 4, for scattered elements, and the WGSL decoder mirrors it function
 by function; `decode_block` decodes an outer product of index lists at a small part of the cost an element. Both read
@@ -14,8 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from .decode_dense import add_block
-from .decode_scattered import Real, decode_batches
+from . import backends, decode_dense, decode_scattered
+from .decode_scattered import Index, Real
 from .errors import invalid
 from .packed import PackedLevel
 
@@ -53,7 +56,7 @@ def decode_elements(
         check_indices(coords[:, n], size, f"coords of mode {n + 1}")
     out = np.zeros(len(coords), _float_type(dtype))
     with np.errstate(over="ignore", invalid="ignore"):  # Model looks for these, and decodes them again in float64
-        decode_batches(first_levels(levels, upto), coords.astype(np.intp, copy=False), out)
+        _add_elements(first_levels(levels, upto), coords.astype(np.intp, copy=False), out)
     return out
 
 
@@ -101,11 +104,30 @@ def decode_block(
     block[...] = 0
     if prod(shape):
         with np.errstate(over="ignore", invalid="ignore"):  # as in `decode_elements`
-            add_block(first_levels(levels, upto), [np.asarray(index, np.intp) for index in rows], block)
+            _add_block(first_levels(levels, upto), [np.asarray(index, np.intp) for index in rows], block)
     if out is not None and block is not out:
         out[...] = block
         return out
     return block
+
+
+def _native(levels: Sequence[PackedLevel]) -> Any:  # a module, or None
+    """The native kernels where they are in use and have room for the model's modes."""
+    if backends.name != "native":
+        return None
+    from .backends import decoding
+
+    return decoding if levels[0].order <= decoding.MOST_MODES else None
+
+
+def _add_elements(levels: Sequence[PackedLevel], coords: Index, out: Real) -> None:
+    native = _native(levels)
+    (native or decode_scattered).decode_batches(levels, coords, out)
+
+
+def _add_block(levels: Sequence[PackedLevel], rows: Sequence[Index], block: Real) -> None:
+    native = _native(levels) if block.dtype == np.float32 else None
+    (native or decode_dense).add_block(levels, rows, block)
 
 
 def first_levels(levels: Sequence[PackedLevel], upto: int | None) -> Sequence[PackedLevel]:

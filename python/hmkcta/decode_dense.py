@@ -62,8 +62,11 @@ class _Front:
         return {n: (self.pos[n][span], self.out[n][span]) for n, span in spans.items()}
 
 
-def add_block(levels: Sequence[PackedLevel], rows: Sequence[Index], block: Real) -> None:
-    """Add the elements of the outer product of `rows` (N index lists) to the C-contiguous `block`."""
+def add_block(levels: Sequence[PackedLevel], rows: Sequence[Index], block: Real, first: int = 0) -> None:
+    """Add the elements of the outer product of `rows` (N index lists) to the C-contiguous `block`.
+
+    The levels before number `first`, from 0, only lead the way.
+    """
     fixed = {n: rows[n] for n in undecomposed_modes(levels[0])}
     free = [n for n in range(len(rows)) if n not in fixed]
     front = _Front(np.zeros(1, np.intp), {n: np.array([0, len(rows[n])]) for n in free},
@@ -72,15 +75,21 @@ def add_block(levels: Sequence[PackedLevel], rows: Sequence[Index], block: Real)
         alive = np.flatnonzero(level.shape[front.node, 0].any(axis=1))
         if not len(alive):
             break  # nodes that add nothing are leaves
-        plain, clustered, small = _by_cost(level, front, alive, fixed)
-        for batch in plain:
-            _add_plain_nodes(level, front, batch, fixed, block)
-        for t in clustered:
-            add_clustered_node(level, int(front.node[t]), front.rows(t), fixed, block, TILE)
-        for batch in _batches(small, front.lengths().prod(axis=1) * prod(map(len, fixed.values()))):
-            _add_small_nodes(level, front, batch, fixed, block)
+        if depth > first:
+            _add_level(level, front, alive, fixed, block)
         if depth < len(levels):
             front = _descend(level, front)
+
+
+def _add_level(level: PackedLevel, front: _Front, alive: Index, fixed: dict[int, Index], block: Real) -> None:
+    """Add the nodes `alive` of the front, each in the way that costs least."""
+    plain, clustered, small = _by_cost(level, front, alive, fixed)
+    for batch in plain:
+        _add_plain_nodes(level, front, batch, fixed, block)
+    for t in clustered:
+        add_clustered_node(level, int(front.node[t]), front.rows(t), fixed, block, TILE)
+    for batch in _batches(small, front.lengths().prod(axis=1) * prod(map(len, fixed.values()))):
+        _add_small_nodes(level, front, batch, fixed, block)
 
 
 def _by_cost(

@@ -101,6 +101,11 @@ impl<'a> Node<'a> {
         Cell { number, subset, others }
     }
 
+    /// Cluster subsets of the rows of mode `n`, `[I_n, K_n]`.
+    pub fn members(&self, n: usize) -> &'a [u16] {
+        self.members[n]
+    }
+
     /// Rows of mode `n` that belong to cluster subset `k`, ascending.
     pub fn rows(&self, n: usize, k: usize) -> &[u32] {
         &self.subsets[n][k].rows

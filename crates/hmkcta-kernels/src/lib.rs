@@ -1,28 +1,42 @@
 //! Native kernels of hmkcta. Each has a readable NumPy twin in `hmkcta.backends.reference`.
 
+mod binding;
 mod block;
 mod cells;
 mod chain;
+mod dense;
 mod dots;
+mod element;
 mod gauss_seidel;
 mod gemm;
 mod gram;
 mod hooi;
+mod lanes;
+mod layout;
 mod machine;
+mod packed;
+mod part;
 mod pick;
+mod planes;
 mod project;
+mod real;
 mod reconstruct;
+mod scattered;
 mod sorting;
 mod subspace;
 #[cfg(test)]
 mod testing;
 mod threads;
+mod tiles;
 mod tree;
 mod tucker;
+mod widened;
 
+use binding::Arrays;
 use cells::{Node, Shape};
+use element::Decode;
 use gauss_seidel::Effort;
-use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadwriteArray1};
+use numpy::{Element, IntoPyArray, PyArray1, PyReadonlyArray1, PyReadwriteArray1};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
@@ -148,6 +162,59 @@ fn check_mode(node: &Node, mode: usize) -> PyResult<()> {
     Err(PyValueError::new_err(format!("mode must be below {}, got {mode}", node.order())))
 }
 
+/// Add the values of scattered elements at `coords` `[elements, N]` to `out`.
+fn decode_scattered<'py, T: Decode + Element>(
+    py: Python<'py>,
+    levels: Vec<Arrays<'py>>,
+    coords: PyReadonlyArray1<'py, i64>,
+    mut out: PyReadwriteArray1<'py, T>,
+) -> PyResult<()> {
+    let levels = binding::levels(&levels)?;
+    let (coords, out) = (coords.as_slice()?, out.as_slice_mut()?);
+    check_length("the coordinates", coords.len(), out.len() * levels[0].order())?;
+    py.detach(|| scattered::decode(&levels, coords, out)).map_err(PyValueError::new_err)
+}
+
+#[pyfunction]
+fn decode_scattered_f32<'py>(
+    py: Python<'py>,
+    levels: Vec<Arrays<'py>>,
+    coords: PyReadonlyArray1<'py, i64>,
+    out: PyReadwriteArray1<'py, f32>,
+) -> PyResult<()> {
+    decode_scattered(py, levels, coords, out)
+}
+
+#[pyfunction]
+fn decode_scattered_f64<'py>(
+    py: Python<'py>,
+    levels: Vec<Arrays<'py>>,
+    coords: PyReadonlyArray1<'py, i64>,
+    out: PyReadwriteArray1<'py, f64>,
+) -> PyResult<()> {
+    decode_scattered(py, levels, coords, out)
+}
+
+/// Add the block of the outer product of `rows` to `out`; the levels before `first`, from 0, add nothing.
+#[pyfunction]
+fn decode_block<'py>(
+    py: Python<'py>,
+    levels: Vec<Arrays<'py>>,
+    rows: Vec<PyReadonlyArray1<'py, i64>>,
+    first: usize,
+    mut out: PyReadwriteArray1<'py, f32>,
+) -> PyResult<()> {
+    let levels = binding::levels(&levels)?;
+    let rows = rows.iter().map(|rows| rows.as_slice()).collect::<Result<Vec<_>, _>>()?;
+    let out = out.as_slice_mut()?;
+    check_length("the list of rows", rows.len(), levels[0].order())?;
+    check_length("out", out.len(), rows.iter().map(|rows| rows.len()).product())?;
+    if out.is_empty() {
+        return Ok(());
+    }
+    py.detach(|| dense::decode(&levels, &rows, first, out)).map_err(PyValueError::new_err)
+}
+
 /// How many threads large nodes are worked on by; 0 stands for all cores. Results do not depend on it.
 #[pyfunction]
 fn set_threads(count: usize) {
@@ -160,6 +227,9 @@ fn _native(module: &Bound<PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(accumulate, module)?)?;
     module.add_function(wrap_pyfunction!(project_cells, module)?)?;
     module.add_function(wrap_pyfunction!(dictionary_gram, module)?)?;
+    module.add_function(wrap_pyfunction!(decode_scattered_f32, module)?)?;
+    module.add_function(wrap_pyfunction!(decode_scattered_f64, module)?)?;
+    module.add_function(wrap_pyfunction!(decode_block, module)?)?;
     module.add_function(wrap_pyfunction!(set_threads, module)?)?;
     Ok(())
 }

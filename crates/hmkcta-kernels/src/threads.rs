@@ -38,6 +38,11 @@ fn pool() -> Option<Arc<ThreadPool>> {
     state.pool.as_ref().map(|(_, pool)| pool.clone()).filter(|pool| pool.current_num_threads() > 1)
 }
 
+/// How many threads share the work.
+pub fn count() -> usize {
+    pool().map_or(1, |pool| pool.current_num_threads())
+}
+
 /// Do all tasks, on all threads where `parallel` says that it pays. What comes out must not depend on their order.
 pub fn for_each<T: Send>(parallel: bool, tasks: Vec<T>, work: impl Fn(T) + Sync + Send) {
     let pool = if parallel && tasks.len() > 1 { pool() } else { None };
@@ -66,9 +71,9 @@ pub fn with_scratch<R>(work: impl FnOnce(&mut Scratch) -> R) -> R {
 }
 
 /// The first `length` numbers of a buffer that grows as needed; what they are is left open.
-pub fn room(buffer: &mut Vec<f32>, length: usize) -> &mut [f32] {
+pub fn room<T: Copy + Default>(buffer: &mut Vec<T>, length: usize) -> &mut [T] {
     if buffer.len() < length {
-        buffer.resize(length, 0.0);
+        buffer.resize(length, T::default());
     }
     &mut buffer[..length]
 }

@@ -1,0 +1,76 @@
+//! Levels of a model as Python hands them over.
+
+use crate::packed::{Level, MOST_MODES, Ragged};
+use numpy::{Element, PyReadonlyArray1};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+type Array<'py, T> = PyReadonlyArray1<'py, T>;
+type OfModes<'py, T> = Vec<Option<Array<'py, T>>>;
+
+/// The arrays of one level as a dictionary, named as in `hmkcta.packed.PackedLevel`, all flat; float16 as its bits.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct Arrays<'py> {
+    shape: Array<'py, u32>,
+    child: Option<Array<'py, u32>>,
+    row_offset: Vec<Array<'py, u32>>,
+    core: Array<'py, u16>,
+    core_offset: Array<'py, u32>,
+    core_scale: Array<'py, f32>,
+    cell_offset: Array<'py, u32>,
+    cluster: OfModes<'py, u16>,
+    cluster_offset: OfModes<'py, u32>,
+    basis: OfModes<'py, u16>,
+    basis_offset: OfModes<'py, u32>,
+    part: OfModes<'py, u16>,
+    local: OfModes<'py, u32>,
+}
+
+/// The levels, each of as many modes as the others.
+pub fn levels<'a>(arrays: &'a [Arrays]) -> PyResult<Vec<Level<'a>>> {
+    let levels = arrays.iter().map(Arrays::level).collect::<PyResult<Vec<_>>>()?;
+    let order = levels.first().map_or(0, Level::order);
+    if order == 0 || order > MOST_MODES || levels.iter().any(|level| level.order() != order) {
+        return Err(PyValueError::new_err(format!("a model has 1 to {MOST_MODES} modes, the same in every level")));
+    }
+    Ok(levels)
+}
+
+impl Arrays<'_> {
+    fn level(&self) -> PyResult<Level<'_>> {
+        let row_offset = self.row_offset.iter().map(slice).collect::<PyResult<Vec<_>>>()?;
+        let order = row_offset.len();
+        let cluster = ragged(&self.cluster, &self.cluster_offset)?;
+        let basis = ragged(&self.basis, &self.basis_offset)?;
+        let part = self.part.iter().map(|part| part.as_ref().map(slice).transpose()).collect::<PyResult<Vec<_>>>()?;
+        let local =
+            self.local.iter().map(|local| local.as_ref().map(slice).transpose()).collect::<PyResult<Vec<_>>>()?;
+        if [cluster.len(), basis.len(), part.len(), local.len()] != [order; 4] {
+            return Err(PyValueError::new_err("a level needs cluster, basis, part and local of every mode"));
+        }
+        Ok(Level {
+            shape: slice(&self.shape)?,
+            child: self.child.as_ref().map(slice).transpose()?,
+            row_offset,
+            core: Ragged { data: slice(&self.core)?, offset: slice(&self.core_offset)? },
+            core_scale: Ragged { data: slice(&self.core_scale)?, offset: slice(&self.cell_offset)? },
+            cluster,
+            basis,
+            part,
+            local,
+        })
+    }
+}
+
+fn slice<'a, T: Element>(array: &'a Array<T>) -> PyResult<&'a [T]> {
+    Ok(array.as_slice()?)
+}
+
+fn ragged<'a>(data: &'a OfModes<u16>, offset: &'a OfModes<u32>) -> PyResult<Vec<Option<Ragged<'a, u16>>>> {
+    let of_mode = |(data, offset): (&'a Option<Array<u16>>, &'a Option<Array<u32>>)| match (data, offset) {
+        (Some(data), Some(offset)) => Ok(Some(Ragged { data: slice(data)?, offset: slice(offset)? })),
+        _ => Ok(None),
+    };
+    data.iter().zip(offset).map(of_mode).collect()
+}

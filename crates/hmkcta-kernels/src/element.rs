@@ -1,0 +1,258 @@
+//! The value a node adds to single elements (`docs/format.md`, section 4).
+//!
+//! Where many elements of a node are asked for, its numbers are widened from float16 once; else what an element needs is
+//! widened for it. Either way the sums are the same, bit by bit.
+
+use crate::lanes::{Lanes, Plain};
+use crate::layout::{LANES, Layout, NOWHERE, Offsets, Steps};
+use crate::machine::dispatch;
+use crate::packed::NodeView;
+use crate::real::Real;
+use crate::widened::{Picked, Source, Tables, Widened};
+use pulp::{Simd, WithSimd};
+
+/// Most numbers of a node that are widened at once, which bounds memory.
+const MOST_WIDENED: usize = 1 << 24;
+/// Widening numbers one after the other costs so many times less than picking them.
+const IN_BULK: usize = 8;
+
+/// Buffers kept from one node to the next.
+#[derive(Default)]
+pub struct Elements<T> {
+    tables: Tables<T>,
+    outer: Vec<T>,
+    choices: Vec<Offsets>,
+}
+
+impl<T: Decode> Elements<T> {
+    /// Add the node's part to `values` of the elements at row positions `pos` `[elements, N]`.
+    pub fn add(&mut self, node: &NodeView, pos: &[u32], values: &mut [T]) -> Result<(), String> {
+        let layout = Layout::new(node);
+        let picked = values.len() * node.choices() * (layout.block() + 4 * layout.free.len());
+        let numbers = node.numbers();
+        let widened = numbers <= MOST_WIDENED && numbers <= IN_BULK * picked;
+        let steps = Steps::new(node, &layout, &layout.row_lengths(node, widened));
+        let count = node.choices();
+        self.choices.resize(self.choices.len().max(count), [0; LANES]);
+        dispatch(Task { node, layout: &layout, steps: &steps, pos, values, buffers: self, widened })
+    }
+}
+
+/// The types decoding computes in.
+pub trait Decode: Real {
+    /// Run a task with the loops for the ranks at hand.
+    fn run<S: Simd>(task: Task<Self>, simd: S) -> Result<(), String>;
+}
+
+/// One call of `add`, for the instruction set to be chosen.
+pub struct Task<'t, T> {
+    node: &'t NodeView<'t>,
+    layout: &'t Layout,
+    steps: &'t Steps,
+    pos: &'t [u32],
+    values: &'t mut [T],
+    buffers: &'t mut Elements<T>,
+    widened: bool,
+}
+
+impl<T: Decode> WithSimd for Task<'_, T> {
+    type Output = Result<(), String>;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
+        T::run(self, simd)
+    }
+}
+
+impl Decode for f64 {
+    #[inline(always)]
+    fn run<S: Simd>(task: Task<f64>, _: S) -> Result<(), String> {
+        task.plain::<S>()
+    }
+}
+
+impl Decode for f32 {
+    /// The ranks of the paper's configurations have unrolled loops.
+    #[inline(always)]
+    fn run<S: Simd>(task: Task<f32>, _: S) -> Result<(), String> {
+        #[cfg(target_arch = "x86_64")]
+        if S::F32_LANES > 4
+            && let Some(v3) = pulp::x86::V3::try_new()
+        {
+            let machine = crate::lanes::Fused(v3);
+            let unrolled = if task.layout.more.is_empty() { task.layout.ranks } else { [0; 3] };
+            return match (task.layout.width, unrolled) {
+                (4, [2, 2, 3]) => task.run::<_, 4, 2, 2, 3>(machine),
+                (4, [2, 2, 2]) => task.run::<_, 4, 2, 2, 2>(machine),
+                (4, [1, ..]) => task.run::<_, 4, 1, 0, 0>(machine),
+                (4, _) => task.run::<_, 4, 0, 0, 0>(machine),
+                (8, [4, 4, 6]) => task.run::<_, 8, 4, 4, 6>(machine),
+                (8, _) => task.run::<_, 8, 0, 0, 0>(machine),
+                _ => task.run::<_, LANES, 0, 0, 0>(Plain::<true>),
+            };
+        }
+        task.plain::<S>()
+    }
+}
+
+impl<T: Real> Task<'_, T> {
+    #[inline(always)]
+    fn plain<S: Simd>(self) -> Result<(), String> {
+        // All machines of more than four lanes fuse, and so does NEON.
+        if S::F32_LANES > 4 || cfg!(target_arch = "aarch64") {
+            self.by_width(Plain::<true>)
+        } else {
+            self.by_width(Plain::<false>)
+        }
+    }
+
+    #[inline(always)]
+    fn by_width<const FUSED: bool>(self, machine: Plain<FUSED>) -> Result<(), String> {
+        match self.layout.width {
+            4 => self.run::<_, 4, 0, 0, 0>(machine),
+            8 => self.run::<_, 8, 0, 0, 0>(machine),
+            _ => self.run::<_, LANES, 0, 0, 0>(machine),
+        }
+    }
+
+    #[inline(always)]
+    fn run<M: Lanes<T, P>, const P: usize, const A: usize, const B: usize, const C: usize>(
+        self,
+        machine: M,
+    ) -> Result<(), String> {
+        let Task { node, layout, steps, pos, values, buffers, widened } = self;
+        let Elements { tables, outer, choices } = buffers;
+        let sums = Sums { node, layout, steps, pos, values, choices: &mut choices[..node.choices()], outer };
+        if widened {
+            sums.add::<_, M, P, A, B, C>(Widened::new(node, layout, tables), machine)
+        } else {
+            sums.add::<_, M, P, A, B, C>(Picked::new(node, layout, tables), machine)
+        }
+    }
+}
+
+/// Elements of one node and where their values are summed up.
+struct Sums<'t, T> {
+    node: &'t NodeView<'t>,
+    layout: &'t Layout,
+    steps: &'t Steps,
+    pos: &'t [u32],
+    values: &'t mut [T],
+    choices: &'t mut [Offsets],
+    outer: &'t mut Vec<T>,
+}
+
+impl<T: Real> Sums<'_, T> {
+    /// `A`, `B`, `C`: the ranks of `Layout::ranks` where they are known, else 0.
+    #[inline(always)]
+    fn add<Q: Source<T>, M: Lanes<T, P>, const P: usize, const A: usize, const B: usize, const C: usize>(
+        self,
+        mut source: Q,
+        machine: M,
+    ) -> Result<(), String> {
+        let Sums { node, layout, steps, pos, values, choices, outer } = self;
+        let known = |known: usize, rank: usize| if known > 0 { known } else { rank };
+        let ranks = [known(A, layout.ranks[0]), known(B, layout.ranks[1]), known(C, layout.ranks[2])];
+        assert!(ranks == layout.ranks && layout.width.is_multiple_of(P) && node.scale.len() == node.cells());
+        assert!(A == 0 || layout.more.is_empty());
+        let width = if P < LANES { P } else { layout.width };
+        let mut ones = [T::ZERO; LANES];
+        ones[0] = T::ONE;
+        let [a, b, c] = layout.loops.map(|f| f.map_or((ones.as_ptr(), NOWHERE), |f| source.rows(f)));
+        let last = layout.vector.map_or((ones.as_ptr(), NOWHERE), |f| source.rows(f));
+        let more: Vec<_> = layout.more.iter().map(|&(f, rank)| (source.rows(f), rank)).collect();
+        for (pos, value) in pos.chunks_exact(node.order).zip(values) {
+            steps.choices(node, layout, pos, choices)?;
+            source.element(pos);
+            let mut lanes = machine.splat(T::ZERO);
+            for choice in choices.iter() {
+                // SAFETY: `choice` is one of this element's; blocks and rows are as long as `layout` says, which `ranks`
+                // and `width` have been compared with; where no mode is left a row is `ones`.
+                unsafe {
+                    let scale = T::from_f32(*node.scale.get_unchecked(choice[0] as usize));
+                    let row = |(start, offset): (*const T, usize)| start.add(choice[offset % LANES] as usize);
+                    let block = source.choose(choice);
+                    let first = if A > 0 || more.is_empty() { row(a) } else { products(&more, choice, outer) };
+                    let cell = Cell { block, rows: [first, row(b), row(c)], last: row(last), ranks, width };
+                    lanes = cell.add(machine, scale, lanes);
+                }
+            }
+            *value = *value + total(machine.array(lanes));
+        }
+        Ok(())
+    }
+}
+
+/// All products of one number of each row, the last row's fastest; rows are given by where they are found and length.
+///
+/// # Safety
+/// The rows of that choice have these lengths.
+#[inline(never)]
+unsafe fn products<T: Real>(rows: &[((*const T, usize), usize)], choice: &Offsets, all: &mut Vec<T>) -> *const T {
+    all.clear();
+    all.push(T::ONE);
+    for &((start, offset), rank) in rows {
+        // SAFETY: as promised by the caller.
+        let row = unsafe { std::slice::from_raw_parts(start.add(choice[offset] as usize), rank) };
+        let before = all.len();
+        for at in 0..before {
+            let weight = all[at];
+            all.extend(row.iter().map(|&u| weight * u));
+        }
+        all.drain(..before);
+    }
+    all.as_ptr()
+}
+
+#[inline(always)]
+fn total<T: Real, const P: usize>(mut lanes: [T; P]) -> T {
+    let mut half = P / 2;
+    while half > 0 {
+        for l in 0..half {
+            lanes[l] = lanes[l] + lanes[l + half];
+        }
+        half /= 2;
+    }
+    lanes[0]
+}
+
+/// One cluster's core `[outer, mid, inner, width]` and the basis rows of one element.
+struct Cell<T> {
+    block: *const T,
+    rows: [*const T; 3],
+    last: *const T,
+    ranks: [usize; 3],
+    width: usize,
+}
+
+impl<T: Real> Cell<T> {
+    /// `lanes + scale * core x_1 u_1 .. x_N u_N`, left to be summed over the lanes.
+    ///
+    /// # Safety
+    /// The pointers are good for as many numbers as `ranks` and `width` say.
+    #[inline(always)]
+    unsafe fn add<M: Lanes<T, P>, const P: usize>(&self, m: M, scale: T, mut lanes: M::Vector) -> M::Vector {
+        let [outer, mid, inner] = self.rows;
+        for from in (0..self.width).step_by(P) {
+            let mut sum = m.splat(T::ZERO);
+            let mut line = from;
+            for a in 0..self.ranks[0] {
+                let mut of_mid = m.splat(T::ZERO);
+                for b in 0..self.ranks[1] {
+                    let mut of_inner = m.splat(T::ZERO);
+                    for c in 0..self.ranks[2] {
+                        // SAFETY: as the caller promises, here and below.
+                        let (weight, numbers) = unsafe { (*inner.add(c), m.load(self.block.add(line))) };
+                        of_inner = m.multiply_add(m.splat(weight), numbers, of_inner);
+                        line += self.width;
+                    }
+                    of_mid = m.multiply_add(m.splat(unsafe { *mid.add(b) }), of_inner, of_mid);
+                }
+                sum = m.multiply_add(m.splat(unsafe { *outer.add(a) }), of_mid, sum);
+            }
+            let last = unsafe { m.load(self.last.add(from)) };
+            lanes = m.multiply_add(m.multiply(sum, m.splat(scale)), last, lanes);
+        }
+        lanes
+    }
+}

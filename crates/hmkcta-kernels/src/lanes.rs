@@ -1,0 +1,113 @@
+//! A few numbers side by side: arrays that the compiler vectorises, and on x86 with FMA the registers themselves, because
+//! it tears arrays of four apart.
+
+use crate::real::Real;
+
+/// `P` numbers that are worked on together.
+pub trait Lanes<T, const P: usize>: Copy {
+    type Vector: Copy;
+
+    fn splat(self, x: T) -> Self::Vector;
+
+    /// # Safety
+    /// `from` points to `P` numbers.
+    unsafe fn load(self, from: *const T) -> Self::Vector;
+
+    fn multiply(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
+
+    /// `a * b + c`
+    fn multiply_add(self, a: Self::Vector, b: Self::Vector, c: Self::Vector) -> Self::Vector;
+
+    fn array(self, a: Self::Vector) -> [T; P];
+}
+
+/// Arrays; `FUSED` says that the machine has a fused multiply-add.
+#[derive(Clone, Copy)]
+pub struct Plain<const FUSED: bool>;
+
+impl<T: Real, const P: usize, const FUSED: bool> Lanes<T, P> for Plain<FUSED> {
+    type Vector = [T; P];
+
+    #[inline(always)]
+    fn splat(self, x: T) -> [T; P] {
+        [x; P]
+    }
+
+    #[inline(always)]
+    unsafe fn load(self, from: *const T) -> [T; P] {
+        unsafe { from.cast::<[T; P]>().read_unaligned() }
+    }
+
+    #[inline(always)]
+    fn multiply(self, a: [T; P], b: [T; P]) -> [T; P] {
+        let mut product = a;
+        product.iter_mut().zip(&b).for_each(|(x, &y)| *x = *x * y);
+        product
+    }
+
+    #[inline(always)]
+    fn multiply_add(self, a: [T; P], b: [T; P], c: [T; P]) -> [T; P] {
+        let mut sum = c;
+        for l in 0..P {
+            sum[l] = a[l].mul_add::<FUSED>(b[l], sum[l]);
+        }
+        sum
+    }
+
+    #[inline(always)]
+    fn array(self, a: [T; P]) -> [T; P] {
+        a
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+pub use x86::Fused;
+
+#[cfg(target_arch = "x86_64")]
+mod x86 {
+    use super::Lanes;
+    use pulp::x86::V3;
+    use std::arch::x86_64::*;
+
+    /// A machine with AVX2 and FMA; the token proves that it is one, which makes the instructions below safe.
+    #[derive(Clone, Copy)]
+    pub struct Fused(#[allow(dead_code, reason = "a proof, not a value")] pub V3);
+
+    macro_rules! registers {
+        ($count:literal, $vector:ty, $splat:ident, $load:ident, $multiply:ident, $multiply_add:ident, $store:ident) => {
+            impl Lanes<f32, $count> for Fused {
+                type Vector = $vector;
+
+                #[inline(always)]
+                fn splat(self, x: f32) -> $vector {
+                    unsafe { $splat(x) }
+                }
+
+                #[inline(always)]
+                unsafe fn load(self, from: *const f32) -> $vector {
+                    unsafe { $load(from) }
+                }
+
+                #[inline(always)]
+                fn multiply(self, a: $vector, b: $vector) -> $vector {
+                    unsafe { $multiply(a, b) }
+                }
+
+                #[inline(always)]
+                fn multiply_add(self, a: $vector, b: $vector, c: $vector) -> $vector {
+                    unsafe { $multiply_add(a, b, c) }
+                }
+
+                #[inline(always)]
+                fn array(self, a: $vector) -> [f32; $count] {
+                    let mut array = [0.0; $count];
+                    unsafe { $store(array.as_mut_ptr(), a) };
+                    array
+                }
+            }
+        };
+    }
+
+    registers!(4, __m128, _mm_set1_ps, _mm_loadu_ps, _mm_mul_ps, _mm_fmadd_ps, _mm_storeu_ps);
+    registers!(8, __m256, _mm256_set1_ps, _mm256_loadu_ps, _mm256_mul_ps, _mm256_fmadd_ps, _mm256_storeu_ps);
+}

@@ -1,0 +1,169 @@
+//! The requested rows of one node, as the fitting kernels want them or as single elements.
+
+use crate::cells::Node;
+use crate::dense::Requested;
+use crate::element::Elements;
+use crate::machine::dispatch;
+use crate::packed::NodeView;
+use crate::real::widen_all;
+use crate::reconstruct::accumulate;
+use pulp::{Simd, WithSimd};
+
+/// Elements decoded one by one at a time.
+const ELEMENTS: usize = 1 << 16;
+// What the two ways cost in nanoseconds, measured on one core of a 2023 server: a choice of clusters of an element, a
+// multiply-add of one; a node, a number to be widened, an element of a cell.
+const CHOICE: f64 = 4.0;
+const MULTIPLY_ADD: f64 = 0.25;
+const NODE: f64 = 20_000.0;
+const NUMBER: f64 = 2.0;
+const VISIT: f64 = 0.2;
+
+pub struct Part<'p> {
+    pub node: &'p NodeView<'p>,
+    pub requested: &'p [&'p Requested],
+}
+
+impl Part<'_> {
+    pub fn len(&self) -> usize {
+        self.requested.iter().map(|rows| rows.pos.len()).product()
+    }
+
+    /// Whether its elements are a whole run of these sizes, in order.
+    pub fn covers(&self, sizes: &[usize]) -> bool {
+        let in_order = |rows: &Requested| rows.place.iter().enumerate().all(|(at, &place)| at == place as usize);
+        self.requested.iter().zip(sizes).all(|(rows, &size)| rows.pos.len() == size && in_order(rows))
+    }
+
+    /// Whether decoding element by element is less work.
+    pub fn single_elements_pay(&self) -> bool {
+        let node = self.node;
+        let visits = (self.len() * node.choices()) as f64;
+        let multiply_adds: usize = node.free().map(|n| node.ranks[n]).product();
+        let rows: usize =
+            node.free().map(|n| self.requested[n].pos.len() * node.mixture[n] * node.others(n) * node.ranks[n]).sum();
+        let widened = (node.core.len() + rows) as f64;
+        visits * (CHOICE + MULTIPLY_ADD * multiply_adds as f64) < NODE + NUMBER * widened + VISIT * visits
+    }
+
+    /// Add the elements one by one.
+    pub fn add_elements(&self, sizes: &[usize], out: &mut [f32], elements: &mut Elements<f32>) -> Result<(), String> {
+        let order = self.node.order;
+        let total = self.len();
+        let mut values = vec![];
+        let (mut pos, mut places) = (vec![0; order * total.min(ELEMENTS)], vec![0; total.min(ELEMENTS)]);
+        for from in (0..total).step_by(ELEMENTS) {
+            let count = ELEMENTS.min(total - from);
+            for at in 0..count {
+                let (mut rest, mut stride) = (from + at, 1);
+                places[at] = 0;
+                for ((n, rows), size) in self.requested.iter().enumerate().zip(sizes).rev() {
+                    let i = rest % rows.pos.len();
+                    rest /= rows.pos.len();
+                    pos[at * order + n] = rows.pos[i];
+                    places[at] += rows.place[i] as usize * stride;
+                    stride *= size;
+                }
+            }
+            values.clear();
+            values.resize(count, 0.0);
+            elements.add(self.node, &pos[..count * order], &mut values)?;
+            places.iter().zip(&values).for_each(|(&place, &value)| out[place] += value);
+        }
+        Ok(())
+    }
+
+    /// Add the model to a tensor of the requested rows.
+    pub fn accumulate(&self, tensor: &mut [f32]) -> Result<(), String> {
+        let node = self.node;
+        let order = node.order;
+        let sizes: Vec<usize> = self.requested.iter().map(|rows| rows.pos.len()).collect();
+        let ranks = (0..order).map(|n| if node.decomposed[n] { node.ranks[n] } else { sizes[n] }).collect();
+        let undecomposed = node.decomposed[..order].iter().map(|&decomposed| !decomposed).collect();
+        let shape =
+            (sizes.clone(), node.clusters[..order].to_vec(), node.mixture[..order].to_vec(), ranks, undecomposed);
+        let mut members = vec![];
+        let mut bases = vec![];
+        for (n, &size) in sizes.iter().enumerate() {
+            if node.decomposed[n] {
+                members.push(pick(node.cluster[n], node.mixture[n], &self.requested[n].pos)?);
+                let length = node.mixture[n] * node.others(n) * node.ranks[n];
+                bases.push(dispatch(Widen(&pick(node.basis[n], length, &self.requested[n].pos)?)));
+            } else {
+                members.push(vec![0; size]);
+                bases.push(vec![]);
+            }
+        }
+        let cores = self.cores()?;
+        let members: Vec<&[u16]> = members.iter().map(|m| m.as_slice()).collect();
+        let bases: Vec<&[f32]> = bases.iter().map(|b| b.as_slice()).collect();
+        accumulate(Node::new(shape, members)?, tensor, &bases, &cores, 1.0);
+        Ok(())
+    }
+
+    /// The cores times their scales, for the requested rows of undecomposed modes.
+    fn cores(&self) -> Result<Vec<f32>, String> {
+        let node = self.node;
+        let mut stored = node.core.to_vec();
+        for n in 0..node.order {
+            let after: usize = node.ranks[n + 1..node.order].iter().product();
+            if node.decomposed[n] {
+                continue;
+            }
+            let slices = stored.chunks_exact(node.ranks[n] * after);
+            stored =
+                slices.map(|slice| pick(slice, after, &self.requested[n].pos)).collect::<Result<Vec<_>, _>>()?.concat();
+        }
+        let mut cores = dispatch(Widen(&stored));
+        for (core, &scale) in cores.chunks_exact_mut((stored.len() / node.cells()).max(1)).zip(node.scale) {
+            core.iter_mut().for_each(|z| *z *= scale);
+        }
+        Ok(cores)
+    }
+
+    /// Add values of the requested rows to their places in a run of these sizes.
+    pub fn put(&self, values: &[f32], sizes: &[usize], out: &mut [f32]) {
+        let Some((last, leading)) = self.requested.split_last() else { return };
+        let length = last.place.len();
+        let start = last.place[0] as usize;
+        let together = last.place.iter().enumerate().all(|(at, &place)| place as usize == start + at);
+        for (number, values) in values.chunks_exact(length).enumerate() {
+            let (mut rest, mut line, mut stride) = (number, 0, 1);
+            for (rows, &size) in leading.iter().zip(sizes).rev() {
+                line += rows.place[rest % rows.place.len()] as usize * stride;
+                rest /= rows.place.len();
+                stride *= size;
+            }
+            let line = &mut out[line * sizes[leading.len()]..][..sizes[leading.len()]];
+            if together {
+                line[start..start + length].iter_mut().zip(values).for_each(|(to, &value)| *to += value);
+            } else {
+                last.place.iter().zip(values).for_each(|(&place, &value)| line[place as usize] += value);
+            }
+        }
+    }
+}
+
+/// Rows of `length` numbers each.
+fn pick(table: &[u16], length: usize, rows: &[u32]) -> Result<Vec<u16>, String> {
+    let mut picked = Vec::with_capacity(length * rows.len());
+    for &row in rows {
+        let from = table.get(row as usize * length..(row as usize + 1) * length);
+        picked.extend_from_slice(from.ok_or_else(|| format!("a node has no row {row}"))?);
+    }
+    Ok(picked)
+}
+
+/// Numbers widened with the instructions of this machine.
+struct Widen<'w>(&'w [u16]);
+
+impl WithSimd for Widen<'_> {
+    type Output = Vec<f32>;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> Vec<f32> {
+        let mut wide = vec![0.0; self.0.len()];
+        widen_all(self.0, &mut wide);
+        wide
+    }
+}
