@@ -38,7 +38,8 @@ class Options:
 
     Attributes:
         picks: for each source axis, how many weighted indices it can have; one each by default.
-        channels: 3 if weights and values are red, green and blue, decoded in one walk; else 1.
+        channels: 3 if values are red, green and blue, decoded in one walk, else 1. The weights of the mode of the axis
+            of role `channel` are then red, green and blue; those of other modes are single numbers.
         contracted: modes that `contract.wgsl` has folded into the cores.
         page_shift: logarithm of the words of a page of the image.
     """
@@ -74,6 +75,8 @@ def prelude(metadata: Metadata, pages: int, options: Options = PLAIN) -> str:
     order, picks = len(metadata.organisation), _picks(metadata, options)
     modes, strides = axis_places(metadata)
     room = rooms(metadata, options)
+    taken = _weights(metadata, room, options.contracted)
+    colour = colour_mode(metadata, options)
     first = [sum(room[:n]) for n in range(order + 1)]
     lines = [
         "// Constants of one model: generated, not to be edited.",
@@ -85,15 +88,18 @@ def prelude(metadata: Metadata, pages: int, options: Options = PLAIN) -> str:
         f"const NODE_WORDS = {node_words(order)}u;",
         f"const AXIS_MODE = {_array(modes)};",
         f"const AXIS_STRIDE = {_array(strides)};",
-        f"const RANK_SUM = {_rank_sum(metadata, room, options.contracted)}u;",
+        f"const RANK_SUM = {max(1, sum(taken))}u;",
         f"const AXIS_PICKS = {_array(picks)};",
         f"const PICKS = {max(picks)}u;",
         f"const ROW_FIRST = {_array(first)};",
         f"const ROWS = {first[-1]}u;",
         f"const CHANNELS = {options.channels}u;",
         *_value(options.channels),
+        f"const COLOUR = {0xFF if colour is None else colour}u;",
+        f"const COLOUR_ROWS = {1 if colour is None else room[colour]}u;",
+        f"const COLOUR_RANKS = {1 if colour is None else max(taken[colour], 1)}u;",
         *_pages(pages, options.page_shift),
-        *_contraction(order, metadata.undecomposed, options.contracted),
+        *_contraction(metadata, colour, options.contracted),
     ]
     return "\n".join(lines) + "\n"
 
@@ -112,6 +118,20 @@ def rooms(metadata: Metadata, options: Options) -> list[int]:
             raise invalid("picks-too-many", f"weighted rows of mode {n + 1}", rows, f"at most {MOST_ROWS}",
                           "interpolate along fewer of its axes")
     return found
+
+
+def colour_mode(metadata: Metadata, options: Options) -> int | None:
+    """The mode of the first axis of role `channel` if there are three channels; None otherwise.
+
+    Raises:
+        HmkctaError: it is among the contracted modes.
+    """
+    axis = next((axis for axis, found in enumerate(metadata.axes) if found.role == "channel"), None)
+    mode = None if axis is None or options.channels == 1 else axis_places(metadata)[0][axis]
+    if mode in options.contracted:
+        raise invalid("contracted-colours", "contracted", f"mode {mode + 1}, which holds the colours",
+                      "other modes", "decode with 1 channel, or do not contract it")
+    return mode
 
 
 def shader(name: str) -> str:
@@ -197,17 +217,19 @@ def _picks(metadata: Metadata, options: Options) -> Sequence[int]:
     return picks
 
 
-def _rank_sum(metadata: Metadata, room: Sequence[int], contracted: Sequence[int]) -> int:
-    """The most numbers that the weights of a cell take: R_n, or the rows where the mode is not decomposed."""
-    kept = [n for n in range(len(room)) if n not in contracted]
-    taken = (sum(room[n] if n in metadata.undecomposed else level.ranks[n] for n in kept) for level in metadata.levels)
-    return max(1, *taken)
+def _weights(metadata: Metadata, room: Sequence[int], contracted: Sequence[int]) -> list[int]:
+    """For each mode the most numbers that its weights in a cell take: R_n, or the rows where it is not decomposed."""
+    ranks = [max(level.ranks[n] for level in metadata.levels) for n in range(len(room))]
+    return [0 if n in contracted else room[n] if n in metadata.undecomposed else max(1, ranks[n])
+            for n in range(len(room))]
 
 
 def _value(channels: int) -> list[str]:
-    """The type of values and weights, and what makes one of red, green and blue; `vec3f(value)` goes back."""
+    """The type of values and weights, what makes one of red, green and blue, and the number of a grey one."""
     kind, value = ("vec3f", "rgb") if channels == 3 else ("f32", "rgb.x")
-    return [f"alias Value = {kind};", "fn as_value(rgb: vec3f) -> Value {", f"  return {value};", "}"]
+    scalar = "value.x" if channels == 3 else "value"
+    return [f"alias Value = {kind};", "fn as_value(rgb: vec3f) -> Value {", f"  return {value};", "}",
+            "fn scalar(value: Value) -> f32 {", f"  return {scalar};", "}"]
 
 
 def _pages(pages: int, shift: int) -> list[str]:
@@ -221,31 +243,33 @@ def _pages(pages: int, shift: int) -> list[str]:
     return [*head, "  switch at >> PAGE_SHIFT {", *inner, last, "  }", "}"]
 
 
-def _contraction(order: int, undecomposed: Sequence[int], contracted: Sequence[int]) -> list[str]:
-    """Functions `contract_0` to `contract_N`: the core of the cell at hand times its weights, mode by mode.
+def _contraction(metadata: Metadata, colour: int | None, contracted: Sequence[int]) -> list[str]:
+    """Functions that multiply the core of the cell at hand with its weights, a mode each, as WGSL has no recursion.
 
-    WGSL has no recursion, so that there is one function a mode; each adds up its mode and multiplies once.
+    Each adds up its mode and multiplies once. The mode with the colours comes first, so that all others are done in
+    single numbers.
     """
+    rest = [n for n in range(len(metadata.organisation)) if n not in contracted and n != colour]
+    nest = rest if colour is None else [colour, *rest]
     lines: list[str] = []
-    for n in range(order):
-        lines.append(f"fn contract_{n}(at: u32) -> Value {{")
-        if n in contracted:
-            lines += [f"  return contract_{n + 1}(at);", "}"]
-            continue
-        index = f"cell_index[cell_first[{n}] + e]" if n in undecomposed else "e"
+    for place, n in enumerate(nest):
+        kind, weight = ("Value", "cell_colour[e]") if n == colour else ("f32", f"cell_weight[cell_first[{n}] + e]")
+        index = f"cell_index[cell_first[{n}] + e]" if n in metadata.undecomposed else "e"
         lines += [
-            "  var sum = Value(0.0);",
+            f"fn contract_{place}(at: u32) -> {kind} {{",
+            f"  var sum = {kind}(0.0);",
             f"  for (var e = 0u; e < cell_count[{n}]; e++) {{",
-            f"    sum += cell_weight[cell_first[{n}] + e] * contract_{n + 1}(at * node_rank[{n}] + {index});",
+            f"    sum += {weight} * contract_{place + 1}(at + {index} * node_stride[{n}]);",
             "  }",
             "  return sum;",
             "}",
         ]
-    number = "bitcast<f32>(frame[cell_core + at])" if contracted else "coefficient(cell_core + at)"
+    number = "bitcast<f32>(frame[at])" if contracted else "coefficient(at)"
     start = "frame[node / NODE_WORDS]" if contracted else "word(node + 1u)"
     if contracted:
         lines.append(f"@group(0) @binding({FRAME_BINDING}) var<storage, read> frame: array<u32>;")
-    lines += [f"fn contract_{order}(at: u32) -> Value {{", f"  return Value({number});", "}"]
+    lines += [f"fn contract_{len(nest)}(at: u32) -> f32 {{", f"  return {number};", "}"]
+    lines += ["fn contract_core() -> Value {", "  return Value(contract_0(cell_core));", "}"]
     return [*lines, "fn node_core(node: u32) -> u32 {", f"  return {start};", "}"]
 
 

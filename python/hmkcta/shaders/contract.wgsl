@@ -12,7 +12,6 @@ var<private> fold_first: array<u32, ORDER>;        // where a mode begins in the
 var<private> fold_count: array<u32, ORDER>;
 var<private> fold_weight: array<f32, FOLD_SUM>;
 var<private> fold_index: array<u32, FOLD_SUM>;     // core index of each weight
-var<private> core_stride: array<u32, ORDER>;
 var<private> ancestry: array<u32, LEVELS>;         // the node, its parent, .., the root
 var<private> generations: u32;
 
@@ -38,13 +37,7 @@ fn contract_frame(@builtin(global_invocation_id) place: vec3u, @builtin(num_work
     left = left / node_clusters[m - 1u];
   }
   open_cell(node);
-  var stride = 1u;
   var numbers = 1u;  // of the contracted core
-  for (var m = ORDER; m > 0u; m--) {
-    core_stride[m - 1u] = stride;
-    stride *= node_rank[m - 1u];
-    numbers *= select(node_rank[m - 1u], 1u, folded(m - 1u));
-  }
   var terms = 1u;
   var first = 0u;
   for (var n = 0u; n < ORDER; n++) {
@@ -54,6 +47,8 @@ fn contract_frame(@builtin(global_invocation_id) place: vec3u, @builtin(num_work
       weigh_mode(n);
       first += fold_count[n];
       terms *= fold_count[n];
+    } else {
+      numbers *= node_rank[n];
     }
   }
   let target_cell = contracted_cores[node / NODE_WORDS] + cell * numbers;
@@ -68,7 +63,7 @@ fn contracted_number(at: u32, terms: u32) -> f32 {
   var base = cell_core;
   for (var m = ORDER; m > 0u; m--) {
     if (!folded(m - 1u)) {
-      base += (rest % node_rank[m - 1u]) * core_stride[m - 1u];
+      base += (rest % node_rank[m - 1u]) * node_stride[m - 1u];
       rest = rest / node_rank[m - 1u];
     }
   }
@@ -82,7 +77,7 @@ fn contracted_number(at: u32, terms: u32) -> f32 {
         let entry = fold_first[n] + digits % fold_count[n];
         digits = digits / fold_count[n];
         weight *= fold_weight[entry];
-        from_base += fold_index[entry] * core_stride[n];
+        from_base += fold_index[entry] * node_stride[n];
       }
     }
     sum += weight * coefficient(from_base);

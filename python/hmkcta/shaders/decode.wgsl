@@ -57,18 +57,18 @@ fn node_value(node: u32, rows: array<u32, ORDER>) -> Value {
       cell_first[n] = first;
       if (undecomposed(n)) {
         cell_count[n] = 1u;
-        cell_weight[first] = Value(1.0);
+        set_weight(n, 0u, 1.0);
         cell_index[first] = row[n];
       } else {
         let basis = basis_row(n, row[n], choice[n]);
         cell_count[n] = node_rank[n];
         for (var r = 0u; r < node_rank[n]; r++) {
-          cell_weight[first + r] = Value(coefficient(basis + r));
+          set_weight(n, r, coefficient(basis + r));
         }
       }
       first += cell_count[n];
     }
-    sum += cell_scale * contract_0(0u);
+    sum += cell_scale * contract_core();
     more = false;
     for (var left = ORDER; left > 0u && !more; left--) {
       choice[left - 1u] += 1u;

@@ -15,6 +15,8 @@ const LEAF = 0xffffffffu;
 var<private> node_clusters: array<u32, ORDER>;  // C_n
 var<private> node_mixture: array<u32, ORDER>;   // K_n
 var<private> node_rank: array<u32, ORDER>;      // R_n
+var<private> node_stride: array<u32, ORDER>;    // of mode n in a core
+var<private> node_numbers: u32;                 // of a core
 var<private> node_others: array<u32, ORDER>;    // PC_-n, the combinations of the other modes' subsets
 var<private> node_rows: array<u32, ORDER>;      // address of the row records
 var<private> node_basis: array<u32, ORDER>;     // half address of the basis
@@ -24,10 +26,13 @@ var<private> cell_cluster: array<u32, ORDER>;    // c_n
 var<private> cell_others: array<u32, ORDER>;     // flat(c_-n)
 var<private> cell_core: u32;                     // address of its core
 var<private> cell_scale: f32;
-var<private> cell_first: array<u32, ORDER>;      // where mode n begins in cell_weight
+
+// The cell's weights of every mode: a basis row, or one for each row of an undecomposed mode.
+var<private> cell_first: array<u32, ORDER>;      // where mode n begins in the arrays
 var<private> cell_count: array<u32, ORDER>;      // its numbers there
-var<private> cell_weight: array<Value, RANK_SUM>;
 var<private> cell_index: array<u32, RANK_SUM>;   // core index of each number of an undecomposed mode
+var<private> cell_weight: array<f32, RANK_SUM>;
+var<private> cell_colour: array<Value, COLOUR_RANKS>;  // instead of `cell_weight` in the mode with the colours
 
 // A float16 number by its half address.
 fn coefficient(at: u32) -> f32 {
@@ -54,15 +59,20 @@ fn open_node(node: u32) -> bool {
     return false;
   }
   var cells = 1u;
-  for (var n = 0u; n < ORDER; n++) {
+  var stride = 1u;
+  for (var left = ORDER; left > 0u; left--) {
+    let n = left - 1u;
     let mode = node + 3u + 5u * n;
     node_clusters[n] = word(mode);
     node_mixture[n] = word(mode + 1u);
     node_rank[n] = word(mode + 2u);
     node_rows[n] = word(mode + 3u);
     node_basis[n] = word(mode + 4u);
+    node_stride[n] = stride;
     cells *= node_clusters[n];
+    stride *= select(node_rank[n], 1u, contracted(n));
   }
+  node_numbers = stride;
   for (var n = 0u; n < ORDER; n++) {
     node_others[n] = cells / node_clusters[n];
   }
@@ -73,11 +83,9 @@ fn open_node(node: u32) -> bool {
 fn open_cell(node: u32) {
   var before: array<u32, ORDER>;  // flat(c_1 .. c_{n-1})
   var cell = 0u;
-  var numbers = 1u;
   for (var n = 0u; n < ORDER; n++) {
     before[n] = cell;
     cell = cell * node_clusters[n] + cell_cluster[n];
-    numbers *= select(node_rank[n], 1u, contracted(n));
   }
   var after = 1u;
   var tail = 0u;  // flat(c_{n+1} .. c_N)
@@ -87,11 +95,20 @@ fn open_cell(node: u32) {
     tail += cell_cluster[n] * after;
     after *= node_clusters[n];
   }
-  cell_core = node_core(node) + cell * numbers;
+  cell_core = node_core(node) + cell * node_numbers;
   cell_scale = bitcast<f32>(word(word(node + 2u) + cell));
 }
 
 // Half address of the R_n numbers of a row's k-th subset, for the cell at hand.
 fn basis_row(n: u32, row: u32, k: u32) -> u32 {
   return node_basis[n] + ((row * node_mixture[n] + k) * node_others[n] + cell_others[n]) * node_rank[n];
+}
+
+// Sets a weight of mode n in the cell at hand.
+fn set_weight(n: u32, e: u32, weight: f32) {
+  if (n == COLOUR) {
+    cell_colour[e] = Value(weight);
+  } else {
+    cell_weight[cell_first[n] + e] = weight;
+  }
 }

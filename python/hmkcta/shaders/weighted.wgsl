@@ -5,7 +5,7 @@
 // The nodes that the combinations lie in form a tree. It is walked depth first; at every depth there is a mask a mode of
 // the rows inside the node, and the node's children are the combinations of the parts these rows go to.
 
-// Weighted indices of one axis.
+// Weighted indices of one axis. Red, green and blue may differ in the weights of the mode with the colours alone.
 struct Picks {
   count: u32,
   index: array<u32, PICKS>,
@@ -14,7 +14,8 @@ struct Picks {
 
 const OPEN = LEVELS * ORDER;
 
-var<private> row_weight: array<Value, ROWS>;
+var<private> row_weight: array<f32, ROWS>;
+var<private> row_colour: array<Value, COLOUR_ROWS>;  // instead of `row_weight` in the mode with the colours
 var<private> row_count: array<u32, ORDER>;
 var<private> row_at: array<u32, LEVELS * ROWS>;  // by depth: the row's place in the node's list
 var<private> inside: array<u32, OPEN>;           // by depth: rows of mode n inside the node
@@ -23,10 +24,11 @@ var<private> node_at: array<u32, LEVELS>;
 
 // Starts a selection: every axis stands at index 0 with weight 1.
 fn pick_nothing() {
+  row_colour[0] = Value(1.0);
   for (var n = 0u; n < ORDER; n++) {
     row_count[n] = 1u;
     row_at[ROW_FIRST[n]] = 0u;
-    row_weight[ROW_FIRST[n]] = Value(1.0);
+    row_weight[ROW_FIRST[n]] = 1.0;
   }
 }
 
@@ -48,7 +50,11 @@ fn pick_axis(axis: u32, picks: Picks) {
     let j = left - 1u;  // the first index last, for it takes the place of the rows so far
     for (var i = 0u; i < before; i++) {
       row_at[first + j * before + i] = row_at[first + i] + picked.index[j] * AXIS_STRIDE[axis];
-      row_weight[first + j * before + i] = row_weight[first + i] * picked.weight[j];
+      if (n == COLOUR) {
+        row_colour[j * before + i] = row_colour[i] * picked.weight[j];
+      } else {
+        row_weight[first + j * before + i] = row_weight[first + i] * scalar(picked.weight[j]);
+      }
     }
   }
   row_count[n] = before * picked.count;
@@ -177,7 +183,7 @@ fn picked_value(node: u32, depth: u32) -> Value {
       weigh_rows(depth, n);
       first += cell_count[n];
     }
-    sum += cell_scale * contract_0(0u);
+    sum += cell_scale * contract_core();
     more = false;
     for (var left = ORDER; left > 0u && !more; left--) {
       let n = left - 1u;
@@ -219,7 +225,8 @@ fn weigh_rows(depth: u32, n: u32) {
   if (undecomposed(n)) {
     for (var rows = inside[depth * ORDER + n]; rows != 0u; rows &= rows - 1u) {
       let i = first_row(n, rows);
-      cell_weight[first + cell_count[n]] = row_weight[i];
+      set_weight(n, cell_count[n], 0.0);
+      add_weight(n, cell_count[n], i, 1.0);
       cell_index[first + cell_count[n]] = row_at[depth * ROWS + i];
       cell_count[n] += 1u;
     }
@@ -227,7 +234,7 @@ fn weigh_rows(depth: u32, n: u32) {
   }
   cell_count[n] = node_rank[n];
   for (var r = 0u; r < node_rank[n]; r++) {
-    cell_weight[first + r] = Value(0.0);
+    set_weight(n, r, 0.0);
   }
   for (var rows = inside[depth * ORDER + n]; rows != 0u; rows &= rows - 1u) {
     let i = first_row(n, rows);
@@ -236,9 +243,18 @@ fn weigh_rows(depth: u32, n: u32) {
       if (word(node_rows[n] + row * (2u + node_mixture[n]) + 2u + k) == cell_cluster[n]) {
         let basis = basis_row(n, row, k);
         for (var r = 0u; r < node_rank[n]; r++) {
-          cell_weight[first + r] += row_weight[i] * coefficient(basis + r);
+          add_weight(n, r, i, coefficient(basis + r));
         }
       }
     }
+  }
+}
+
+// Adds a number times the weight of row i to a weight of mode n in the cell at hand.
+fn add_weight(n: u32, e: u32, i: u32, number: f32) {
+  if (n == COLOUR) {
+    cell_colour[e] += row_colour[i - ROW_FIRST[n]] * number;
+  } else {
+    cell_weight[cell_first[n] + e] += row_weight[i] * number;
   }
 }
