@@ -28,6 +28,8 @@ Floats = NDArray[np.float32]
 
 #: Elements of an array decoded at once: bounds memory beside the result to some 100 MB.
 _SLAB = 1 << 24
+#: Elements decoded at once straight into the result, which takes no memory; it stops only between slabs, though.
+_IN_PLACE = 1 << 28
 #: Elements decoded together where each needs its coordinates.
 _SCATTERED = 1 << 18
 #: Walking the tree for one more block costs about as much as this many scattered elements.
@@ -243,10 +245,25 @@ class Model:
 
     def _decode(self, chosen: Selection, out: NDArray[Any], slab: int = _SLAB) -> None:
         """Decode a selection into `out`, slab by slab."""
+        if out.size and self._decode_in_place(chosen, out):
+            return
         for part in slabs(chosen.shape, slab) if out.size else ():
-            cut = [index[tuple(span if length > 1 else slice(None)
-                               for span, length in zip(part, index.shape, strict=False))] for index in chosen.axes]
-            out[part] = self._decode_slab(self._in_modes(cut), out[part].shape)
+            self._decode_slab(self._in_modes(_cut(chosen.axes, part)), out[(*part, ...)])
+
+    def _decode_in_place(self, chosen: Selection, out: NDArray[Any]) -> bool:
+        """Decode straight into `out` where its numbers need neither be moved nor changed; if they do, False."""
+        modes = self._in_modes(chosen.axes)
+        along = [d for index in modes for d, length in enumerate(index.shape) if length > 1]
+        if along != sorted(set(along)) or self._transform.name != "identity":
+            return False
+        if out.dtype != np.float32 or not out.flags.c_contiguous:
+            return False
+        for part in slabs(chosen.shape, _IN_PLACE):
+            rows = [index.reshape(-1) for index in self._in_modes(_cut(chosen.axes, part))]
+            block = out[(*part, ...)].reshape([len(index) for index in rows])
+            if not _all_finite(decode_block(self.levels, self._sizes, rows, out=block)):
+                return False
+        return True
 
     def _in_modes(self, axes: Sequence[Index]) -> list[Index]:
         """Indices of the modes from those of the source axes: C-order flattening of the mode's axes."""
@@ -258,22 +275,25 @@ class Model:
             modes.append(index)
         return modes
 
-    def _decode_slab(self, modes: list[Index], shape: tuple[int, ...]) -> Floats:
+    def _decode_slab(self, modes: list[Index], out: NDArray[Any]) -> None:
         """Decode by blocks where the modes vary independently, else element by element.
 
         Args:
-            modes: indices of each mode, broadcastable to `shape`.
-            shape: of the result.
+            modes: indices of each mode, broadcastable to the shape of `out`.
+            out: what to fill.
         """
+        shape = out.shape
         along = [{d for d, length in enumerate(index.shape) if length > 1} for index in modes]
         shared = sorted({d for n, dims in enumerate(along) for other in along[:n] for d in dims & other})
-        out = np.empty(shape, np.float32)
         if shared and prod(length for d, length in enumerate(shape) if d not in shared) < _BLOCK_WORTH:
-            flat, spread = out.reshape(-1), [np.broadcast_to(index, shape).flat for index in modes]
+            flat = np.empty(out.size, np.float32)
+            spread = [index.reshape(-1) if index.shape == shape else np.broadcast_to(index, shape).flat
+                      for index in modes]
             for start in range(0, out.size, _SCATTERED):
                 part = slice(start, min(start + _SCATTERED, out.size))
                 flat[part] = self._elements(np.stack([index[part] for index in spread], axis=1))
-            return out
+            out[...] = flat.reshape(shape)
+            return
         # A block for each combination of the indices that several modes share; one, where they share none.
         for point in product(*(range(shape[d]) for d in shared)):
             at = {d: slice(i, i + 1) for d, i in zip(shared, point, strict=True)}
@@ -281,7 +301,6 @@ class Model:
                                 for d, length in enumerate(index.shape))] for index in modes]
             part = tuple(at.get(d, slice(None)) for d in range(len(shape)))
             out[part] = self._block(rows).reshape(out[part].shape)
-        return out
 
     def _block(self, modes: list[Index]) -> Floats:
         """Decode the outer product of the modes' indices; its dimensions longer than 1, in ascending order."""
@@ -298,7 +317,7 @@ class Model:
     def _source_values(self, decode: Callable[[DTypeLike], NDArray[Any]]) -> Floats:
         """Decode and undo the value transform; numbers too large for float32 become its largest."""
         values = self._transform.inverse(decode(np.float32))
-        if np.isfinite(values).all():
+        if _all_finite(values):
             return values
         largest = np.finfo(np.float32).max
         return np.clip(self._transform.inverse(decode(np.float64)), -largest, largest).astype(np.float32)
@@ -318,6 +337,18 @@ class Model:
         modes = self._in_modes([indices[:, axis] for axis in range(self.ndim)])
         values = self._elements(np.stack(modes, axis=1)).reshape(len(corners), -1)
         return np.einsum("cb,cb->b", np.stack(weights), values)
+
+
+def _cut(axes: Sequence[Index], part: tuple[slice, ...]) -> list[Index]:
+    """The indices of a slab of the selection."""
+    return [index[tuple(span if length > 1 else slice(None) for span, length in zip(part, index.shape, strict=False))]
+            for index in axes]
+
+
+def _all_finite(values: Floats) -> bool:
+    """Whether no number is infinite or NaN; their sum nearly always tells, at a tenth of the cost."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return bool(np.isfinite(np.add.reduce(values, axis=None)) or np.isfinite(values).all())
 
 
 def open(path: str | os.PathLike[str], verify: bool = True) -> Model:
