@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache, partial
 from itertools import combinations
 from math import inf, log2, log10, prod
 
@@ -13,19 +12,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .adaptive import summed, table_limits
-from .allocation import Spectrum, allocate, spectrum
+from .allocation import Allocation, Spectrum, allocate, spectrum
 from .axes import Axis, Organisation, mode_sizes, organise
+from .hierarchy import squared_norm
 from .memberships import uniform_blocks
 from .plan import LevelSpec
 from .source import Source
 from .tucker import core_energies
 
+F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 #: Worse than any number of bytes, in octaves.
 OUT_OF_REACH = 1000.0
 #: Modes longer than this are never left undecomposed: their core would outgrow any basis.
 LONGEST_UNDECOMPOSED = 128
+#: Share of its rows that a mode's rank must take before leaving it undecomposed is tried.
+NEARLY_FULL = 0.25
 
 
 def header_bytes(order: int, levels: int) -> int:
@@ -61,6 +64,20 @@ class Block:
 
 
 @dataclass(frozen=True, eq=False)
+class _Cut:
+    """An organisation cut by a grid: sampled tensors, each with its squared norm and true mode sizes, whether they are
+    thinned, their share of all elements, and the mode sizes and numbers of blocks of the whole."""
+
+    organisation: Organisation
+    grid: tuple[int, ...]
+    tensors: list[tuple[F32, float, tuple[int, ...]]]
+    thinned: bool
+    share: float
+    sizes: tuple[int, ...]
+    clusters: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class Trial:
     """The data and the goal: bytes (`size`) or `snr` in dB, within a decode cost; `energy` is the squared norm."""
 
@@ -74,77 +91,68 @@ class Trial:
 
     def worths(self, organisation: Organisation, grid: tuple[int, ...], sample: int) -> list[tuple[float, Candidate]]:
         """Every candidate with this organisation and grid: dB at the goal's bytes, or minus octaves of bytes."""
-        blocks = list(_sample_blocks(self.source, grid, sample, self.seed))
-        share = sum(prod(axis.size for axis in block.axes) for block in blocks) / prod(self.source.shape)
-        with ThreadPoolExecutor(self.threads) as pool:
-            examined = pool.map(partial(self._table, organisation), blocks)
-            tables = [entry for entry in examined if entry[1] > 0]
-        counts = {axis.name: count for axis, count in zip(self.source.axes, grid, strict=True)}
-        clusters = tuple(prod(counts[name] for name in mode) for mode in organisation)
-        sizes = mode_sizes(self.source.axes, organisation)
-        found: list[tuple[float, Candidate]] = []
-        for choice in _undecomposed_choices(sizes):
-            if any(clusters[n] > 1 for n in choice) or not tables:
-                continue
-            if prod(clusters) > 1 and self.decode_cost > 1:
-                nodes = [_spectrum(*entry, choice, self.decode_cost - 1) for entry in tables]
-                fixed = header_bytes(len(sizes), 2) + carrier_bytes(sizes, clusters, choice)
-                found.append((self._worth(nodes, share, fixed), Candidate(organisation, grid, choice)))
-            whole = _spectrum(
-                summed(t for t, _, _ in tables) / share,
-                sum(e for _, e, _ in tables) / share,
-                sizes,
-                choice,
-                self.decode_cost,
-                clusters,
-            )
-            found.append(
-                (
-                    self._worth([whole], 1.0, header_bytes(len(sizes), 1)),
-                    Candidate(organisation, grid, choice, carried=False),
-                )
-            )
+        cut = _cut(self, organisation, grid, sample)
+        if not cut.tensors:
+            return []
+        found, kept = self._judged(cut, ())
+        best, helpful = _best(found), list[int]()
+        for n in _nearly_full(cut, kept):
+            alone = self._judged(cut, (n,))[0]
+            helpful += [n] if _best(alone) > best else []
+            found += alone
+        for pair in combinations(helpful, 2):
+            if len(pair) < len(cut.sizes):
+                found += self._judged(cut, pair)[0]
         return found
 
-    def _table(self, organisation: Organisation, block: Block) -> tuple[F64, float, tuple[int, ...]]:
-        tensor = np.ascontiguousarray(organise(block.values, block.thinned, organisation))
-        spec = LevelSpec(tuple(tensor.shape), (1,) * tensor.ndim, (1,) * tensor.ndim)
-        sizes = mode_sizes(block.axes, organisation)
-        limits = table_limits(tensor.shape, spec, self.size or inf, sizes)
-        table = core_energies(tensor, limits, np.random.default_rng(self.seed))
-        energy = float(np.square(tensor, dtype=np.float64).sum())
-        return table, energy, sizes
+    def _judged(self, cut: _Cut, choice: tuple[int, ...]) -> tuple[list[tuple[float, Candidate]], F64]:
+        """Candidates that leave the chosen modes undecomposed, and the share R_n / I_n that each mode keeps."""
+        order, tables = len(cut.sizes), list(self._tables(cut, choice))
+        flags = [n in choice for n in range(order)]
+        energy = sum(energy for _, energy, _ in cut.tensors) / cut.share
+        table = summed(tables) / cut.share
+        whole = spectrum(table, energy, cut.sizes, flags, self.decode_cost, cut.clusters, hull=False)
+        worth, chosen = self._worth([whole], 1.0, header_bytes(order, 1))
+        found = [(worth, Candidate(cut.organisation, cut.grid, choice, carried=False))]
+        kept = whole.ranks[chosen.choice[0]] / np.array(cut.sizes)
+        if prod(cut.clusters) > 1 and self.decode_cost > 1:
+            nodes = [
+                spectrum(table, energy, sizes, flags, self.decode_cost - 1)
+                for table, (_, energy, sizes) in zip(tables, cut.tensors, strict=True)
+            ]
+            fixed = header_bytes(order, 2) + carrier_bytes(cut.sizes, cut.clusters, choice)
+            found.append((self._worth(nodes, cut.share, fixed)[0], Candidate(cut.organisation, cut.grid, choice)))
+        return found, kept
 
-    def _worth(self, spectra: Sequence[Spectrum], share: float, fixed: float) -> float:
+    def _tables(self, cut: _Cut, choice: tuple[int, ...]) -> Iterator[F64]:
+        """Energies of the HOSVD cores of the cut's tensors; a mode left undecomposed takes no room in them."""
+
+        def table(entry: tuple[F32, float, tuple[int, ...]]) -> F64:
+            tensor, _, sizes = entry
+            ranks = tuple(None if n in choice else size for n, size in enumerate(tensor.shape))
+            ones = (1,) * tensor.ndim
+            limits = table_limits(tensor.shape, LevelSpec(ranks, ones, ones), self.size or inf, sizes)
+            return core_energies(tensor, limits, np.random.default_rng(self.seed))
+
+        with ThreadPoolExecutor(self.threads) as pool:
+            yield from pool.map(table, cut.tensors)
+
+    def _worth(self, spectra: Sequence[Spectrum], share: float, fixed: float) -> tuple[float, Allocation]:
         energy = sum(float(s.error[0]) for s in spectra)
         if self.size is not None:
-            return decibels(energy, allocate(spectra, nbytes=max(self.size - fixed, 0) * share).error)
+            chosen = allocate(spectra, nbytes=max(self.size - fixed, 0) * share)
+            return decibels(energy, chosen.error), chosen
         assert self.snr is not None
         error = self.energy * 10 ** (-self.snr / 10) * share
         chosen = allocate(spectra, error=error)
         short = max(0.0, decibels(chosen.error, error))
         # Candidates that cannot reach the goal come after all that can, the nearest first.
-        return -OUT_OF_REACH - short if short > 0.01 else -log2(chosen.nbytes / share + fixed)
+        return -OUT_OF_REACH - short if short > 0.01 else -log2(chosen.nbytes / share + fixed), chosen
 
 
 def decibels(signal: float, error: float) -> float:
     """10 log10(signal / error), bounded by what float32 can tell."""
     return 10 * log10(max(signal, 1e-300) / max(error, 1e-14 * signal, 1e-300))
-
-
-def _spectrum(
-    table: F64,
-    energy: float,
-    sizes: tuple[int, ...],
-    undecomposed: tuple[int, ...],
-    decode_cost: int,
-    clusters: tuple[int, ...] | None = None,
-) -> Spectrum:
-    """The choices of ranks, bytes counted at the true sizes."""
-    for n in undecomposed:
-        table = table.take([-1], axis=n)
-    flags = [n in undecomposed for n in range(len(sizes))]
-    return spectrum(table, energy, sizes, flags, max(1, decode_cost), clusters, hull=clusters is None)
 
 
 def carrier_bytes(sizes: Sequence[int], clusters: Sequence[int], undecomposed: Sequence[int]) -> float:
@@ -156,11 +164,38 @@ def carrier_bytes(sizes: Sequence[int], clusters: Sequence[int], undecomposed: S
     return 2 * (core + basis) + 4 * cells + 8 * sum(sizes[n] for n in stored)
 
 
-@lru_cache
-def _undecomposed_choices(sizes: tuple[int, ...]) -> list[tuple[int, ...]]:
-    """Up to two short modes, and never all."""
-    short = [n for n, size in enumerate(sizes) if 1 < size <= LONGEST_UNDECOMPOSED]
-    return [choice for count in range(min(2, len(sizes) - 1) + 1) for choice in combinations(short, count)]
+def _cut(trial: Trial, organisation: Organisation, grid: tuple[int, ...], sample: int) -> _Cut:
+    """Sampled blocks of the grid as tensors of the organisation's modes; blocks of zeros are left out."""
+    source, tensors, seen, thinned = trial.source, list[tuple[F32, float, tuple[int, ...]]](), 0, False
+    for block in _sample_blocks(source, grid, sample, trial.seed):
+        elements = prod(axis.size for axis in block.axes)
+        seen += elements
+        thinned |= block.values.size < elements
+        tensor = np.ascontiguousarray(organise(block.values, block.thinned, organisation))
+        energy = squared_norm(tensor)
+        if energy > 0:
+            tensors.append((tensor, energy, mode_sizes(block.axes, organisation)))
+    counts = {axis.name: count for axis, count in zip(source.axes, grid, strict=True)}
+    clusters = tuple(prod(counts[name] for name in mode) for mode in organisation)
+    return _Cut(
+        organisation, grid, tensors, thinned, seen / prod(source.shape), mode_sizes(source.axes, organisation), clusters
+    )
+
+
+def _best(found: Sequence[tuple[float, Candidate]]) -> float:
+    return max(worth for worth, _ in found)
+
+
+def _nearly_full(cut: _Cut, kept: F64) -> Iterator[int]:
+    """Short modes without blocks that keep much of their rank: leaving them undecomposed may save their basis.
+
+    Thinned blocks would make that look far better than it is: few numbers are left for each of the mode's rows.
+    """
+    if cut.thinned:
+        return
+    for n, (size, clusters) in enumerate(zip(cut.sizes, cut.clusters, strict=True)):
+        if 1 < size <= LONGEST_UNDECOMPOSED and clusters == 1 and kept[n] >= NEARLY_FULL and len(cut.sizes) > 1:
+            yield n
 
 
 def _sample_blocks(source: Source, grid: tuple[int, ...], sample: int, seed: int) -> Iterator[Block]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import product
-from math import ceil, prod
+from math import prod
 
 import numpy as np
 
@@ -24,27 +24,30 @@ from .trial import Candidate, Trial
 SURVEY, COMPARE, REFINE = (1 << 17, 1 << 19), 1 << 20, 1 << 23
 #: Block edges never fall below this.
 SMALLEST_EDGE = 4
-#: How many organisations and candidates are looked at closer, and most rounds of refinement.
-ORGANISATIONS, FINALISTS, ROUNDS = (12, 4), 4, 1
+#: Most blocks, and the gain in dB (or octaves of bytes) that a change of the grid must bring.
+MOST_BLOCKS, WORTHWHILE = 4096, 0.01
+#: How many organisations and candidates are looked at closer, and from how many the search climbs on.
+ORGANISATIONS, FINALISTS, CLIMBS = (12, 4), 4, 2
 
 Ranked = list[tuple[float, Candidate]]
 
 
 @dataclass
 class Search:
-    """Everything judged so far, each at the sample it was judged on."""
+    """Everything judged so far, each at the sample it was judged on; `plain` is the organisation that merges least."""
 
     trial: Trial
+    plain: Organisation
     seen: dict[tuple[Organisation, tuple[int, ...], int], Ranked] = field(
         default_factory=dict[tuple[Organisation, tuple[int, ...], int], Ranked]
     )
 
     def best(self, organisation: Organisation, grid: tuple[int, ...], sample: int) -> tuple[float, Candidate]:
         """The best candidate with this organisation and grid."""
-        key = (organisation, grid, sample)
+        key = (organisation, grid, min(sample, prod(self.trial.source.shape)))
         if key not in self.seen:
             self.seen[key] = self.trial.worths(*key)
-        return max(self.seen[key], key=lambda item: item[0], default=(0.0, Candidate(organisation, grid)))
+        return max(self.seen[key], key=_worth, default=(0.0, Candidate(organisation, grid)))
 
 
 def tune(
@@ -60,8 +63,8 @@ def tune(
     """The best plan found for bytes (`size`) or for an SNR; with a `ceiling` in dB bytes are not spent beyond it."""
     slabs = (source.values((slice(i, i + 1),)) for i in range(source.shape[0]))
     energy = sum(float(np.square(slab, dtype=np.float64).sum()) for slab in slabs)
-    search = Search(Trial(source, snr, size, decode_cost, run.seed, run.threads, energy))
     choices = list(organisations(source.axes)) if organisation is None else [organisation]
+    search = Search(Trial(source, snr, size, decode_cost, run.seed, run.threads, energy), choices[0])
     finalists = _finalists(search, choices, run.progress)
     best = _settled(search, [candidate for _, candidate in finalists], run.progress)
     if ceiling is not None and finalists[0][0] > ceiling:
@@ -91,18 +94,40 @@ def _finalists(search: Search, choices: Sequence[Organisation], progress: Progre
 
 
 def _settled(search: Search, finalists: Sequence[Candidate], progress: Progress) -> Candidate:
-    """Change the blocks along one axis at a time, from the best finalist, while that helps."""
-    best_worth, best = max((search.best(c.organisation, c.grid, REFINE) for c in finalists), key=lambda item: item[0])
-    for round_ in range(ROUNDS):
-        before = best_worth
-        for grid in _neighbours(best.grid, search.trial.source.shape):
-            worth, candidate = search.best(best.organisation, grid, REFINE)
-            if worth > best_worth + 0.02:
-                best_worth, best = worth, candidate
-        progress("finer choice of blocks", (round_ + 1) / ROUNDS)
-        if best_worth == before:
-            break
-    return best
+    """On a large sample, climb on from the best of the finalists.
+
+    Large blocks were thinned so far, which says little about modes left undecomposed: they get another chance.
+    """
+    shape = search.trial.source.shape
+    judged = [search.best(c.organisation, c.grid, REFINE) for c in finalists]
+    judged += [search.best(search.plain, grid, REFINE) for grid in _few_grids(shape)]
+    starts = sorted(dict(zip([(c.organisation, c.grid) for _, c in judged], judged, strict=True)).values(), key=_worth)
+    climbed: Ranked = []
+    for number, (_, candidate) in enumerate(starts[-CLIMBS:]):
+        progress("finer choice of blocks", (number + 0.5) / CLIMBS)
+        climbed.append(_climbed(search, candidate, REFINE))
+    progress("finer choice of blocks", 1.0)
+    return max(climbed, key=_worth)[1]
+
+
+def _worth(item: tuple[float, Candidate]) -> float:
+    return item[0]
+
+
+def _climbed(search: Search, start: Candidate, sample: int) -> tuple[float, Candidate]:
+    """Change the blocks along one axis after the other while that helps."""
+    worth, best = search.best(start.organisation, start.grid, sample)
+    shape, idle, n = search.trial.source.shape, 0, 0
+    while idle < len(shape):
+        near = [search.best(start.organisation, grid, sample) for grid in _neighbours(best.grid, shape, n)]
+        found = max(near, key=_worth, default=(worth, best))
+        if found[0] > worth + WORTHWHILE:
+            worth, best = found
+            idle = 0
+        else:
+            idle += 1
+        n = (n + 1) % len(shape)
+    return worth, best
 
 
 def _few_grids(shape: Sequence[int]) -> list[tuple[int, ...]]:
@@ -112,7 +137,7 @@ def _few_grids(shape: Sequence[int]) -> list[tuple[int, ...]]:
 
 
 def _many_grids(shape: Sequence[int]) -> Iterator[tuple[int, ...]]:
-    """The three longest axes cut alike, by one common edge; axes of middle length whole or cut in two or three."""
+    """The three longest axes cut alike, by one common edge; axes of middle length whole or cut in two."""
     longest = sorted(range(len(shape)), key=lambda n: -shape[n])[:3]
     long = [n for n in longest if shape[n] >= 24]
     middle = [n for n in range(len(shape)) if n not in long and shape[n] >= 24]
@@ -125,16 +150,18 @@ def _many_grids(shape: Sequence[int]) -> Iterator[tuple[int, ...]]:
             grid[n] = max(1, round(shape[n] / edge))
         for n, count in zip(middle, cuts, strict=True):
             grid[n] = count
-        if tuple(grid) not in seen and edge >= SMALLEST_EDGE and prod(grid) <= 4096:
+        if tuple(grid) not in seen and edge >= SMALLEST_EDGE and prod(grid) <= MOST_BLOCKS:
             seen.add(tuple(grid))
             yield tuple(grid)
 
 
-def _neighbours(grid: tuple[int, ...], shape: Sequence[int]) -> Iterator[tuple[int, ...]]:
-    for n, (count, size) in enumerate(zip(grid, shape, strict=True)):
-        for other in sorted({count + 1, 2 * count, ceil(count / 2)} - {count}):
-            if size / other >= SMALLEST_EDGE:
-                yield (*grid[:n], other, *grid[n + 1 :])
+def _neighbours(grid: tuple[int, ...], shape: Sequence[int], n: int) -> Iterator[tuple[int, ...]]:
+    """Grids with other numbers of blocks along axis n."""
+    count = grid[n]
+    for other in sorted({count + 1, count - 1, 2 * count, count // 2} - {0, count}):
+        changed = (*grid[:n], other, *grid[n + 1 :])
+        if (other < count or shape[n] / other >= SMALLEST_EDGE) and prod(changed) <= MOST_BLOCKS:
+            yield changed
 
 
 def organisations(axes: Sequence[Axis]) -> Iterator[Organisation]:
