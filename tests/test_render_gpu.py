@@ -1,0 +1,226 @@
+"""The shaders against the readable renderers: the same pictures, whatever the kind, the organisation and the level."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import hmkcta
+from gpu_tools import adapter
+from hmkcta import Axis, Model, synthetic
+from hmkcta.errors import HmkctaError
+from hmkcta.render import Camera, Compare, Light, Look, Renderer, Scene, Surface, Tone, Viewpoint, render
+from hmkcta.render.gbuffer import camera_rays, trace
+from hmkcta.render.gpu_pass import read_texture
+from hmkcta.render.mesh import make_mesh
+from hmkcta.render.numpy_path import placed_camera
+from hmkcta.render.prelude import shader
+from hmkcta.render.software import MOST_TURNS, loop_turns
+
+#: Two levels of clusters, and few enough that software finishes them (`hmkcta.render.software`).
+PLAN = "R=2 / R=2,1,2,2 C=2,2,2,2 K=1 / R=1 C=2,1,2,2 K=1"
+SMALL = Scene(width=48, height=40)
+CLOSE = 2  # of 255
+
+
+@pytest.fixture(scope="module")
+def material() -> synthetic.Dataset:
+    return synthetic.material(lights=14, views=11, size=16)
+
+
+def compressed(data: synthetic.Dataset, organisation: str, plan: str = PLAN, **settings: Any) -> Model:
+    return hmkcta.compress(data.values, plan, axes=data.axes, organisation=organisation, kind=data.kind,
+                           quality="fast", **settings)
+
+
+def same(model: Model, scene: Scene, original: Any = None, position: dict[str, int] | None = None) -> NDArray[Any]:
+    """The picture by the shaders, which must be NumPy's."""
+    adapter()
+    pictures: list[NDArray[Any]] = []
+    for backend in ("gpu", "numpy"):
+        renderer = Renderer(model, original=original, backend=backend, position=position)
+        pictures.append(renderer.picture(scene).astype(int))
+        assert renderer.backend == backend
+    assert pictures[1].std() > 5, "something must be seen"
+    worst = np.abs(pictures[0] - pictures[1])
+    assert worst.max() <= CLOSE, f"{worst.max()} at {np.unravel_index(worst.argmax(), worst.shape)}"
+    return pictures[0]
+
+
+@pytest.mark.parametrize("organisation", [
+    "light+rgb, view, y, x", "light+rgb, view, y+x", "light+view, y, x+rgb", "light, view, y, x, rgb",
+    "light+rgb, view+y, x",
+])
+def test_svbrdfs_of_every_organisation(material: synthetic.Dataset, organisation: str) -> None:
+    modes = organisation.count(",") + 1
+    two = ",".join(["2"] * modes)
+    plan = f"R=2 / R=1 C={two} K=1"
+    same(compressed(material, organisation, plan), SMALL)
+
+
+@pytest.mark.parametrize("level", [1, 2, 3])
+def test_svbrdfs_of_every_level(material: synthetic.Dataset, level: int) -> None:
+    same(compressed(material, "light+rgb, view, y, x"), replace(SMALL, level=level))
+
+
+@pytest.mark.parametrize("scene", [
+    Scene(surface=Surface("plane", (2.0, 1.0)), lights=(Light(position=(1.0, 0.5, 0.6), intensity=2.0),)),
+    Scene(surface=Surface("cloth", (2.0, 2.0), y_axis="up"), lights=(Light(), Light(200, 70, colour=(0.2, 0.5, 1.0)))),
+    Scene(surface=Surface(cosine=False), camera=Camera(200, -35, 2.2, 70.0), tone=Tone(1.0, curve="filmic")),
+    Scene(tone=Tone(-0.5, 0.2, "reinhard", srgb=False, background=(0.5, 0.0, 0.2))),
+], ids=["plane", "cloth", "below", "tone"])
+def test_svbrdfs_on_every_surface(material: synthetic.Dataset, scene: Scene) -> None:
+    same(compressed(material, "light+rgb, view, y, x", "R=3,3,4,4 / R=1 C=2,2,2,2 K=1"),
+         replace(scene, width=48, height=40))
+
+
+def test_svbrdfs_with_transform_and_without_some_axes(material: synthetic.Dataset) -> None:
+    plan = "R=3 / R=1 C=2 K=1"
+    same(compressed(material, "light+rgb, view, y, x", "R=3", transform="log1p:0.1"), SMALL)
+    fixed = synthetic.Dataset(np.ascontiguousarray(material.values[:, 3, ..., 1]),
+                              (material.axes[0], *material.axes[2:4]), "svbrdf")
+    same(compressed(fixed, "light, y, x", plan), SMALL)
+    grey = synthetic.Dataset(np.ascontiguousarray(material.values[..., :2]),
+                             (*material.axes[:4], Axis("pol", 2, "channel")), "svbrdf")
+    same(compressed(grey, "light+pol, view, y, x", plan), SMALL)
+
+
+def test_texels_are_not_interpolated_where_a_mode_holds_too_much(material: synthetic.Dataset) -> None:
+    """Light, view and rows in one mode are 3 x 3 x 2 rows and 3 colours: more than the shader has room for."""
+    adapter()
+    model = compressed(material, "light+view+y+rgb, x", "R=4")
+    picture = render(model, SMALL, backend="gpu").astype(int)
+    smooth = render(model, SMALL, backend="numpy").astype(int)
+    assert np.abs(picture - smooth).mean() < 12
+
+
+def test_comparisons(material: synthetic.Dataset) -> None:
+    model = compressed(material, "light+rgb, view, y, x")
+    same(model, replace(SMALL, level=1, compare=Compare("split", level=3, position=0.4)))
+    same(model, replace(SMALL, compare=Compare("heat", gain=4.0)), original=material.values)
+    same(model, replace(SMALL, compare=Compare("split")), original=material.values)
+
+
+@pytest.mark.parametrize(("organisation", "plan"), [
+    ("row+column, y, x, time", "R=3,5,5,* / R=2,3,3,* C=2,2,2,1 K=1"),
+    ("row+y, column+x, time", "R=6,6,2 / R=3,3,1 C=2 K=1"),
+    ("row, column, y, x, time", "R=2,2,6,6,3"),
+])
+def test_light_fields(organisation: str, plan: str) -> None:
+    model = compressed(synthetic.light_field(4, 24, 3), organisation, plan)
+    same(model, SMALL)
+    view = Viewpoint(row=0.3, column=2.6, focus=0.7)
+    same(model, replace(SMALL, time=1.4, viewpoint=view))
+    same(model, replace(SMALL, level=1, viewpoint=replace(view, aperture=1.2, zoom=1.5)))
+
+
+def test_light_fields_in_colour_with_cameras_in_one_axis() -> None:
+    grey = synthetic.light_field(3, 20, 1).values[..., 0].reshape(9, 20, 20)
+    values = np.stack([grey, grey**2, 1 - grey], axis=-1)
+    places = np.stack(np.divmod(np.arange(9), 3), axis=1).astype(np.float64)
+    axes = (Axis("view", 9, "view", places), Axis("y", 20, "space"), Axis("x", 20, "space"), Axis("rgb", 3, "channel"))
+    same(compressed(synthetic.Dataset(values, axes, "lightfield"), "view, y, x+rgb", "R=4,8,8"),
+         replace(SMALL, viewpoint=Viewpoint(1.2, 0.4)))
+
+
+@pytest.mark.parametrize("look", [
+    Look(), Look("emission", "ice", clip_high=(0.8, 0.6, 1.0)), Look("maximum", "viridis", step=1.0),
+    Look("iso", "coolwarm", iso=0.4, ambient=0.2, window=(0.0, 0.8)),
+], ids=["shaded", "emission", "maximum", "iso"])
+def test_volumes(look: Look) -> None:
+    data = synthetic.volume((12, 16, 20), frames=4)
+    model = compressed(data, "time, z, y, x", "R=*,4,5,6 / R=*,2,2,2 C=1,2,2,2 K=1")
+    same(model, replace(SMALL, volume=look))
+    same(model, replace(SMALL, volume=look, time=2.3, level=1, camera=Camera(-70, 50, 2.8)))
+
+
+def test_volumes_stand_where_other_axes_say() -> None:
+    data = synthetic.volume((8, 8, 8), frames=3)
+    axes = (Axis("gas", 3, "other"), *data.axes[1:])
+    model = compressed(synthetic.Dataset(data.values, axes, "volume"), "gas, z, y, x", "R=3,4,4,4")
+    first = same(model, SMALL, position={"gas": 0})
+    assert (first != same(model, SMALL, position={"gas": 2})).any()
+
+
+def test_software_that_would_not_finish_is_not_used(material: synthetic.Dataset) -> None:
+    device = adapter()
+    model = compressed(material, "light+rgb, view, y, x", "R=3,3,4,4 / R=2,2,3,3 C=4,3,4,4 K=2 / R=2 C=3,3,4,4 K=2")
+    assert loop_turns(model, (3, 3, 2, 2, 3), 3) > MOST_TURNS
+    if not device.software:
+        same(model, SMALL)
+        return
+    renderer = Renderer(model)
+    renderer.picture(SMALL)
+    assert renderer.backend == "numpy"
+    with pytest.raises(HmkctaError, match="software-loops"):
+        Renderer(model, backend="gpu").picture(SMALL)
+
+
+@pytest.mark.parametrize("shape", ["sphere", "plane", "cloth"])
+def test_the_rasteriser_sees_what_rays_see(shape: str) -> None:
+    """`gbuffer.wgsl`, drawn, against the G-buffer of NumPy."""
+    device = adapter()
+    width, height = 96, 80
+    scene = Scene(width=width, height=height, surface=Surface(shape))
+    rays = camera_rays(placed_camera(scene, "svbrdf"), width / height)
+    mesh = make_mesh(scene.surface, 8, 8)
+    traced = trace(mesh, rays, width, height)
+    drawn = rasterise(device, mesh, rays, width, height)
+    both = (traced.surface[..., 3] > 0) & (drawn[0][..., 3] > 0)
+    assert both.mean() > 0.1
+    assert ((traced.surface[..., 3] > 0) ^ (drawn[0][..., 3] > 0)).mean() < 0.01
+    for found, expected, near in zip(drawn, (traced.surface, traced.normal, traced.tangent), (0.01, 0.02, 0.02),
+                                     strict=True):
+        close = (np.abs(found - expected)[both] < near).all(axis=1)
+        assert close.mean() > 0.99
+
+
+def rasterise(device: Any, mesh: Any, rays: Any, width: int, height: int) -> list[NDArray[np.float32]]:
+    """Draw a mesh with `gbuffer.wgsl`: its three targets, as a viewer would."""
+    gpu = device.gpu
+    module = gpu.create_shader_module(code=shader("gbuffer"))
+    formats = ("rgba32float", "rgba16float", "rgba16float")
+    places = ((0, 0, "float32x3"), (1, 12, "float32x3"), (2, 24, "float32x4"), (3, 40, "float32x2"))
+    attributes = [{"shader_location": n, "offset": offset, "format": form} for n, offset, form in places]
+    pipeline = gpu.create_render_pipeline(
+        layout="auto", primitive={"topology": "triangle-list", "cull_mode": "none"},
+        vertex={"module": module, "entry_point": "surface_vertex",
+                "buffers": [{"array_stride": 48, "step_mode": "vertex", "attributes": attributes}]},
+        depth_stencil={"format": "depth32float", "depth_write_enabled": True, "depth_compare": "less"},
+        fragment={"module": module, "entry_point": "surface_fragment", "targets": [{"format": f} for f in formats]})
+    targets = [gpu.create_texture(size=(width, height, 1), format=f, usage="RENDER_ATTACHMENT|COPY_SRC")
+               for f in formats]
+    depth = gpu.create_texture(size=(width, height, 1), format="depth32float", usage="RENDER_ATTACHMENT")
+    uniform = np.concatenate([clip_from_world(rays).T.reshape(-1), rays.eye, [0]]).astype(np.float32)
+    group = gpu.create_bind_group(layout=pipeline.get_bind_group_layout(0), entries=[
+        {"binding": 0, "resource": {"buffer": device.buffer("surface", uniform, "UNIFORM"), "offset": 0, "size": 80}}])
+    encoder = gpu.create_command_encoder()
+    work = encoder.begin_render_pass(
+        color_attachments=[{"view": t.create_view(), "load_op": "clear", "store_op": "store"} for t in targets],
+        depth_stencil_attachment={"view": depth.create_view(), "depth_clear_value": 1.0, "depth_load_op": "clear",
+                                  "depth_store_op": "store"})
+    work.set_pipeline(pipeline)
+    work.set_bind_group(0, group)
+    work.set_vertex_buffer(0, device.buffer("vertices", mesh.vertices(), "VERTEX"))
+    work.set_index_buffer(device.buffer("triangles", mesh.triangles, "INDEX"), "uint32")
+    work.draw_indexed(mesh.triangles.size)
+    work.end()
+    gpu.queue.submit([encoder.finish()])
+    kinds = ("f4", "f2", "f2")
+    return [read_texture(device, t, kind, 4).astype(np.float32) for t, kind in zip(targets, kinds, strict=True)]
+
+
+def clip_from_world(rays: Any, near: float = 0.1, far: float = 20.0) -> NDArray[np.float64]:
+    """The projection of a camera's rays, depth 0 to 1."""
+    rows = [axis / (axis @ axis) for axis in (rays.right, rays.up)]
+    view = np.stack([*rows, rays.forward])
+    world = np.zeros((4, 4))
+    world[:3, :3], world[:3, 3], world[3, 3] = view, -view @ rays.eye, 1
+    clip = np.zeros((4, 4))
+    clip[0, 0] = clip[1, 1] = clip[3, 2] = 1
+    clip[2, 2], clip[2, 3] = far / (far - near), -far * near / (far - near)
+    return clip @ world
