@@ -44,7 +44,7 @@ MOST_LINES, MOST_IN_FUNCTION = 400, 40
 LONG_FILES = {"tests/baselines.py"}
 LONG_FUNCTIONS: set[str] = set()
 #: What `import hmkcta` must not load: the command line and the pictures do, when they are used.
-LATE = ("click", "rich", "PIL")
+LATE = ("click", "rich", "PIL", "scipy", "wgpu")
 
 LOCK_FILES = (
     "Cargo.lock",

@@ -91,7 +91,7 @@ def value_range(source: Any, shape: Sequence[int]) -> tuple[float, float]:
     """The 0.5th and 99.5th percentile of 4096 elements spread over a model or an array of that shape.
 
     >>> value_range(np.arange(1000.0), (1000,))
-    (4.0, 996.0)
+    (4.0, 994.0)
     """
     size = prod(shape)
     flat = np.unravel_index(np.arange(SAMPLES, dtype=np.uint64) * HASH % size, tuple(shape))
