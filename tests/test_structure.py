@@ -17,17 +17,18 @@ PACKAGE = ROOT / "python" / "hmkcta"
 
 #: Modules and subpackages from the lowest layer up; an import goes to a lower layer, or stays in its subpackage.
 LAYERS = (
-    ("_version", "errors", "recordlog", "slabs", "temporaries", "tucker", "_native"),
+    ("_version", "errors", "executors", "recordlog", "slabs", "temporaries", "tucker", "_native"),
     ("axes", "memory", "transform", "indexing"),
-    ("plan", "packed"),
+    ("plan", "packed", "scratch"),
     ("cells", "predict", "storage", "hmkfile", "source", "_example"),
     ("backends", "memberships", "decode_scattered"),
-    ("search", "decode_cells", "journal"),
+    ("search", "decode_cells", "journal", "streamed"),
     ("fit", "subdivision", "decode_dense"),
-    ("hierarchy", "decode"),
+    ("workset", "decode"),
+    ("hierarchy",),
     ("pack", "allocation", "model", "verbatim"),
     ("adaptive", "measure"),
-    ("trial",),
+    ("trial", "measure_streamed"),
     ("tuning", "follow"),
     ("encode",),
     ("", "pictures", "readers", "synthetic"),

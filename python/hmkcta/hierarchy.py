@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from . import backends as kernels
 from .axes import Axis, Organisation
 from .cells import Cells
+from .errors import invalid
+from .executors import Gate
 from .fit import WARM, Effort, Labels, fit_level
 from .journal import NoJournal
 from .memberships import uniform_blocks
@@ -122,23 +124,23 @@ def in_parallel(
 
     Nodes in one piece of a streamed residual are worked on one after another while the piece is in memory.
     """
-    alone = not isinstance(residual, Streamed)
-    grouped = groupby(range(len(nodes)), key=lambda s: s if alone else id(nodes[s].piece))
+    outside = residual if isinstance(residual, Streamed) else None
+    grouped = groupby(range(len(nodes)), key=lambda s: s if outside is None else id(nodes[s].piece))
     groups = [list(group) for _, group in grouped]
     sizes = [sum(nodes[s].elements for s in group) for group in groups]
-    workers = run.threads if alone else residual.workers(max(sizes, default=1))
+    gate = Gate(max(1, sum(sizes)) if outside is None else outside.limit)
 
-    def together(group: Sequence[int]) -> None:
+    def together(group: Sequence[int], size: int) -> None:
         piece = nodes[group[0]].piece
-        with nullcontext() if alone or piece is None else residual.holding(piece):
+        with gate.inside(size), nullcontext() if outside is None or piece is None else outside.holding(piece):
             for s in group:
                 work(s)
 
     order = sorted(range(len(groups)), key=lambda g: -sizes[g])
     total, done = max(1, sum(sizes)), 0
     run.progress(stage, 0.0)
-    with ThreadPoolExecutor(max_workers=workers) as pool:
-        futures = [(g, pool.submit(together, groups[g])) for g in order]
+    with ThreadPoolExecutor(max_workers=run.threads) as pool:
+        futures = [(g, pool.submit(together, groups[g], sizes[g])) for g in order]
         try:
             for g, future in futures:
                 future.result()
@@ -147,13 +149,16 @@ def in_parallel(
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)
             raise
-    if not alone and any(node.piece is not None for node in nodes):
-        residual.settle()
+    if outside is not None and any(node.piece is not None for node in nodes):
+        outside.settle()
 
 
 def streamed(tree: Hierarchy, node: Node) -> Streamed | None:
-    """The residual, where the node is the whole of a tensor that is not in memory."""
-    return tree.residual if isinstance(tree.residual, Streamed) and node.piece is None else None
+    """The node's tensor, where it is not in memory: the whole one, or a piece that is too large."""
+    residual = tree.residual
+    if not isinstance(residual, Streamed):
+        return None
+    return residual if node.piece is None else residual.large(node.piece)
 
 
 def fit_nodes(tree: Hierarchy, specs: Sequence[LevelSpec | None], run: Run, labels: LabelsOf = lambda _: None) -> None:
@@ -164,13 +169,14 @@ def fit_nodes(tree: Hierarchy, specs: Sequence[LevelSpec | None], run: Run, labe
         node, spec = nodes[s], specs[s]
         if spec is None or node.elements == 0:
             return
-        outside, rng = streamed(tree, node), np.random.default_rng([run.seed, depth, s])
+        outside, level = streamed(tree, node), 0 if node.piece else depth - 1
+        rng = np.random.default_rng([run.seed, depth, s])
         tensor = None if outside else gather(tree.residual, node)
         finished = run.journal.recall(step, s, node.sizes, spec)
         if finished is None:
-            if tensor is None:
-                cells = fit_streamed(outside, depth - 1, spec, run.effort, rng, labels(node))
-            elif tensor.any():
+            if outside is not None:
+                cells = fit_streamed(outside, level, spec, run.effort, rng, labels(node))
+            elif tensor is not None and tensor.any():
                 cells, _ = fit_level(tensor, spec, run.effort, rng, labels(node))
             else:
                 return
@@ -178,9 +184,9 @@ def fit_nodes(tree: Hierarchy, specs: Sequence[LevelSpec | None], run: Run, labe
             run.journal.keep(step, s, node.cells)
         else:
             node.cells = finished.cells
-        if tensor is None:
-            outside.change(depth - 1, node.cells)
-        else:
+        if outside is not None:
+            outside.change(level, node.cells)
+        elif tensor is not None:
             scatter(tree.residual, node, _exchanged(tensor, None, node.cells))
 
     in_parallel(work, nodes, f"level {depth}", run, tree.residual)
@@ -216,6 +222,10 @@ def descend(tree: Hierarchy, scheme: str, run: Run) -> None:
     for node in nodes:
         outside = streamed(tree, node)
         if outside is not None and node.cells is not None and node.cells.spec.cells > 1:
+            if node.piece is not None:
+                found, allowed = f"a sub-tensor of {node.elements} elements to subdivide", f"up to {outside.limit}"
+                raise invalid("node-too-large", "plan", found, allowed, "raise --max-memory")
+            assert node.parts is not None
             run.progress("reordering", 0.0)
             for child, piece in zip(node.children, outside.cut(node.parts, node.cells.spec.clusters), strict=True):
                 child.piece = piece
@@ -254,12 +264,14 @@ def backfit(tree: Hierarchy, run: Run, sweeps: int = 1) -> None:
             old = node.cells
             if old is None:
                 return
-            outside = streamed(tree, node)
+            outside, level = streamed(tree, node), 0 if node.piece else number - 1
+            if outside is not None and node.piece is not None:
+                outside.wholes, outside.stored = [old], [old]
             finished = run.journal.recall(step, s, node.sizes, old.spec)
             if finished is not None:
                 cells = finished.cells
             elif outside is not None:
-                cells = refit_streamed(outside, number - 1, _copied(old)).rounded()
+                cells = refit_streamed(outside, level, _copied(old)).rounded()
             else:
                 cells = _refitted(old, gather(tree.residual, node), sweeps)
             if finished is None:
@@ -268,7 +280,7 @@ def backfit(tree: Hierarchy, run: Run, sweeps: int = 1) -> None:
                 return
             node.cells = cells
             if outside is not None:
-                outside.change(number - 1, cells)
+                outside.change(level, cells)
             else:
                 scatter(tree.residual, node, _exchanged(gather(tree.residual, node), old, cells))
 

@@ -37,7 +37,7 @@ class _Errors:
         self.transformed.add(None, squared_norm(values) * self.unit**2, count=values.size)
         if self.transform.name != "identity":
             for wide in in_float64(values):
-                self.plain.add_values(self.transform.inverse(wide * self.unit))
+                self.plain.add_values(np.asarray(self.transform.inverse(wide * self.unit), np.float64))
 
     def add(self, levels: range, values: F32, left: F32) -> None:
         """What some levels leave of values."""
@@ -48,7 +48,7 @@ class _Errors:
             for wide, error in zip(in_float64(values), in_float64(left), strict=True):
                 change = self.transform.inverse(wide * self.unit) - self.transform.inverse((wide - error) * self.unit)
                 for level in levels:
-                    self.plain.add_error(level, change)
+                    self.plain.add_error(level, np.asarray(change, np.float64))
 
     def below(self, node: Node, depth: int, rows: Rows, values: F32, left: F32) -> None:
         """Take the node's model and all below it from `left`, what is left of values above it; rows are the node's."""
@@ -56,7 +56,8 @@ class _Errors:
             kernels.accumulate(node.cells.part(rows), left, -1.0)
         deepest = self.transformed.levels
         if node.parts is None or not node.children:
-            return self.add(range(depth, deepest), values, left)
+            self.add(range(depth, deepest), values, left)
+            return
         self.add(range(depth, depth + 1), values, left)
         assert node.cells is not None
         counts = node.cells.spec.clusters
@@ -90,8 +91,7 @@ def measure_streamed(
         return errors
 
     parts = source.parts(SLAB)
-    tasks = [lambda part=part: measured(part) for part in parts]
-    for number, errors in enumerate(in_order(tasks, residual.workers(4 * SLAB)), start=1):
+    for number, errors in enumerate(in_order(measured, parts, residual.workers(4 * SLAB)), start=1):
         total[0].merge(errors.plain)
         total[1].merge(errors.transformed)
         progress("measuring", number / len(parts))

@@ -1,4 +1,4 @@
-"""Scratch space on disk: a file without a name, which is gone when it is closed or the process ends, however it ends."""
+"""Scratch space on disk: a file without a name, gone when it is closed or the process ends, however it ends."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Scratch:
             free = shutil.disk_usage(self.folder).free
             if free < self.nbytes:
                 raise _io("scratch-full", self.folder, f"{format_bytes(free)} free", format_bytes(self.nbytes))
-            self._file = tempfile.TemporaryFile(dir=self.folder, buffering=0)
+            self._file = tempfile.TemporaryFile(dir=self.folder, buffering=0)  # noqa: SIM115 (open until `close`)
             self._file.truncate(self.nbytes)
         except OSError as error:
             raise _io("scratch", self.folder, error.strerror or error, "a folder to write to") from error
@@ -68,7 +68,7 @@ class Scratch:
     def read(self, start: int, count: int) -> F32:
         """Numbers from `start` on."""
         values = np.empty(count, np.float32)
-        left, at = memoryview(values).cast("B"), 4 * start
+        left, at = memoryview(values.data).cast("B"), 4 * start
         try:
             while left:
                 got = os.preadv(self._file.fileno(), [left], at)
@@ -81,7 +81,7 @@ class Scratch:
 
     def write(self, start: int, values: NDArray[Any]) -> None:
         """Put contiguous float32 numbers from `start` on."""
-        left, at = memoryview(values.reshape(-1)).cast("B"), 4 * start
+        left, at = memoryview(values.reshape(-1).data).cast("B"), 4 * start
         try:
             while left:
                 done = os.pwrite(self._file.fileno(), left, at)

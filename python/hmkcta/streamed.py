@@ -8,10 +8,11 @@ leave is written to a scratch file in the order of the nodes, each in one *piece
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import product
 from math import prod
 from threading import local
@@ -23,12 +24,13 @@ from numpy.typing import NDArray
 from . import backends as kernels
 from .axes import Organisation, mode_sizes
 from .cells import Cells
-from .errors import invalid
 from .scratch import Scratch
+from .slabs import slabs
 from .source import Source
 
 F32 = NDArray[np.float32]
 Rows = tuple[NDArray[np.intp], ...]
+S = TypeVar("S")
 T = TypeVar("T")
 
 #: Elements of a slab: 16 MiB, which the allocator keeps instead of asking the system for zeroed pages each time.
@@ -107,6 +109,11 @@ class Streamed:
                 changes += [(-1.0, wanted)] if wanted is not None else []
         return changes
 
+    @property
+    def _scratch(self) -> Scratch:
+        assert self.scratch is not None
+        return self.scratch
+
     def change(self, number: int, cells: Cells | None) -> None:
         """The cells of level `number` (from 0), whose node is the whole tensor, are these from now on."""
         self.wholes += [None] * (number + 1 - len(self.wholes))
@@ -114,27 +121,24 @@ class Streamed:
 
     def blocks(self, steps: Sequence[int] | None = None) -> list[Callable[[], Block]]:
         """Readers of all blocks, thinned to every steps-th row of each mode."""
-        if self.pieces:
-            return [lambda piece=piece: self._thinned(piece, steps) for piece in self.pieces if piece.elements]
+        readers: list[Callable[[], Block]] = []
+        for piece in (piece for piece in self.pieces if piece.elements):
+            large = self.large(piece)
+            readers += [partial(self._piece, piece, steps)] if large is None else large.within(steps)
+        if not self.pieces:
+            readers += [partial(self._source_slab, part, steps) for part in self.source.parts(SLAB)]
+        return readers
 
-        def slab(part: tuple[slice, ...]) -> Block:
-            rows, tensor = self.source.block(self.organisation, part, steps)
-            return Block(tuple(rows), tensor)
+    def _piece(self, piece: Piece, steps: Sequence[int] | None) -> Block:
+        return _thinned(Block(piece.rows, self.read(piece)), steps)
 
-        return [lambda part=part: slab(part) for part in self.source.parts(SLAB)]
-
-    def _thinned(self, piece: Piece, steps: Sequence[int] | None) -> Block:
-        tensor, rows = self.read(piece), list(piece.rows)
-        for n, step in enumerate(steps or ()):
-            if step > 1:
-                kept = np.flatnonzero(rows[n] % step == 0)
-                tensor, rows[n] = tensor.take(kept, axis=n), rows[n][kept] // step
-        return Block(tuple(rows), np.ascontiguousarray(tensor))
+    def _source_slab(self, part: tuple[slice, ...], steps: Sequence[int] | None) -> Block:
+        rows, tensor = self.source.block(self.organisation, part, steps)
+        return Block(tuple(rows), tensor)
 
     def read(self, piece: Piece) -> F32:
         """A piece as it lies in the scratch file."""
-        assert self.scratch is not None
-        return self.scratch.read(piece.start, piece.elements).reshape(piece.sizes)
+        return self._scratch.read(piece.start, piece.elements).reshape(piece.sizes)
 
     def settled(self, block: Block, without: int | None = None, steps: Sequence[int] | None = None) -> F32:
         """The block, in place, with the terms added."""
@@ -157,7 +161,7 @@ class Streamed:
 
     def each(self, work: Callable[[Block], T], readers: Sequence[Callable[[], Block]]) -> Iterator[T]:
         """The results of working on every block, in order."""
-        return in_order([lambda reader=reader: work(reader()) for reader in readers], self.workers(SLAB))
+        return in_order(lambda reader: work(reader()), readers, self.workers(SLAB))
 
     def workers(self, elements: int) -> int:
         """How many tensors of this size may be worked on at once."""
@@ -178,10 +182,6 @@ class Streamed:
         for rows in product(*lists):
             pieces.append(Piece(rows, start))
             start += pieces[-1].elements
-        largest = max(piece.elements for piece in pieces)
-        if largest > self.limit:
-            found, allowed = f"a sub-tensor of {largest} elements", f"up to {self.limit}"
-            raise invalid("node-too-large", "plan", found, allowed, "raise --max-memory or give the level more clusters")
         scratch = Scratch(start, folder)
 
         def write(block: Block) -> list[tuple[int, float]]:
@@ -199,28 +199,35 @@ class Streamed:
         return pieces
 
     @contextmanager
-    def holding(self, piece: Piece) -> Iterator[None]:
-        """Keep a piece in this thread's memory while nodes in it are worked on; written back if it has changed."""
+    def holding(self, piece: Piece) -> Generator[None]:
+        """Keep a piece in this thread's memory while nodes in it are worked on; written back if it has changed.
+
+        A large piece is left where it is.
+        """
+        if self.large(piece) is not None:
+            yield
+            return
         tensor = self.settled(Block(piece.rows, self.read(piece)))
         self._held.piece, self._held.tensor, self._held.changed = piece, tensor, bool(self.terms())
         try:
             yield
             if self._held.changed and piece.elements:
-                assert self.scratch is not None
-                self.scratch.write(piece.start, tensor)
+                self._scratch.write(piece.start, tensor)
                 piece.energy = squared_norm(tensor)
         finally:
             self._held.piece = self._held.tensor = None
 
-    def gather(self, rows: Rows, piece: Piece) -> F32:
+    def gather(self, rows: Rows, piece: Piece | None) -> F32:
         """A node's sub-tensor out of the piece that this thread holds; a copy."""
+        assert piece is not None
         assert self._held.piece is piece
         if len(rows[0]) and all(len(r) == size for r, size in zip(rows, piece.sizes, strict=True)):
             return self._held.tensor.copy()
         return np.ascontiguousarray(self._held.tensor[self._within(rows, piece)])
 
-    def scatter(self, rows: Rows, piece: Piece, values: F32) -> None:
+    def scatter(self, rows: Rows, piece: Piece | None, values: F32) -> None:
         """Put it back."""
+        assert piece is not None
         assert self._held.piece is piece
         self._held.tensor[self._within(rows, piece)] = values
         self._held.changed = True
@@ -232,10 +239,70 @@ class Streamed:
         """All pieces have been held with the present terms: there are none any more."""
         self.stored = list(self.wholes)
 
-    def close(self) -> None:
-        """Give the scratch space back."""
-        if self.scratch is not None:
-            self.scratch.close()
+    def large(self, piece: Piece) -> Large | None:
+        """The piece as a streamed tensor of its own, if memory does not hold it."""
+        if piece.elements <= self.limit:
+            return None
+        return Large(
+            self.source, self.organisation, self.threads, self.limit, scratch=self.scratch, of=piece, above=self
+        )
+
+
+@dataclass(eq=False)
+class Large(Streamed):
+    """A piece that memory does not hold; what is fitted to it, as level 0, is subtracted from it at once."""
+
+    of: Piece = field(kw_only=True)
+    above: Streamed = field(kw_only=True)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Mode sizes of the piece."""
+        return self.of.sizes
+
+    def terms(self, without: int | None = None) -> list[tuple[float, Cells]]:
+        """Also what levels above have changed by since the piece was written."""
+        return super().terms(without) + [(weight, cells.part(self.of.rows)) for weight, cells in self.above.terms()]
+
+    def blocks(self, steps: Sequence[int] | None = None) -> list[Callable[[], Block]]:
+        """Readers of slabs of the piece."""
+        return [partial(self._thinned_slab, part, steps) for part in slabs(self.shape, SLAB)]
+
+    def within(self, steps: Sequence[int] | None) -> list[Callable[[], Block]]:
+        """Readers of its slabs as blocks of the tensor above."""
+
+        return [partial(self._slab_above, part, steps) for part in slabs(self.shape, SLAB)]
+
+    def _thinned_slab(self, part: tuple[slice, ...], steps: Sequence[int] | None) -> Block:
+        return _thinned(self._slab(part), steps)
+
+    def _slab_above(self, part: tuple[slice, ...], steps: Sequence[int] | None) -> Block:
+        block = self._slab(part)
+        rows = tuple(all_[own] for all_, own in zip(self.of.rows, block.rows, strict=True))
+        return _thinned(Block(rows, block.tensor), steps)
+
+    def change(self, number: int, cells: Cells | None) -> None:
+        """The piece's cells are these from now on; the piece is rewritten."""
+        super().change(number, cells)
+        scratch = self._scratch
+
+        def write(part: tuple[slice, ...]) -> float:
+            block = self._slab(part)
+            scratch.write(self._start(part), self.settled(block))
+            return squared_norm(block.tensor)
+
+        self.of.energy = sum(in_order(write, list(slabs(self.shape, SLAB)), self.workers(SLAB)))
+        self.settle()
+
+    def _slab(self, part: tuple[slice, ...]) -> Block:
+        spans = [*part, *[slice(None)] * (len(self.shape) - len(part))]
+        rows = [np.arange(size)[span] for size, span in zip(self.shape, spans, strict=True)]
+        sizes = [len(r) for r in rows]
+        return Block(tuple(rows), self._scratch.read(self._start(part), prod(sizes)).reshape(sizes))
+
+    def _start(self, part: tuple[slice, ...]) -> int:
+        strides = [prod(self.shape[n + 1 :]) for n in range(len(part))]
+        return self.of.start + sum(span.start * stride for span, stride in zip(part, strides, strict=True))
 
 
 def squared_norm(tensor: F32) -> float:
@@ -256,16 +323,16 @@ def thinned_cells(cells: Cells, steps: Sequence[int] | None) -> Cells:
     return cells.part([np.arange(0, size, step) for size, step in zip(cells.sizes, steps, strict=True)])
 
 
-def in_order(tasks: Sequence[Callable[[], T]], workers: int) -> Iterator[T]:
-    """Results of the tasks in their order, few of them ahead of what is taken."""
+def in_order(work: Callable[[S], T], items: Sequence[S], workers: int) -> Iterator[T]:
+    """What the work makes of the items, in their order, few of them ahead of what is taken."""
     if workers == 1:
-        yield from (task() for task in tasks)
+        yield from map(work, items)
         return
     waiting: deque[Future[T]] = deque()
     with ThreadPoolExecutor(workers) as pool:
         try:
-            for task in tasks:
-                waiting.append(pool.submit(task))
+            for item in items:
+                waiting.append(pool.submit(work, item))
                 if len(waiting) > workers:
                     yield waiting.popleft().result()
             while waiting:
@@ -273,6 +340,16 @@ def in_order(tasks: Sequence[Callable[[], T]], workers: int) -> Iterator[T]:
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)
             raise
+
+
+def _thinned(block: Block, steps: Sequence[int] | None) -> Block:
+    """Every steps-th row of the tensor, counted as rows of the tensor thinned so."""
+    tensor, rows = block.tensor, list(block.rows)
+    for n, step in enumerate(steps or ()):
+        if step > 1:
+            kept = np.flatnonzero(rows[n] % step == 0)
+            tensor, rows[n] = tensor.take(kept, axis=n), rows[n][kept] // step
+    return Block(tuple(rows), np.ascontiguousarray(tensor))
 
 
 def _places(lists: Sequence[NDArray[np.intp]]) -> NDArray[np.intp]:

@@ -64,16 +64,15 @@ def fit_streamed(
     if max(steps) == 1:
         return cells
     thinned = [n for n, step in enumerate(steps) if step > 1]
+    others = [n for n, rank in enumerate(spec.ranks) if rank is not None and n not in thinned]
     for n in thinned:
         cells = widened(cells, n, residual.shape[n], steps[n])
-        steps[n] = 1
-        solve_rows(residual, number, cells, n, spec.search, steps)
-    if spec.cells > 1:
-        # The other modes have samples enough on a part; those of which rows are new come last and see everything.
-        part = [2 if n in thinned else 1 for n in range(spec.order)]
-        for n in [n for n in range(spec.order) if n not in thinned and spec.ranks[n] is not None] + thinned:
-            seen = [1] * spec.order if n in thinned else part
-            solve_rows(residual, number, cells, n, spec.search, seen)
+    for n in thinned:
+        solve_rows(residual, number, cells, n, spec.search, [1 if m == n else step for m, step in enumerate(steps)])
+    for n in others if spec.cells > 1 else []:  # these have samples enough on a part
+        solve_rows(residual, number, cells, n, spec.search, [min(step, 2) for step in steps])
+    for n in thinned:
+        solve_rows(residual, number, cells, n, spec.search, [1] * spec.order)
     return cells
 
 
@@ -96,8 +95,7 @@ def widened(cells: Cells, n: int, size: int, step: int) -> Cells:
 
 def solve_rows(residual: Streamed, number: int, cells: Cells, n: int, search: str, steps: Sequence[int]) -> None:
     """Best rows of mode n given all else, on the tensor thinned by `steps`."""
-    sizes = tuple(-(-size // step) for size, step in zip(residual.shape, steps, strict=True))
-    seen = cells if cells.sizes == sizes else thinned_cells(cells, steps)
+    seen = thinned_cells(cells, steps)
     coding = code(seen, projected(residual, number, seen, n, steps), n)
     choose_rows(seen, coding, n, cells.spec.mixture[n], search)
     orthonormalise(seen, n)
