@@ -129,7 +129,6 @@ def test_level_that_is_not_there(packed: Path, tmp_path: Path) -> None:
 def test_more_memory_than_allowed(source: Path, packed: Path, tmp_path: Path) -> None:
     sentence = refused("compress", source, "-o", tmp_path / "a.hmk", *PLAN, "--max-memory", "1KiB", code=6)
     assert "1.00 KiB" in sentence
-    refused("plan", source, "--snr", 20, "--max-memory", "1KiB", code=6)
     refused("decompress", packed, "-o", tmp_path / "a.npy", "--max-memory", "1KiB", code=6)
     assert not list(tmp_path.iterdir())
 

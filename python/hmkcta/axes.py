@@ -97,7 +97,7 @@ def check_organisation(organisation: Organisation, axes: Sequence[Axis]) -> Orga
         raise invalid(
             "organisation",
             "organisation",
-            format_organisation(organisation),
+            repr(format_organisation(organisation)),
             f"each of {', '.join(known)} exactly once",
             "merge axes with +, part modes with commas",
         )

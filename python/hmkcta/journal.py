@@ -164,7 +164,11 @@ class Journal(NoJournal):
 
     def plan(self, choose: Callable[[], Plan]) -> Plan:
         """The plan of the interrupted run; else the one chosen now, which is written down."""
-        return _plan(self.settled("plan", lambda: asdict(choose())))
+        content = self.settled("plan", lambda: asdict(choose()))
+        try:
+            return _plan(content)
+        except (KeyError, TypeError, ValueError, HmkctaError) as error:
+            raise self._useless("no plan in plan.json", "the files of a run") from error
 
     def settled(self, name: str, choose: Callable[[], Any]) -> Any:
         """The interrupted run's value; else the one chosen now, which is written down."""
@@ -219,7 +223,10 @@ class Journal(NoJournal):
                               hint="go on with it by --resume, or begin again with --overwrite")
 
     def _compare(self, run: Mapping[str, Any]) -> None:
-        before, now = self._read(RUN), json.loads(json.dumps(run))
+        stored = self._read(RUN)
+        if not isinstance(stored, dict):
+            raise self._useless(f"no fields in {RUN}", "the files of a run")
+        before, now = cast("dict[str, Any]", stored), cast("dict[str, Any]", json.loads(json.dumps(run)))
         differing = [name for name in {**before, **now} if before.get(name) != now.get(name)]
         if differing:
             found, allowed = (", ".join(f"{name} {json.dumps(fields.get(name))}" for name in differing)
@@ -231,7 +238,7 @@ class Journal(NoJournal):
     def _read(self, name: str) -> Any:
         try:
             return json.loads((self.folder / name).read_text(encoding="utf-8"))
-        except (FileNotFoundError, ValueError) as error:
+        except (FileNotFoundError, ValueError, RecursionError) as error:
             raise self._useless(f"no readable {name}", "the files of a run") from error
 
     def _write(self, name: str, content: Any) -> None:

@@ -134,6 +134,8 @@ def parse_level(text: str, organisation: Organisation, scheme: str = "most") -> 
     >>> parse_level("R=1 grid=y:4,x:6", modes).clusters
     (1, 1, 4, 6)
     """
+    if not text.strip():
+        raise invalid("plan-syntax", "plan", "an empty level", "R=.. or R<=.. in each, levels parted by /")
     order = len(organisation)
     words: dict[str, str] = {}
     for word in text.split():

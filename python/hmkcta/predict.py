@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import prod
 
-from .memory import memory_budget
+from .memory import check_memory, memory_budget
 from .plan import LevelSpec, Plan
 
 #: Bytes of memory for each element while fitting: the float32 tensor, its residual, a saved residual, working copies.
 MEMORY_AN_ELEMENT = 20
 #: Most elements of a tensor that is fitted in one piece: more elements fit it no better.
 WORKSET = 1 << 26
+#: Fewer elements than these (or than all there are) are too few to fit a level to.
+SMALLEST = 1 << 20
 #: Bytes for each of them: the tensor, its residual, and what is made on the way; and bytes of the process itself.
 WORKING, PROCESS = 14, 200 * 2**20
 #: Bytes of the header, with the metadata, for a file of four axes and few levels.
@@ -23,7 +25,14 @@ _CLUSTER, _PART_LOCAL = 2, 6
 
 
 def memory_limit(plan: Plan, sizes: Sequence[int], memory: int | None) -> int:
-    """How many elements are worked on at once as one tensor; a larger tensor is streamed."""
+    """How many elements are worked on at once as one tensor; a larger tensor is streamed.
+
+    Raises:
+        HmkctaError: the memory given is less than even a streamed fit takes.
+    """
+    if memory is not None:
+        least = PROCESS + WORKING * min(prod(sizes), SMALLEST)
+        check_memory(least, "compressing this array", "allow more with --max-memory", memory)
     limit = max(1, min(WORKSET, (memory_budget(memory) - PROCESS) // WORKING))
     if prod(sizes) <= limit or plan.levels[0].search != "fast":
         return limit

@@ -151,8 +151,8 @@ def prepare(array: Any, axes: Sequence[Axis] | Sequence[str] | None, transform: 
     if not 1 <= array.ndim <= 8 or array.size == 0:
         raise invalid("array-shape", "array", f"shape {array.shape}", "1 to 8 axes, none of them empty")
     named = _named(array.shape, axes)
-    if nan is not None and not np.isfinite(nan):
-        raise invalid("nan-fill", "nan", nan, "a finite number")
+    if nan is not None and not abs(nan) <= _LARGEST:
+        raise invalid("nan-fill", "nan", nan, f"a number, its magnitude up to {_LARGEST:.0e}")
     digest, bad = _scan(array, nan)
     value_transform = parse(transform)
     fingerprint = {"sha256": digest}

@@ -38,6 +38,9 @@ def _finite(x: Values) -> NDArray[np.bool_]:
     return np.isfinite(x)
 
 
+#: Scales that leave room in float32 for what is divided by them.
+_SMALLEST, _LARGEST = 1e-30, 1e30
+
 _RULES = {
     "identity": _Rule(lambda x: x, lambda y: y, lambda x: np.ones(x.shape, np.bool_), "any number", False),
     "log1p": _Rule(np.log1p, np.expm1, lambda x: _finite(x) & (x > -1), "finite numbers above -{scale:g}", True),
@@ -154,4 +157,6 @@ def parse(text: str) -> Transform:
         number = float(scale)
     except ValueError:
         raise invalid("transform-scale", f"scale of {name}", repr(scale), "a positive number") from None
+    if number > 0 and not _SMALLEST <= number <= _LARGEST:  # values are divided by it in float32
+        raise invalid("transform-scale", f"scale of {name}", scale, f"{_SMALLEST:g} to {_LARGEST:g}")
     return Transform(name, number)

@@ -12,7 +12,17 @@ from ..hmkfile import check_output
 from ..model import Model
 from .failure import Exit
 from .goal import KINDS, Goal, goal_from, goal_options
-from .options import Command, json_option, overwrite_option, quiet_option, together, verbose_option
+from .options import (
+    Command,
+    File,
+    OutputFile,
+    apart,
+    json_option,
+    overwrite_option,
+    quiet_option,
+    together,
+    verbose_option,
+)
 from .output import decibels, emit, mebibytes, ratio, seconds, table
 from .progress import Progress
 from .resume import journal_beside, resume_option
@@ -28,8 +38,8 @@ SNR_SLACK = 0.005
 
 
 @click.command("compress", cls=Command, examples=EXAMPLES)
-@click.argument("source", metavar="SRC", type=click.Path())
-@click.option("-o", "--output", required=True, type=click.Path(), metavar="FILE", help="File to write.")
+@click.argument("source", metavar="SRC", type=File())
+@click.option("-o", "--output", required=True, type=OutputFile(), metavar="FILE", help="File to write.")
 @goal_options
 @click.option("--kind", type=click.Choice(KINDS), metavar="NAME",
               help="What it shows: svbrdf, lightfield, volume, generic.")
@@ -42,6 +52,7 @@ def compress_command(source: str, output: str, plan: str | None, kind: str | Non
     """
     goal = goal_from(options)
     check_output(output, overwrite)
+    apart(source, output)
     with Progress(quiet or as_json) as progress, journal_beside(output, resume, overwrite) as journal:
         if resume and not journal.holds_work:
             click.echo(f"hmkcta: there is nothing in {journal.folder} to go on with: it begins anew.", err=True)

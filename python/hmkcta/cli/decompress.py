@@ -19,6 +19,8 @@ from ..slabs import slabs
 from .options import (
     Command,
     Count,
+    OutputFile,
+    apart,
     file_argument,
     json_option,
     memory_option,
@@ -39,7 +41,7 @@ SMALLEST_SLAB = 1 << 14
 
 @click.command("decompress", cls=Command, examples=EXAMPLES)
 @file_argument
-@click.option("-o", "--output", required=True, type=click.Path(), metavar="OUT",
+@click.option("-o", "--output", required=True, type=OutputFile(), metavar="OUT",
               help="OUT.npy, or OUT.raw for numbers alone.")
 @click.option("--level", type=Count(1), metavar="N", help="Decode levels 1 to N only.")
 @memory_option
@@ -54,6 +56,7 @@ def decompress_command(file: str, output: str, level: int | None, max_memory: in
     if Path(output).suffix not in (".npy", ".raw"):
         raise invalid("output-format", "output", repr(output), "a name that ends with .npy or .raw")
     check_output(output, overwrite)
+    apart(file, output)
     model = open_model(file)
     model = model if level is None else model.at_level(level)
     slab = _slab(model, max_memory)

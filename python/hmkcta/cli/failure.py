@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from enum import IntEnum
 from typing import IO, Any
 
@@ -50,6 +51,10 @@ class Failure(click.ClickException):
     def show(self, file: IO[Any] | None = None) -> None:
         """Write the sentence."""
         del file
+        with suppress(OSError):  # nobody listens any more
+            self._say()
+
+    def _say(self) -> None:
         click.echo(f"hmkcta: {self.message}", err=True)
         if self.as_json:
             report: dict[str, Any] = {"sentence": self.message, "exit_code": self.exit_code}

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any, TypeVar
 
 import click
 
+from ..errors import invalid
 from .output import JSON
 
 #: Key of `click.Context.meta` that is true with -v.
@@ -43,6 +46,32 @@ class ByteSize(click.ParamType[int]):
         if size < 1:
             self.fail(f"{value!r} is no size above 0.", param, ctx)
         return size
+
+
+class File(click.Path):
+    """A path; an empty one would be the folder at hand.
+
+    >>> File().convert("wood.npy", None, None)
+    'wood.npy'
+    """
+
+    name = "path"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Take it, or end with what is wrong."""
+        if value in ("", b""):
+            self.fail("the path is empty.", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+class OutputFile(File):
+    """A file to write; standard output cannot take the place of one, as files get their name when they are complete."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Take it, or end with what is wrong."""
+        if value in ("-", "/dev/stdout"):
+            self.fail("output goes to a file, not to standard output (a file of that name: ./-).", param, ctx)
+        return super().convert(value, param, ctx)
 
 
 class Shape(click.ParamType[tuple[int, ...]]):
@@ -100,7 +129,7 @@ class Fill(click.ParamType[float]):
         return filling
 
 
-class Count(click.IntRange):
+class Count(click.types.IntParamType):
     """A whole number from `least` up, which help does not say again for each option.
 
     >>> Count(1).convert("7", None, None)
@@ -108,10 +137,15 @@ class Count(click.IntRange):
     """
 
     def __init__(self, least: int) -> None:
-        super().__init__(min=least)
+        super().__init__()
+        self.least = least
 
-    def _describe_range(self) -> str:
-        return ""
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        """Read it, or end with what is wrong."""
+        number = super().convert(value, param, ctx)
+        if number < self.least:
+            self.fail(f"{number} is too small: {self.least} or more.", param, ctx)
+        return number
 
 
 class Command(click.Command):
@@ -179,4 +213,16 @@ memory_option = click.option("--max-memory", type=ByteSize(), metavar="SIZE",
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace an output that is there already.")
 nan_option = click.option("--nan", type=Fill(), metavar="fill=VALUE",
                           help="Put VALUE for NaN and infinity, else refused.")
-file_argument = click.argument("file", type=click.Path())
+file_argument = click.argument("file", type=File())
+
+
+def apart(source: str, output: str) -> None:
+    """Refuse an output that would replace its own input.
+
+    Raises:
+        HmkctaError: reason ``output-is-input``.
+    """
+    for path in (source, source.rpartition(":")[0]):  # FILE.npz:NAME
+        with suppress(OSError, ValueError):
+            if os.path.samefile(path, output):
+                raise invalid("output-is-input", "output", repr(output), "another file than the input")

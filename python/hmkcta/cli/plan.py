@@ -13,7 +13,7 @@ from ..memory import format_bytes
 from ..plan import Plan, parse_plan
 from ..predict import fitting_memory, predicted_bytes
 from .goal import Goal, command_for, goal_from, goal_options
-from .options import Command, json_option, quiet_option, together, verbose_option
+from .options import Command, File, json_option, quiet_option, together, verbose_option
 from .output import emit, seconds, table
 from .progress import Progress
 
@@ -25,7 +25,7 @@ EXAMPLES = (
 
 
 @click.command("plan", cls=Command, examples=EXAMPLES)
-@click.argument("source", metavar="SRC", type=click.Path())
+@click.argument("source", metavar="SRC", type=File())
 @goal_options
 @together(json_option, quiet_option, verbose_option)
 def plan_command(source: str, plan: str | None, as_json: bool, quiet: bool, verbose: bool, **options: Any) -> None:

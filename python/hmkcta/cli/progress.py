@@ -36,7 +36,7 @@ class Progress:
         self._task: Any = None
 
     def __enter__(self) -> Progress:
-        if self.quiet:
+        if self.quiet or sys.stderr is None:  # pyright: ignore[reportUnnecessaryComparison] (None where it is closed)
             return self
         if sys.stderr.isatty():
             self._open_bar()

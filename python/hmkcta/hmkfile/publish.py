@@ -24,9 +24,11 @@ def check_output(path: str | os.PathLike[str], overwrite: bool = False) -> Path:
     """
     with _as_io(str(path)):
         target = _resolved(path)
-        if target.exists() and not (overwrite and target.is_file()):
+        # What a link in /proc leads to has no path, yet is there.
+        exists, regular = os.path.exists(path) or target.exists(), os.path.isfile(path)
+        if exists and not (overwrite and regular):
             allowed = "a new file" if not overwrite else "a file, or nothing"
-            raise fault("output-exists", str(target), "a file" if target.is_file() else "no regular file", allowed,
+            raise fault("output-exists", str(target), "a file" if regular else "no regular file", allowed,
                         "choose another name or overwrite it" if not overwrite else "choose another name")
         if not target.parent.is_dir():
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(target.parent))

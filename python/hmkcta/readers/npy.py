@@ -68,7 +68,7 @@ def _read_layout(file: BinaryIO, where: str) -> Layout:
     except (ValueError, TypeError, SyntaxError, EOFError, RecursionError, TokenError) as error:
         sentence = str(error).splitlines()[0].rstrip(".") if str(error) else type(error).__name__
         raise io_error("source-damaged", where, sentence, "a complete .npy file", "fetch it again") from error
-    layout = Layout(tuple(shape), dtype, fortran)
+    layout = Layout(tuple(map(int, shape)), dtype, fortran)
     check_numbers(dtype, where)
     check_shape(layout, where)
     return layout
