@@ -50,7 +50,7 @@ export class App {
   private closed = false;
   private changed = 0;
   private perPixel = 0; // milliseconds
-  private budget = 1 << 16; // elements decoded a frame
+  private budget = 1 << 11; // elements decoded a frame
   private fixedSize: [number, number] | null = null;
 
   private constructor(
@@ -180,7 +180,7 @@ export class App {
     }
   }
 
-  /** The index of every source axis at a pixel of the canvas, of slices. */
+  /** Free what the model takes on the GPU. */
   close(): void {
     this.closed = true;
     this.renderer?.destroy();
@@ -236,15 +236,15 @@ export class App {
       return [first];
     }
     return other === null && this.originalDecoder !== null
-      ? [{ decoder: this.originalDecoder, level: this.originalDecoder.arrived }, first]
-      : [{ decoder: this.decoder, level: Math.min(other ?? 1, this.decoder.arrived) }, first];
+      ? [first, { decoder: this.originalDecoder, level: this.originalDecoder.arrived }]
+      : [first, { decoder: this.decoder, level: Math.min(other ?? 1, this.decoder.arrived) }];
   }
 
   private async drawFrame(): Promise<void> {
     const moving = performance.now() - this.changed < SETTLED;
     const [width, height] = this.frameSize(moving);
     const start = performance.now();
-    const complete = await guarded(this.gpu.device, "drawing", async () => {
+    const { complete, decoded } = await guarded(this.gpu.device, "drawing", async () => {
       this.screen.resize(width, height);
       const sides = this.sides();
       const parts = sides.map((side, n) =>
@@ -254,17 +254,18 @@ export class App {
         premultiplied: this.kind === "volume",
       });
       await this.gpu.device.queue.onSubmittedWorkDone();
-      return parts.every((part) => part);
+      return { complete: parts.every((part) => part.complete), decoded: parts.reduce((sum, part) => sum + part.decoded, 0) };
     });
     const milliseconds = performance.now() - start;
-    if (complete) {
+    if (decoded === 0) {
       this.perPixel = milliseconds / (width * height);
     } else {
-      this.budget = Math.max(1024, Math.min(1 << 24, this.budget * (milliseconds < DECODE / 2 ? 2 : milliseconds > DECODE ? 0.5 : 1)));
+      const faster = milliseconds < DECODE / 4 ? 4 : milliseconds < DECODE / 2 ? 2 : milliseconds > DECODE ? 0.5 : 1;
+      this.budget = Math.max(256, Math.min(1 << 26, this.budget * faster));
       this.dirty = true;
     }
     this.watcher.onFrame({ milliseconds, width, height, decoding: !complete });
-    if (complete && !this.dirty) {
+    if (!this.dirty) {
       await this.refine(width);
     }
     await new Promise((resolve) => requestAnimationFrame(resolve));

@@ -42,6 +42,8 @@ export function prelude(metadata: Metadata, pages: number, options: Options = {}
   const order = metadata.modeSizes.length;
   const places = axisPlaces(metadata);
   const room = rooms(metadata, picks);
+  const taken = weights(metadata, room, contracted);
+  const colour = channels === 1 ? undefined : places[metadata.axes.findIndex((axis) => axis.role === "channel")]?.mode;
   const first = [0];
   room.forEach((rows, n) => first.push(first[n]! + rows));
   return `${[
@@ -54,7 +56,7 @@ export function prelude(metadata: Metadata, pages: number, options: Options = {}
     `const NODE_WORDS = ${nodeWords(order)}u;`,
     `const AXIS_MODE = ${list(places.map(({ mode }) => mode))};`,
     `const AXIS_STRIDE = ${list(places.map(({ stride }) => stride))};`,
-    `const RANK_SUM = ${rankSum(metadata, room, contracted)}u;`,
+    `const RANK_SUM = ${Math.max(1, taken.reduce((sum, each) => sum + each, 0))}u;`,
     `const AXIS_PICKS = ${list(picks)};`,
     `const PICKS = ${Math.max(...picks)}u;`,
     `const ROW_FIRST = ${list(first)};`,
@@ -64,8 +66,14 @@ export function prelude(metadata: Metadata, pages: number, options: Options = {}
     "fn as_value(rgb: vec3f) -> Value {",
     `  return ${channels === 3 ? "rgb" : "rgb.x"};`,
     "}",
+    "fn scalar(value: Value) -> f32 {",
+    `  return ${channels === 3 ? "value.x" : "value"};`,
+    "}",
+    `const COLOUR = ${colour ?? 0xff}u;`,
+    `const COLOUR_ROWS = ${colour === undefined ? 1 : room[colour]!}u;`,
+    `const COLOUR_RANKS = ${colour === undefined ? 1 : Math.max(taken[colour]!, 1)}u;`,
     ...pageLines(pages, pageShift),
-    ...contractionLines(order, metadata.undecomposed, contracted),
+    ...contractionLines(order, metadata.undecomposed, colour, contracted),
   ].join("\n")}\n`;
 }
 
@@ -105,13 +113,14 @@ function list(numbers: number[]): string {
   return `array<u32, ${numbers.length}>(${numbers.map((number) => `${number}u`).join(", ")})`;
 }
 
-/** The most numbers that the weights of a cell take: R_n, or the rows where the mode is not decomposed. */
-function rankSum(metadata: Metadata, room: number[], contracted: number[]): number {
-  const sums = metadata.levels.map((level) => room.reduce((sum, rows, n) => {
-    const taken = metadata.undecomposed.includes(n) ? rows : level.ranks[n]!;
-    return contracted.includes(n) ? sum : sum + taken;
-  }, 0));
-  return Math.max(1, ...sums);
+/** For each mode the most numbers that its weights take: R_n, or the rows where the mode is not decomposed. */
+function weights(metadata: Metadata, room: number[], contracted: number[]): number[] {
+  return room.map((rows, n) => {
+    if (contracted.includes(n)) {
+      return 0;
+    }
+    return metadata.undecomposed.includes(n) ? rows : Math.max(1, ...metadata.levels.map((level) => level.ranks[n]!));
+  });
 }
 
 function pageLines(pages: number, shift: number): string[] {
@@ -132,29 +141,34 @@ function pageLines(pages: number, shift: number): string[] {
   ];
 }
 
-/** Functions `contract_0` to `contract_N`: the core of the cell at hand times its weights, mode by mode. */
-function contractionLines(order: number, undecomposed: number[], contracted: number[]): string[] {
-  const lines: string[] = [];
-  for (let n = 0; n < order; n += 1) {
-    lines.push(`fn contract_${n}(at: u32) -> Value {`);
-    if (contracted.includes(n)) {
-      lines.push(`  return contract_${n + 1}(at);`, "}");
-      continue;
-    }
+/**
+ * Functions that multiply the core of the cell at hand with its weights, a mode each, as WGSL has no recursion. The mode
+ * with the colours comes first, so that all others are done in single numbers.
+ */
+function contractionLines(
+  order: number, undecomposed: number[], colour: number | undefined, contracted: number[],
+): string[] {
+  const modes = Array.from({ length: order }, (_, n) => n);
+  const rest = modes.filter((n) => !contracted.includes(n) && n !== colour);
+  const nest = colour === undefined ? rest : [colour, ...rest];
+  const lines = nest.flatMap((n, place) => {
+    const kind = n === colour ? "Value" : "f32";
+    const weight = n === colour ? "cell_colour[e]" : `cell_weight[cell_first[${n}] + e]`;
     const index = undecomposed.includes(n) ? `cell_index[cell_first[${n}] + e]` : "e";
-    lines.push(
-      "  var sum = Value(0.0);",
+    return [
+      `fn contract_${place}(at: u32) -> ${kind} {`,
+      `  var sum = ${kind}(0.0);`,
       `  for (var e = 0u; e < cell_count[${n}]; e++) {`,
-      `    sum += cell_weight[cell_first[${n}] + e] * contract_${n + 1}(at * node_rank[${n}] + ${index});`,
+      `    sum += ${weight} * contract_${place + 1}(at + ${index} * node_stride[${n}]);`,
       "  }", "  return sum;", "}",
-    );
-  }
+    ];
+  });
   const folded = contracted.length > 0;
   if (folded) {
     lines.push("@group(0) @binding(8) var<storage, read> frame: array<u32>;");
   }
-  const number = folded ? "bitcast<f32>(frame[cell_core + at])" : "coefficient(cell_core + at)";
-  const start = folded ? "frame[node / NODE_WORDS]" : "word(node + 1u)";
-  return [...lines, `fn contract_${order}(at: u32) -> Value {`, `  return Value(${number});`, "}",
-    "fn node_core(node: u32) -> u32 {", `  return ${start};`, "}"];
+  return [...lines, `fn contract_${nest.length}(at: u32) -> f32 {`,
+    `  return ${folded ? "bitcast<f32>(frame[at])" : "coefficient(at)"};`, "}",
+    "fn contract_core() -> Value {", "  return Value(contract_0(cell_core));", "}",
+    "fn node_core(node: u32) -> u32 {", `  return ${folded ? "frame[node / NODE_WORDS]" : "word(node + 1u)"};`, "}"];
 }

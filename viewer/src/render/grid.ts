@@ -8,6 +8,7 @@ import { Pass } from "../gpu/pass";
 import { prelude } from "../gpu/prelude";
 import { Problem } from "../problem";
 import { timeSteps } from "./layout";
+import type { Progress } from "./renderer";
 
 const NO_AXIS = 0xff;
 
@@ -40,9 +41,9 @@ export class GridCache {
 
   /**
    * Decode up to `budget` missing elements of a request (at least one group). Returns the first slice of each group,
-   * and whether all are there.
+   * and how far it is.
    */
-  fill(request: GridRequest, budget: number): { first: number[]; complete: boolean } {
+  fill(request: GridRequest, budget: number): { first: number[]; progress: Progress } {
     const axes = this.decoder.metadata.axes;
     const [width, height] = [axes[request.x]!.size, axes[request.y]!.size];
     const each = request.groups[0]?.length ?? 1;
@@ -57,21 +58,22 @@ export class GridCache {
     this.key = key;
     const places = this.place(wanted);
     let left = budget;
-    let complete = true;
+    const progress: Progress = { complete: true, decoded: 0 };
     wanted.forEach((name, i) => {
       const slot = places[i]!;
       if (this.held[slot] === name) {
         return;
       }
       if (left <= 0) {
-        complete = false;
+        progress.complete = false;
         return;
       }
       this.decode(request, request.groups[i]!, slot * each, width, height);
       this.held[slot] = name;
       left -= width * height * each;
+      progress.decoded += width * height * each;
     });
-    return { first: places.map((slot) => slot * each), complete };
+    return { first: places.map((slot) => slot * each), progress };
   }
 
   destroy(): void {

@@ -6,7 +6,7 @@ import type { Axis, Metadata } from "../reader/metadata";
 import type { State } from "../state";
 import type { GridCache } from "./grid";
 import { type Layout, layOut } from "./layout";
-import type { Renderer, Side } from "./renderer";
+import type { Progress, Renderer, Side } from "./renderer";
 import { destroyCaches, fitted, makeCaches } from "./slices";
 
 const MOST_CAMERAS = 256;
@@ -99,7 +99,7 @@ export class LightfieldRenderer implements Renderer {
     return new LightfieldRenderer(device, pass, layout, cameras, await makeCaches(device, decoders));
   }
 
-  draw(side: Side, slot: 0 | 1, state: State, target: GPUTexture, budget: number): boolean {
+  draw(side: Side, slot: 0 | 1, state: State, target: GPUTexture, budget: number): Progress {
     const { layout, cameras } = this;
     const { axes } = side.decoder.metadata;
     const aimed = aim(cameras, state.view).sort((a, b) => b.weight - a.weight).slice(0, MOST_CAMERAS);
@@ -116,7 +116,7 @@ export class LightfieldRenderer implements Renderer {
     }));
     const cache = this.caches.get(side.decoder)![slot];
     const time = layout.time === null ? null : { axis: layout.time, at: state.time };
-    const { first, complete } = cache.fill({ level: side.level, x, y, time, groups }, budget);
+    const { first, progress } = cache.fill({ level: side.level, x, y, time, groups }, budget);
     const total = aimed.reduce((sum, { weight }) => sum + weight, 0);
     this.device.queue.writeBuffer(this.table, 0, Float32Array.from(
       aimed.flatMap(({ weight, shift }, i) => [weight / total, ...shift, first[i]!])));
@@ -126,7 +126,7 @@ export class LightfieldRenderer implements Renderer {
       width: target.width, height: target.height, cameras: aimed.length, channels: layout.channels.length, rows, columns,
       scale, offset_y: offsetY, offset_x: offsetX,
     }, [this.table, cache.texture!, target], [target.width, target.height, 1]);
-    return complete;
+    return progress;
   }
 
   destroy(): void {

@@ -9,12 +9,18 @@ export interface Side {
   level: number;
 }
 
+/** Whether all that a picture needs has been decoded, and how many elements just were. */
+export interface Progress {
+  complete: boolean;
+  decoded: number;
+}
+
 /** A renderer of one kind. */
 export interface Renderer {
   /** Sentences on what had to be assumed. */
   readonly notes: string[];
-  /** What this picture's work is measured in, for the budget of a frame. */
-  draw(side: Side, slot: 0 | 1, state: State, target: GPUTexture, budget: number): boolean;
+  /** Draw one side into a texture; elements that are kept from frame to frame are decoded up to `budget` at a time. */
+  draw(side: Side, slot: 0 | 1, state: State, target: GPUTexture, budget: number): Progress;
   destroy(): void;
 }
 

@@ -7,7 +7,7 @@ import type { State } from "../state";
 import { colourTable } from "./colours";
 import { GridCache, gridPass } from "./grid";
 import { shownChannels } from "./layout";
-import { type Renderer, type Side, filledBuffer } from "./renderer";
+import { type Progress, type Renderer, type Side, filledBuffer } from "./renderer";
 
 /** Where a picture of rows x columns lies in a frame: pixels of it a frame pixel, and those at the first one's centre. */
 export function fitted(
@@ -45,7 +45,7 @@ export class SliceRenderer implements Renderer {
     return new SliceRenderer(device, pass, await makeCaches(device, decoders));
   }
 
-  draw(side: Side, slot: 0 | 1, state: State, target: GPUTexture, budget: number): boolean {
+  draw(side: Side, slot: 0 | 1, state: State, target: GPUTexture, budget: number): Progress {
     const { metadata } = side.decoder;
     const { x, y, low, high, colours } = state.slice;
     const channel = colourAxis(metadata, state);
@@ -53,7 +53,7 @@ export class SliceRenderer implements Renderer {
       state.position.map((place, n) => (n === channel ? index : place)));
     const cache = this.caches.get(side.decoder)![slot];
     const group = shown.map((index) => index.map((place, n) => (n === x || n === y ? 0 : place)));
-    const { complete } = cache.fill({ level: side.level, x, y, time: null, groups: [group] }, budget);
+    const { progress } = cache.fill({ level: side.level, x, y, time: null, groups: [group] }, budget);
     if (colours !== this.colourName) {
       this.device.queue.writeBuffer(this.colours, 0, colourTable(colours));
       this.colourName = colours;
@@ -64,7 +64,7 @@ export class SliceRenderer implements Renderer {
       width: target.width, height: target.height, channels: shown.length, rows, columns, scale, offset_y: offsetY,
       offset_x: offsetX, low, high: high > low ? high : low + 1e-30,
     }, [this.colours, cache.texture!, target], [target.width, target.height, 1]);
-    return complete;
+    return progress;
   }
 
   destroy(): void {

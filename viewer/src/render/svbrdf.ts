@@ -10,7 +10,7 @@ import type { Light, State } from "../state";
 import { type DirectionTable, GRID, buildTable, directionsOf } from "./directions";
 import { type Layout, layOut } from "./layout";
 import { type Mesh, VERTEX_NUMBERS, makeMesh } from "./mesh";
-import { type Renderer, type Side, filledBuffer } from "./renderer";
+import { type Progress, type Renderer, type Side, filledBuffer } from "./renderer";
 import { type Rays, cameraRays, clipFromWorld, direction, scaled } from "./vector";
 
 const NO_AXIS = 0xff;
@@ -58,7 +58,7 @@ export class SvbrdfRenderer implements Renderer {
       new Map(await Promise.all(shadings)));
   }
 
-  draw(side: Side, _slot: 0 | 1, state: State, target: GPUTexture): boolean {
+  draw(side: Side, _slot: 0 | 1, state: State, target: GPUTexture): Progress {
     const { axes } = side.decoder.metadata;
     const [rows, columns] = this.layout.space.map((n) => axes[n]!.size) as [number, number];
     const rays = cameraRays(state.camera, target.width / target.height);
@@ -66,7 +66,7 @@ export class SvbrdfRenderer implements Renderer {
     const { pass, nearest } = this.shadings.get(side.decoder)!;
     pass.run(this.frame(state, rays, rows, columns, target, nearest), [this.tables.buffer, ...this.seen, target],
       [target.width, target.height, 1], side.decoder.group(side.level));
-    return true;
+    return { complete: true, decoded: 0 };
   }
 
   /** Take a mesh of the user's for the shape "mesh". */

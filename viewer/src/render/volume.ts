@@ -7,7 +7,7 @@ import { BACKGROUND, type State, VOLUME_MODES } from "../state";
 import { colourTable } from "./colours";
 import type { GridCache } from "./grid";
 import { type Layout, layOut } from "./layout";
-import { type Renderer, type Side, filledBuffer } from "./renderer";
+import { type Progress, type Renderer, type Side, filledBuffer } from "./renderer";
 import { destroyCaches, makeCaches } from "./slices";
 import { type Vector, cameraRays, direction } from "./vector";
 
@@ -45,18 +45,18 @@ export class VolumeRenderer implements Renderer {
     return new VolumeRenderer(device, pass, layout, await makeCaches(device, decoders));
   }
 
-  draw(side: Side, slot: 0 | 1, state: State, target: GPUTexture, budget: number): boolean {
+  draw(side: Side, slot: 0 | 1, state: State, target: GPUTexture, budget: number): Progress {
     const { axes } = side.decoder.metadata;
     const [z, y, x] = this.layout.space as [number, number, number];
     const groups = Array.from({ length: axes[z]!.size }, (_, k) => [state.position.map((place, n) => (
       n === z ? k : n === x || n === y || n === this.layout.time ? 0 : place))]);
     const time = this.layout.time === null ? null : { axis: this.layout.time, at: state.time };
     const cache = this.caches.get(side.decoder)![slot];
-    const { complete } = cache.fill({ level: side.level, x, y, time, groups }, budget);
+    const { progress } = cache.fill({ level: side.level, x, y, time, groups }, budget);
     this.updateTransfer(state);
     this.pass.run(this.frame(state, axes, target), [this.transfer, cache.texture!, target],
       [target.width, target.height, 1]);
-    return complete;
+    return progress;
   }
 
   destroy(): void {

@@ -1,0 +1,132 @@
+"""Small models and what NumPy makes of them, for the browser tests of the viewer: `make_viewer_models.py FOLDER`.
+
+`pictures.json` lists scenes with their expected picture (raw RGB bytes beside it); the tests bring the page to the same
+scene by its controls.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hmkcta import Axis, Model, compress, synthetic
+from hmkcta.render import Camera, Compare, Light, Look, Renderer, Scene, Surface, Viewpoint
+from hmkcta.render.layout import value_range
+
+SIZE = 64
+LEVELS = "R=3,3,4,4 / R=1,1,2,2 C=2 K=2"
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scene, and for each control of the page the value that brings the page there."""
+
+    name: str
+    file: str
+    scene: Scene
+    controls: dict[str, str] = field(default_factory=dict[str, str])
+    drag: tuple[int, int] = (0, 0)  # pixels, of the camera
+
+
+def main(folder: Path) -> None:
+    """Write everything."""
+    folder.mkdir(parents=True, exist_ok=True)
+    models: dict[str, tuple[Model, Any]] = {name: make() for name, make in MAKERS.items()}
+    for name, (model, values) in models.items():
+        model.save(folder / f"{name}.hmk", overwrite=True)
+        np.save(folder / f"{name}.npy", values)
+    entries: list[dict[str, Any]] = []
+    for case in CASES:
+        model, values = models[case.file]
+        scene = replace(case.scene, width=SIZE, height=SIZE)
+        picture = Renderer(model, original=values, backend="numpy").picture(scene)
+        (folder / f"{case.name}.rgb").write_bytes(picture.tobytes())
+        entries.append({"name": case.name, "file": f"{case.file}.hmk", "controls": case.controls, "drag": case.drag})
+    document = {"size": SIZE, "pictures": entries, "slices": _slices(models["stack"][0])}
+    (folder / "pictures.json").write_text(json.dumps(document), encoding="utf-8")
+
+
+def _compressed(data: synthetic.Dataset, plan: str, organisation: str | None = None) -> tuple[Model, Any]:
+    return compress(data.values, plan, axes=data.axes, kind=data.kind, organisation=organisation), data.values
+
+
+def material() -> tuple[Model, Any]:
+    """Colour folded into the light mode."""
+    return _compressed(synthetic.material(9, 9, 16), LEVELS, "light+rgb, view, y, x")
+
+
+def merged() -> tuple[Model, Any]:
+    """Angles and texels merged, as the automatic plan likes it."""
+    return _compressed(synthetic.material(9, 9, 16), "R=6,6 / R=2,2 C=3,2 K=2,1", "light+view+rgb, y+x")
+
+
+def light_field() -> tuple[Model, Any]:
+    """Cameras merged, time left as it is."""
+    data = synthetic.light_field(views=3, size=24, frames=3)
+    return _compressed(data, "R=3,6,6,* / R=2,2,2,* C=2,2,2,1 K=2,2,1,1", "row+column, y, x, time")
+
+
+def volume() -> tuple[Model, Any]:
+    """A volume over time."""
+    return _compressed(synthetic.volume(size=12, frames=3), "R=2,5,5,5 / R=2,2,2,2 C=1,2,2,2 K=1,2,2,2")
+
+
+def stack() -> tuple[Model, Any]:
+    """Axes of no known role, with negative values, behind a value transform."""
+    rng = np.random.default_rng(3)
+    x = np.linspace(-2, 2, 12)
+    waves = np.sinh(2 * np.sin(x[:, None, None] * 2 + x[None, :10, None]) + x[None, None, :8])
+    axes = [Axis("depth", 12), Axis("across", 10), Axis("trial", 8)]
+    array = (waves * (1 + 0.1 * rng.random(waves.shape))).astype(np.float32)
+    return compress(array, "R=4,4,4 / R=2,2,2 C=2,2,1 K=2,1,1", axes=axes, transform="asinh:0.5"), array
+
+
+MAKERS = {"material": material, "merged": merged, "lightfield": light_field, "volume": volume, "stack": stack}
+
+
+def _cases() -> list[Case]:
+    low = {"Level": "1"}
+    light = Light(azimuth=-20, elevation=60)
+    return [
+        Case("material", "material", Scene()),
+        Case("material-level-1", "material", Scene(level=1), low),
+        Case("material-light", "material", Scene(lights=(light,)), {"Azimuth": "-20", "Elevation": "60"}),
+        Case("material-turned", "material", Scene(camera=Camera(azimuth=40, elevation=32)), drag=(-50, 30)),
+        Case("material-plane", "material", Scene(surface=Surface("plane")), {"Shape": "plane"}),
+        Case("material-split", "material", Scene(level=1, compare=Compare("split", 2)),
+             {"Show": "split", "With": "2", **low}),
+        Case("material-original", "material", Scene(compare=Compare("split", None)), {"Show": "split"}),
+        Case("merged", "merged", Scene()),
+        Case("merged-cloth", "merged", Scene(surface=Surface("cloth")), {"Shape": "cloth"}),
+        Case("lightfield", "lightfield", Scene(viewpoint=Viewpoint(0.5, 1.25)), {"Row": "0.5", "Column": "1.25"}),
+        Case("lightfield-focus", "lightfield", Scene(viewpoint=Viewpoint(focus=1.5, aperture=1.0), time=1.5),
+             {"Focus": "1.5", "Aperture": "1", "Frame": "1.5"}),
+        Case("lightfield-level-1", "lightfield", Scene(level=1), low),
+        Case("volume", "volume", Scene()),
+        Case("volume-turned", "volume", Scene(camera=Camera(azimuth=50, elevation=33), time=2),
+             {"Frame": "2"}, (-50, 20)),
+        Case("volume-iso", "volume", Scene(volume=Look("iso", "viridis", iso=0.4), level=1),
+             {"Mode": "iso", "Colours": "viridis", "Iso value": "0.4", **low}),
+        Case("volume-clip", "volume", Scene(volume=Look("emission", clip_high=(1.0, 0.6, 1.0))),
+             {"Mode": "emission", "y to": "0.6"}),
+        Case("volume-error", "volume", Scene(level=1, compare=Compare("heat", 2, gain=8.0)),
+             {"Show": "heat", "With": "2", "Amplify": "3", **low}),
+    ]
+
+
+CASES = _cases()
+
+
+def _slices(model: Model) -> dict[str, Any]:
+    """Values of the first picture that the page shows of the stack, by level, and those that show black and white."""
+    pictures = {str(level): model.at_level(level)[:, :, 4].reshape(-1).tolist() for level in (1, 2)}
+    return {"rows": 12, "columns": 10, "window": value_range(model, model.shape), "levels": pictures}
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,112 @@
+/** Chromium with WebGPU in software, the server, and the page's pixels. */
+
+import { type ChildProcess, execFileSync, spawn } from "node:child_process";
+import { existsSync, mkdtempSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
+import { type Browser, type Page, chromium } from "playwright-core";
+import { PNG } from "pngjs";
+
+const ROOT = join(import.meta.dirname, "..", "..");
+const PYTHON = join(ROOT, ".venv", "bin", "python");
+const CHROMIUM = process.env["CHROMIUM"] ?? "/usr/bin/chromium";
+
+/** All four of the first are needed: without any one of them the first picture ends the device. */
+const FLAGS = ["--enable-unsafe-webgpu", "--enable-features=Vulkan", "--use-vulkan=swiftshader", "--use-angle=vulkan",
+  "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update",
+  "--disable-sync"];
+
+/** Whether there is a browser; where CI says that there must be, its absence is an error. */
+export function haveBrowser(): boolean {
+  const missing = [CHROMIUM, PYTHON].filter((path) => !existsSync(path));
+  if (missing.length > 0 && process.env["CI"] === "true") {
+    throw new Error(`the viewer's tests need ${missing.join(" and ")}: apt-get install chromium, make`);
+  }
+  return missing.length === 0;
+}
+
+export function launch(flags: string[] = FLAGS): Promise<Browser> {
+  return chromium.launch({ executablePath: CHROMIUM, args: flags });
+}
+
+export const WITHOUT_WEBGPU = FLAGS.filter((flag) => !flag.includes("webgpu") && !flag.includes("ulkan")).concat(
+  "--disable-features=WebGPU", "--disable-gpu", "--disable-webgpu");
+
+/** The folder with the test models. */
+export function makeModels(): string {
+  const folder = mkdtempSync(join(tmpdir(), "hmkcta-viewer-"));
+  execFileSync(PYTHON, [join(ROOT, "tests", "make_viewer_models.py"), folder],
+    { env: { ...process.env, OPENBLAS_NUM_THREADS: "1" } });
+  return folder;
+}
+
+/** A running `hmkcta view`. */
+export class Server {
+  private constructor(private readonly process: ChildProcess, readonly url: string) {}
+
+  static async start(file: string, ...options: string[]): Promise<Server> {
+    const process = spawn(PYTHON, ["-m", "hmkcta", "view", file, "--no-browser", ...options],
+      { stdio: ["ignore", "pipe", "inherit"] });
+    const url = await new Promise<string>((resolve, reject) => {
+      let text = "";
+      process.stdout.on("data", (part: Buffer) => {
+        text += part.toString();
+        const found = /http:\S+/.exec(text);
+        if (found !== null) {
+          resolve(found[0]);
+        }
+      });
+      process.on("exit", (code) => reject(new Error(`hmkcta view ended with code ${code}`)));
+    });
+    return new Server(process, url);
+  }
+
+  /** End it as a user does; returns its exit code. */
+  stop(): Promise<number | null> {
+    return new Promise((resolve) => {
+      this.process.removeAllListeners("exit");
+      this.process.on("exit", (code) => resolve(code));
+      this.process.kill("SIGINT");
+    });
+  }
+}
+
+/** Wait until the page has come to a state; what it says of a failure is the error if it comes to that instead. */
+export async function reached(page: Page, state: string): Promise<void> {
+  await page.waitForFunction((wanted) => wanted.includes(document.documentElement.dataset["state"] ?? ""),
+    [state, "failed"], { timeout: 90_000 });
+  const found = await page.evaluate(() => document.documentElement.dataset["state"] ?? "");
+  if (found !== state) {
+    throw new Error(await page.getByRole("alert").textContent() ?? found);
+  }
+}
+
+/** Wait until nothing more is drawn. */
+export async function settled(page: Page): Promise<void> {
+  let before = "";
+  for (;;) {
+    const now = await page.evaluate(() => {
+      const { frames, complete } = document.querySelector("canvas")!.dataset;
+      return complete === "true" ? frames ?? "" : "";
+    });
+    if (now !== "" && now === before) {
+      return;
+    }
+    before = now;
+    await page.waitForTimeout(500);
+  }
+}
+
+/** The canvas as it is shown, one picture pixel a screen pixel, as RGB bytes. */
+export async function pixels(page: Page, size: number): Promise<Uint8Array> {
+  await page.evaluate((side) => {
+    const canvas = document.querySelector("canvas")!;
+    Object.assign(canvas.style, { position: "fixed", left: "0", top: "0", width: `${side}px`, height: `${side}px`, zIndex: "9" });
+    document.querySelectorAll<HTMLElement>("#divider, #statistics, #readout, #toggle").forEach((element) => {
+      element.style.visibility = "hidden";
+    });
+  }, size);
+  await settled(page);
+  const shot = PNG.sync.read(await page.screenshot({ clip: { x: 0, y: 0, width: size, height: size } }));
+  return Uint8Array.from({ length: 3 * size * size }, (_, i) => shot.data[4 * Math.floor(i / 3) + (i % 3)]!);
+}

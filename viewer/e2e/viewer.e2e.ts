@@ -1,0 +1,238 @@
+/** The viewer as a user has it: every kind, its controls, and what goes wrong; pixels held to NumPy's. */
+
+import { readFileSync, writeFileSync } from "node:fs";
+import { join } from "node:path";
+import type { Browser, Page } from "playwright-core";
+import { afterAll, afterEach, beforeAll, describe, expect, it } from "vitest";
+import { Server, WITHOUT_WEBGPU, haveBrowser, launch, makeModels, pixels, reached, settled } from "./browser";
+
+/** Of 255: rounding, and sums in another order. */
+const TOLERANCE = 6;
+/** Pixels at edges that the rasteriser and the ray see on different sides. */
+const EDGES = 0.03;
+
+interface Scene {
+  name: string;
+  file: string;
+  controls: Record<string, string>;
+  drag: [number, number];
+}
+
+interface Document {
+  size: number;
+  pictures: Scene[];
+  slices: { rows: number; columns: number; window: [number, number]; levels: Record<string, number[]> };
+}
+
+const there = haveBrowser();
+const folder = there ? makeModels() : "";
+const { size, pictures, slices }: Document = there
+  ? JSON.parse(readFileSync(join(folder, "pictures.json"), "utf-8")) as Document
+  : { size: 0, pictures: [], slices: { rows: 0, columns: 0, window: [0, 1], levels: {} } };
+
+describe.runIf(there)("viewer in Chromium", () => {
+  let browser: Browser;
+  let page: Page;
+  let server: Server | null = null;
+
+  beforeAll(async () => {
+    browser = await launch();
+  });
+  afterAll(async () => {
+    await browser?.close();
+  });
+  afterEach(async () => {
+    await page?.close();
+    await server?.stop();
+    server = null;
+  });
+
+  async function open(file: string, query = `&pixels=${size}x${size}`, ...options: string[]): Promise<void> {
+    server = await Server.start(join(folder, file), ...options);
+    page = await browser.newPage({ viewport: { width: 900, height: 640 } });
+    await page.goto(server.url + query);
+  }
+
+  /** Bring the controls of the page to some values. */
+  async function set(controls: Record<string, string>): Promise<void> {
+    for (const [label, value] of Object.entries(controls)) {
+      const control = page.getByLabel(label, { exact: true }).locator("visible=true").first();
+      await (await control.evaluate((element) => element.tagName) === "SELECT"
+        ? control.selectOption(value) : control.fill(value));
+    }
+  }
+
+  it.each(pictures)("shows $name as NumPy does", async ({ name, file, controls, drag }) => {
+    const original = name.includes("original") ? ["--original", join(folder, file.replace(".hmk", ".npy"))] : [];
+    await open(file, undefined, ...original);
+    await reached(page, "ready");
+    await page.evaluate(() => document.querySelectorAll("details").forEach((each) => each.toggleAttribute("open", true)));
+    await set(controls);
+    if (drag[0] !== 0) {
+      await page.mouse.move(250, 300);
+      await page.mouse.down();
+      await page.mouse.move(250 + drag[0], 300 + drag[1], { steps: 5 });
+      await page.mouse.up();
+    }
+    const found = await pixels(page, size);
+    const expected = readFileSync(join(folder, `${name}.rgb`));
+    writeFileSync(join(folder, `${name}.found`), found);
+    const off = found.filter((value, i) => Math.abs(value - expected[i]!) > TOLERANCE).length / found.length;
+    expect(new Set(found).size, "a picture, not a blank").toBeGreaterThan(20);
+    expect(off).toBeLessThan(EDGES);
+  });
+
+  it("shows slices of an array of any axes", async () => {
+    await open("stack.hmk");
+    await reached(page, "ready");
+    for (const level of ["2", "1"]) {
+      await set({ Level: level, Across: "1", Down: "0", trial: "4" });
+      const found = await pixels(page, size);
+      const { rows, columns, window: [low, high], levels } = slices;
+      const scale = Math.max(rows, columns) / size;
+      for (let py = 0; py < size; py += 1) {
+        for (let px = 0; px < size; px += 1) {
+          const row = Math.floor((rows - 1) / 2 + scale * (py - (size - 1) / 2) + 0.5);
+          const column = Math.floor((columns - 1) / 2 + scale * (px - (size - 1) / 2) + 0.5);
+          const value = levels[level]![row * columns + column];
+          if (column < 0 || column >= columns || value === undefined) {
+            continue;
+          }
+          const grey = 255 * Math.min(1, Math.max(0, (value - low) / (high - low)));
+          expect(Math.abs(found[3 * (py * size + px)]! - grey)).toBeLessThan(3);
+        }
+      }
+    }
+  });
+
+  it("reads the value under the pointer", async () => {
+    await open("stack.hmk");
+    await reached(page, "ready");
+    await settled(page);
+    const box = (await page.locator("canvas").boundingBox())!;
+    await page.mouse.move(box.x + box.width / 2 + 3, box.y + box.height / 2 + 3);
+    const text = await page.locator("#readout").textContent();
+    const [, row, column, value] = /depth (\d+), across (\d+), trial 4: (\S+)/.exec(text ?? "")!.map(Number);
+    expect(value).toBeCloseTo(slices.levels["2"]![row! * slices.columns + column!]!, 2);
+  });
+
+  it("changes level, compares and resets by keys", async () => {
+    await open("material.hmk");
+    await reached(page, "ready");
+    await page.locator("canvas").focus();
+    await page.keyboard.press("[");
+    expect(await page.getByLabel("Level", { exact: true }).first().inputValue()).toBe("1");
+    await page.keyboard.press("]");
+    expect(await page.getByLabel("Level", { exact: true }).first().inputValue()).toBe("2");
+    await page.keyboard.press("c");
+    await settled(page);
+    expect(await page.locator("#divider").isVisible()).toBe(true);
+    const before = await pixels(page, size);
+    await page.keyboard.press("ArrowLeft");
+    expect(await pixels(page, size)).not.toEqual(before);
+    await page.keyboard.press("r");
+    expect(await pixels(page, size)).toEqual(before);
+  });
+
+  it("plays time", async () => {
+    await open("volume.hmk");
+    await reached(page, "ready");
+    await page.getByRole("button", { name: "Play" }).click();
+    await expect.poll(() => page.getByLabel("Frame", { exact: true }).inputValue(), { timeout: 30_000 }).not.toBe("0");
+    await page.getByRole("button", { name: "Play" }).click();
+    expect(await page.getByRole("button", { name: "Play" }).getAttribute("aria-pressed")).toBe("false");
+  });
+
+  it("takes a dropped file, and says of a damaged one that it is", async () => {
+    await open("stack.hmk");
+    await reached(page, "ready");
+    const drop = (name: string, bytes: Buffer): Promise<void> => page.evaluate(({ text, as }) => {
+      const data = new DataTransfer();
+      data.items.add(new File([Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0))], as));
+      window.dispatchEvent(new DragEvent("drop", { dataTransfer: data, bubbles: true }));
+    }, { text: bytes.toString("base64"), as: name });
+    const good = readFileSync(join(folder, "volume.hmk"));
+    const damaged = Buffer.from(good);
+    damaged[damaged.length - 9]! ^= 4;
+    await drop("damaged.hmk", damaged);
+    await reached(page, "failed");
+    const sentence = page.getByRole("alert");
+    await sentence.getByText("The file is damaged").waitFor();
+    expect(await sentence.textContent()).toContain("level/2/");
+    expect(await sentence.textContent()).toContain("The first 1 of 2 levels are whole");
+    await drop("short.hmk", good.subarray(0, 900));
+    await sentence.getByText("The file is not complete").waitFor();
+    await drop("picture.png", Buffer.from("89504e470d0a1a0a0000000d49484452", "hex"));
+    await sentence.getByText("The file asks for more than this page allows").waitFor();
+    await drop("good.hmk", good);
+    await reached(page, "ready");
+    expect(await sentence.isVisible()).toBe(false);
+    expect(await page.locator("#file").textContent()).toBe("good.hmk");
+  });
+
+  it("says what is not there", async () => {
+    await open("stack.hmk");
+    await reached(page, "ready");
+    const base = server!.url.split("?")[0]!;
+    await page.goto(`${base}?file=files/other.hmk`);
+    await reached(page, "failed");
+    expect(await page.getByRole("alert").textContent()).toContain("There is no file other.hmk");
+    await page.goto(`${base}?file=data:text/plain,1`);
+    await reached(page, "failed");
+    expect(await page.getByRole("alert").textContent()).toContain("http and https only");
+    await page.goto(base);
+    await reached(page, "empty");
+    expect(await page.getByRole("heading", { name: "Show an .hmk file" }).isVisible()).toBe(true);
+  });
+
+  it("loads whole files from servers without ranges, and says where a connection was lost", async () => {
+    await open("volume.hmk", "&never");
+    await reached(page, "ready");
+    const whole = readFileSync(join(folder, "volume.hmk"));
+    await page.route("**/files/volume.hmk", (route) => route.fulfill({ status: 200, body: whole }));
+    await page.reload();
+    await reached(page, "ready");
+    await page.unroute("**/files/volume.hmk");
+    let answers = 0;
+    await page.route("**/files/volume.hmk", (route) => {
+      answers += 1;
+      return answers > 1 ? route.abort("connectionreset") : route.fulfill({
+        status: 206, body: whole.subarray(0, 300), headers: { "Content-Range": `bytes 0-299/${whole.length}` },
+      });
+    });
+    await page.reload();
+    await reached(page, "failed");
+    expect(await page.getByRole("alert").textContent()).toContain("The connection was lost after 0.0 of 0.0 MiB");
+  });
+
+  it("has names on all controls, at phone width too", async () => {
+    await open("material.hmk", "&none");
+    await page.setViewportSize({ width: 390, height: 740 });
+    await reached(page, "ready");
+    const nameless = await page.evaluate(() => Array.from(document.querySelectorAll<HTMLElement>("input, select, button")).filter(
+      (element) => !element.hidden && element.getAttribute("aria-label") === null && element.textContent.trim() === ""
+        && ((element as HTMLInputElement).labels?.length ?? 0) === 0).length);
+    expect(nameless).toBe(0);
+    const width = await page.evaluate(() => document.documentElement.scrollWidth);
+    expect(width).toBeLessThanOrEqual(390);
+    const canvas = (await page.locator("canvas").boundingBox())!;
+    expect(canvas.width).toBe(390);
+    expect(canvas.height).toBeGreaterThan(200);
+  });
+
+  it("says so where there is no WebGPU", async () => {
+    const other = await launch(WITHOUT_WEBGPU);
+    server = await Server.start(join(folder, "stack.hmk"));
+    page = await other.newPage();
+    await page.addInitScript("delete Navigator.prototype.gpu");
+    await page.goto(server.url);
+    await reached(page, "failed");
+    expect(await page.getByRole("alert").textContent()).toContain("no WebGPU");
+    await other.close();
+  });
+
+  it("ends cleanly with Ctrl-C", async () => {
+    const one = await Server.start(join(folder, "stack.hmk"));
+    expect(await one.stop()).toBe(0);
+  });
+});
