@@ -171,6 +171,7 @@ def test_records_are_a_prefix_wherever_the_file_is_cut(tmp_path: Path) -> None:
     ("snr", {"snr": 20.0}), ("transform", {"transform": "sqrt"}), ("nan", {"nan": 0.0}), ("kind", {"kind": "volume"}),
     ("scheme", {"scheme": "most"}), ("organisation", {"organisation": "light, rgb+view, y, x"}),
     ("axes", {"axes": ["a", "b", "c", "d", "e"], "organisation": "a+e, b, c, d"}),
+    ("max_memory", {"max_memory": 2**30}),
     ("sha256 of the array", {"array": DATA.values * np.float32(1.5)}),
 ])
 def test_another_run_is_refused(field: str, changed: dict[str, Any], tmp_path: Path) -> None:
@@ -206,6 +207,17 @@ def test_a_chosen_plan_is_not_chosen_again(tmp_path: Path, monkeypatch: pytest.M
         interrupted(tmp_path, calls, **options)
     monkeypatch.setattr("hmkcta.encode.tune", None)
     assert resumed(tmp_path, **options)[0] == reference
+
+
+def test_the_memory_of_the_first_run_decides(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is streamed follows from the memory that was free when the run began, not from what is free now."""
+    options = CASES["levels"]
+    with monkeypatch.context() as patch:
+        patch.setattr("hmkcta.predict.WORKSET", 5000)
+        reference = file_of(fitted(**options), tmp_path)
+        interrupted(tmp_path, 40, **options)
+    assert resumed(tmp_path, **options)[0] == reference
+    assert file_of(fitted(**options), tmp_path) != reference
 
 
 def test_no_trace_of_a_run_that_cannot_be(tmp_path: Path) -> None:

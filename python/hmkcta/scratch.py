@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
+import weakref
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +47,8 @@ class Scratch:
             if free < self.nbytes:
                 raise _io("scratch-full", self.folder, f"{format_bytes(free)} free", format_bytes(self.nbytes))
             self._file = tempfile.TemporaryFile(dir=self.folder, buffering=0)  # noqa: SIM115 (open until `close`)
+            # Whoever forgets to close it, or is interrupted, gives the space back as well.
+            self._closing = weakref.finalize(self, self._file.close)
             self._file.truncate(self.nbytes)
         except OSError as error:
             raise _io("scratch", self.folder, error.strerror or error, "a folder to write to") from error
@@ -63,7 +66,7 @@ class Scratch:
 
     def close(self) -> None:
         """Give the space back."""
-        self._file.close()
+        self._closing()
 
     def read(self, start: int, count: int) -> F32:
         """Numbers from `start` on."""
@@ -92,10 +95,14 @@ class Scratch:
     def copy(self) -> Scratch:
         """A second file with the same numbers."""
         other = Scratch(self.count, self.folder)
+        self.copy_to(other)
+        return other
+
+    def copy_to(self, other: Scratch) -> None:
+        """Give another file of the same length the same numbers."""
         step = 1 << 22
         for start in range(0, self.count, step):
             other.write(start, self.read(start, min(step, self.count - start)))
-        return other
 
 
 def _io(reason: str, folder: Path, found: object, allowed: object) -> HmkctaError:
