@@ -109,6 +109,12 @@ def test_words_that_cannot_be(words: tuple[str, ...], part: str) -> None:
     assert part in " ".join(run(*words, code=2).stderr.split())
 
 
+@pytest.mark.parametrize("plan", ["R=7,8,10", "R=1 C=9,1,1", "R=1 grid=axis0:7", "R<=3", "R=1 / R<=2 / R=1"])
+def test_plan_refuses_what_compress_refuses(plan: str, source: Path, tmp_path: Path) -> None:
+    sentence = refused("plan", source, "--plan", plan, code=2)
+    assert refused("compress", source, "-o", tmp_path / "a.hmk", "--plan", plan, code=2) == sentence
+
+
 # Outputs
 
 

@@ -221,3 +221,35 @@ class Plan:
 def parse_plan(text: str, organisation: Organisation, scheme: str = "most") -> Plan:
     """Read levels parted by ``/``; see `parse_level`."""
     return Plan(organisation, tuple(parse_level(part, organisation, scheme) for part in text.split("/")))
+
+
+def check_plan(plan: Plan, sizes: Sequence[int]) -> None:
+    """Refuse a plan that a tensor of these mode sizes cannot be fitted by.
+
+    Raises:
+        HmkctaError: ranks or clusters beyond the first level's rows; R=* in some levels only; R<= out of place.
+
+    >>> check_plan(parse_plan("R=9", (("y",),)), (8,))
+    Traceback (most recent call last):
+        ...
+    hmkcta.errors.HmkctaError: R of mode 1: found 9, allowed 1 to 8, or * for an undecomposed mode. \
+[InvalidArgument/rank-too-large]
+    """
+    first = plan.levels[0]
+    for number, level in enumerate(plan.levels, start=1):
+        if [r is None for r in level.ranks] != [r is None for r in first.ranks]:
+            allowed = "* for the same modes in every level"
+            raise invalid("undecomposed-differ", f"R of level {number}", str(level), allowed)
+        if level.own and (number < len(plan.levels) or (plan.snr is None and plan.size is None)):
+            allowed = "R<= in the last level only, together with a goal"
+            raise invalid("own-ranks-place", f"level {number}", str(level), allowed, "add --snr or --size")
+        if level.own and level.cells > 1 and not level.grid:
+            allowed = "R<= with blocks, grid=AXIS:COUNT, or below a level that has the clusters"
+            raise invalid("own-ranks-clusters", f"level {number}", str(level), allowed)
+    for n, (rank, clusters, size) in enumerate(zip(first.ranks, first.clusters, sizes, strict=True)):
+        if rank is not None and rank > size and not first.own:
+            allowed = f"1 to {size}, or * for an undecomposed mode"
+            raise invalid("rank-too-large", f"R of mode {n + 1}", rank, allowed)
+        if clusters > size:
+            allowed = f"1 to {size}, the number of its rows"
+            raise invalid("more-clusters-than-rows", f"C of mode {n + 1}", clusters, allowed)

@@ -10,7 +10,7 @@ import click
 from ..axes import Axis, format_organisation, mode_sizes, name_axes, parse_organisation, separate
 from ..encode import choose_plan
 from ..memory import format_bytes
-from ..plan import Plan, parse_plan
+from ..plan import Plan, check_plan, parse_plan
 from ..predict import fitting_memory, predicted_bytes
 from .goal import Goal, command_for, goal_from, goal_options
 from .options import Command, File, json_option, quiet_option, together, verbose_option
@@ -53,7 +53,9 @@ def given_plan(text: str, axes: tuple[Axis, ...], goal: Goal) -> Plan:
     written, scheme = goal.settings["organisation"], goal.settings["scheme"]
     organisation = separate(axes) if written is None else parse_organisation(written, axes)
     plan = parse_plan(text, organisation, "most" if scheme == "auto" else scheme)
-    return replace(plan, snr=goal.snr, size=goal.size)
+    plan = replace(plan, snr=goal.snr, size=goal.size)
+    check_plan(plan, mode_sizes(axes, organisation))
+    return plan
 
 
 def describe(plan: Plan, axes: tuple[Axis, ...], allowed_cost: int) -> dict[str, Any]:
