@@ -5,17 +5,22 @@ BIN := .venv/bin
 CRATES := $(wildcard crates/*/Cargo.toml)
 NATIVE := $(CRATES) $(shell find crates -name '*.rs' -not -path '*/target/*')
 
-.PHONY: demo test check bench clean help
+.PHONY: gallery demo test check bench bench-paper clean help
 
 help:
+	@echo "make gallery  pictures like the paper's figures, to gallery-output/ (DATA=FOLDER: of real data too; minutes)"
 	@echo "make demo   compress synthetic data, write pictures to demo-output/ (minutes)"
 	@echo "make test   run all tests"
 	@echo "make check  lint, types, formatting"
-	@echo "make bench  run the benchmarks"
+	@echo "make bench  measure kernels, decoding and small fits (minutes)"
+	@echo "make bench-paper  fits of the paper's sizes: 8 GB of scratch space, an hour or two"
 	@echo "make clean  remove what was built"
 
 demo: .venv/.installed
 	$(BIN)/hmkcta demo --output demo-output
+
+gallery: .venv/.installed
+	$(BIN)/python docs/gallery.py --output gallery-output $(if $(DATA),--data $(DATA))
 
 test: .venv/.installed
 	@for crate in $(CRATES); do cargo test --quiet --manifest-path $$crate || exit 1; done
@@ -30,6 +35,10 @@ check: .venv/.installed
 
 bench: .venv/.installed
 	$(BIN)/python -m benchmarks
+
+# HMKCTA_BENCH_DATA names the folder with the steel sheet's parameters; without it the sheet is synthetic.
+bench-paper: .venv/.installed
+	$(BIN)/python -m benchmarks paper
 
 clean:
 	rm -rf .venv demo-output build dist .pytest_cache .ruff_cache .hypothesis crates/*/target

@@ -78,6 +78,18 @@ def test_every_field_of_a_scene_comes_through_json() -> None:
     assert scene_from_json(json.loads(json.dumps(plain(scene)))) == scene
 
 
+def test_the_documented_scene_has_every_field() -> None:
+    """docs/rendering.md shows one JSON object with all fields, at their defaults but for what it shows."""
+    text = (Path(__file__).parent.parent / "docs" / "rendering.md").read_text(encoding="utf-8")
+    shown: dict[str, Any] = json.loads(text.partition("```json\n")[2].partition("```")[0])
+    scene = scene_from_json(shown)
+    assert set(shown) == {f.name for f in fields(Scene)}
+    for name in ("camera", "surface", "viewpoint", "volume", "tone", "compare"):
+        assert set(shown[name]) == {f.name for f in fields(getattr(Scene(), name))}
+    for name in ("surface", "viewpoint", "volume", "tone", "compare", "position", "width", "height"):
+        assert getattr(scene, name) == getattr(Scene(), name)
+
+
 def test_layouts_find_axes_by_role() -> None:
     spectral = lay_out(name_axes((4, 5, 6, 7, 31), ["light", "view", "y", "x", "band:channel"]), "svbrdf")
     assert (spectral.light, spectral.views, spectral.space, spectral.channels) == (0, (1,), (2, 3), (30, 15, 0))

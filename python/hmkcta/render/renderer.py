@@ -111,6 +111,15 @@ class Renderer:
 
         return show_on_gpu(self._device, one, two, display)
 
+    def original_picture(self, scene: Scene) -> U8:
+        """The picture of the original that was given, with the model's exposure.
+
+        Raises:
+            HmkctaError: there is no original; the scene does not fit it.
+        """
+        radiance = self._compared(replace(scene, compare=replace(scene.compare, level=None)))
+        return show(radiance, radiance, replace(self.display(scene), mode="none"))
+
     def radiance(self, scene: Scene) -> F32:
         """Radiance and coverage ``[height, width, 4]``, before exposure; of a volume, display colours times opacity."""
         return self._radiance(scene, len(self._model.levels) if scene.level is None else scene.level)
