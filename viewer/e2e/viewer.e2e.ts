@@ -2,7 +2,7 @@
 
 import { readFileSync, writeFileSync } from "node:fs";
 import { join } from "node:path";
-import type { Browser, Page } from "playwright-core";
+import type { Browser, Locator, Page } from "playwright-core";
 import { afterAll, afterEach, beforeAll, describe, expect, it } from "vitest";
 import { Server, WITHOUT_WEBGPU, haveBrowser, launch, makeModels, pixels, reached, settled } from "./browser";
 
@@ -53,10 +53,14 @@ describe.runIf(there)("viewer in Chromium", () => {
     await page.goto(server.url + query);
   }
 
+  function labelled(label: string): Locator {
+    return page.getByLabel(label, { exact: true }).and(page.locator("input, select")).locator("visible=true").first();
+  }
+
   /** Bring the controls of the page to some values. */
   async function set(controls: Record<string, string>): Promise<void> {
     for (const [label, value] of Object.entries(controls)) {
-      const control = page.getByLabel(label, { exact: true }).locator("visible=true").first();
+      const control = labelled(label);
       await (await control.evaluate((element) => element.tagName) === "SELECT"
         ? control.selectOption(value) : control.fill(value));
     }
@@ -121,9 +125,9 @@ describe.runIf(there)("viewer in Chromium", () => {
     await reached(page, "ready");
     await page.locator("canvas").focus();
     await page.keyboard.press("[");
-    expect(await page.getByLabel("Level", { exact: true }).first().inputValue()).toBe("1");
+    expect(await labelled("Level").inputValue()).toBe("1");
     await page.keyboard.press("]");
-    expect(await page.getByLabel("Level", { exact: true }).first().inputValue()).toBe("2");
+    expect(await labelled("Level").inputValue()).toBe("2");
     await page.keyboard.press("c");
     await settled(page);
     expect(await page.locator("#divider").isVisible()).toBe(true);

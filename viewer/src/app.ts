@@ -111,6 +111,7 @@ export class App {
     this.originalDecoder = new Decoder(this.gpu.device, original.metadata, original.levels);
     original.levels.forEach(() => this.originalDecoder?.addLevel());
     this.original = original;
+    this.state.compare.level = null;
     await this.showAs(this.kind);
   }
 
