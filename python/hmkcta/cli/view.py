@@ -34,10 +34,10 @@ def view_command(file: str, original: str | None, port: int, no_browser: bool, v
     described = any(source.get(key) is not None for key in ("shape", "dtype", "member"))
     array: Any = open_array(original, **source) if original is not None and described else original
     with serve(file, original=array, port=port) as server:
-        click.echo(f"{server.url}\nCtrl-C ends it.")
-        if not no_browser and not _opened(server.url):
-            click.echo("hmkcta: no browser could be opened; open the address in one.", err=True)
         try:
+            click.echo(f"{server.url}\nCtrl-C ends it.")
+            if not no_browser and not _opened(server.url):
+                click.echo("hmkcta: no browser could be opened; open the address in one.", err=True)
             server.wait()
         except Interrupted as signal:
             if signal.number != SIGINT:
