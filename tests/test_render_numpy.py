@@ -246,6 +246,10 @@ def test_pictures_compare_levels_and_the_original() -> None:
     assert len(np.unique(same.reshape(-1, 3), axis=0)) == 2, "no error, and the background"
     against = renderer.picture(replace(scene, level=1, compare=Compare("heat")))
     assert against.max() > 200
+    holed = values.copy()
+    holed[...] = np.nan
+    lost = Renderer(model, original=holed, backend="numpy").picture(replace(scene, compare=Compare("heat")))
+    assert lost[16, 16].min() > 200, "no number: the brightest colour"
     with pytest.raises(HmkctaError, match="no-original"):
         Renderer(model, backend="numpy").picture(replace(scene, compare=Compare("split")))
 

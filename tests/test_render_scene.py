@@ -37,6 +37,7 @@ REFUSED: list[tuple[Any, str, str]] = [
     ({"tone": {"curve": "log"}}, "unknown-choice", "tone.curve"),
     ({"surface": {"repeat": [0, 1]}}, "bad-vector", "surface.repeat"),
     ({"volume": {"window": [1, 1]}}, "bad-window", "volume.window"),
+    ({"volume": {"window": [float("-inf"), 1]}}, "bad-window", "volume.window"),
     ({"volume": {"clip_low": [0.5, 0, 0], "clip_high": [0.5, 1, 1]}}, "bad-clip", "volume.clip_high"),
     ({"volume": {"colours": [[0, 1, 1]]}}, "bad-vector", "volume.colours[0]"),
     ({"position": {"time": 1.5}}, "wrong-type", "scene.position.time"),
@@ -65,6 +66,8 @@ def test_scenes_say_only_what_differs(tmp_path: Path) -> None:
     assert scene.camera == Camera(azimuth=5.0)
     assert scene.lights[0].colour == (1.0, 0.5, 0.0)
     path.write_text("{", "utf-8")
+    reason("not-json", load_scene, path)
+    path.write_text('{"time": NaN}', "utf-8")
     reason("not-json", load_scene, path)
     reason("unreadable", load_scene, tmp_path / "none.json")
 

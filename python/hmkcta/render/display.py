@@ -76,7 +76,8 @@ def _shown(radiance: F32, display: Display) -> F32:
 
 
 def _heat(one: F32, two: F32, display: Display) -> F32:
-    error = np.abs(one[..., :3] - two[..., :3]).max(axis=2) * np.float32(display.exposure) * np.float32(display.gain)
+    with np.errstate(over="ignore"):
+        error = np.abs(one[..., :3] - two[..., :3]).max(axis=2) * np.float32(display.exposure * display.gain)
     colours = heat_table()[(np.clip(error, 0, 1) * np.float32(255) + np.float32(0.5)).astype(np.intp), :3]
     covered = np.maximum(one[..., 3], two[..., 3]) > 0
     return np.where(covered[..., None], colours, np.array(display.background, np.float32))

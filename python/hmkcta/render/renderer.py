@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 
+#: Further than any value from any other.
+_FAR = 3e38
+
 BACKENDS = ("auto", "gpu", "numpy")
 
 
@@ -105,6 +108,8 @@ class Renderer:
             two = self._compared(scene)
             if scene.compare.gain is None:
                 display = replace(display, gain=heat_gain(one, two, display.exposure))
+        if display.mode == "heat":  # what is no number in the original is as wrong as can be
+            two = np.nan_to_num(two, nan=_FAR, posinf=_FAR, neginf=-_FAR)
         if self._device is None:
             return show(one, two, display)
         from .gpu_display import show_on_gpu

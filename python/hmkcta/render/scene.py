@@ -188,7 +188,8 @@ class Look:
             _check_vector(f"volume.opacity[{at}]", point, 2, 0.0)
         for at, point in enumerate(self.colours if not isinstance(self.colours, str) else ()):
             _check_vector(f"volume.colours[{at}]", point, 4, 0.0)
-        if self.window is not None and not self.window[0] < self.window[1]:
+        _check_range("volume.iso", self.iso, -1e6, 1e6)
+        if self.window is not None and not (isfinite(sum(self.window)) and self.window[0] < self.window[1]):
             raise invalid("bad-window", "volume.window", list(self.window), "[low, high] with low below high")
         _check_vector("volume.clip_low", self.clip_low, least=0.0)
         if any(not low < high <= 1 for low, high in zip(self.clip_low, self.clip_high, strict=True)):
@@ -283,7 +284,7 @@ def read_json(path: str | Path) -> dict[str, Any]:
         HmkctaError: the file cannot be read, or is no JSON object.
     """
     try:
-        value: Any = json.loads(Path(path).read_text(encoding="utf-8"))
+        value: Any = json.loads(Path(path).read_text(encoding="utf-8"), parse_constant=_no_number)
     except OSError as error:
         raise HmkctaError(Kind.IO, "unreadable", str(path), found=error.strerror, allowed="a JSON file") from error
     except ValueError as error:
@@ -291,6 +292,10 @@ def read_json(path: str | Path) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise invalid("not-json", str(path), type(value).__name__, "a JSON object, e.g. {\"width\": 640}")
     return cast("dict[str, Any]", value)
+
+
+def _no_number(word: str) -> None:
+    raise ValueError(f"{word} is no number")
 
 
 def _read(wanted: Any, value: Any, where: str) -> Any:
