@@ -141,6 +141,9 @@ class Trial:
         energy = sum(float(s.error[0]) for s in spectra)
         if self.size is not None:
             chosen = allocate(spectra, nbytes=max(self.size - fixed, 0) * share)
+            if not chosen.choice.any():  # candidates that store nothing come last, those first that need least to
+                first = min((float(s.nbytes[1] - s.nbytes[0]) for s in spectra if len(s.nbytes) > 1), default=0.0)
+                return -OUT_OF_REACH - fixed - (chosen.nbytes + first) / share, chosen
             return decibels(energy, chosen.error), chosen
         assert self.snr is not None
         error = self.energy * 10 ** (-self.snr / 10) * share
