@@ -253,6 +253,7 @@ def test_demo(tmp_path: Path) -> None:
         for label in ("levels", "auto"):
             assert (tmp_path / "out" / f"{name}-{label}.png").stat().st_size > 1000
             hmkcta.open(tmp_path / "out" / f"{name}-{label}.hmk")
+        assert (tmp_path / "out" / f"{name}-rendered.png").stat().st_size > 1000
     run("verify", tmp_path / "out" / "jet-auto.hmk", "--against", tmp_path / "out" / "jet.npy")
 
 

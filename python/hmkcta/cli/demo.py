@@ -73,6 +73,7 @@ def demo_command(output: str, tiny: bool, quiet: bool, verbose: bool) -> None:
         for result in _results(case, data, folder, TINY_LEVELS if tiny else LEVELS, quiet):
             rows += _rows(case, data, result)
             pictures.append(_sheet(case, data, result))
+        pictures.append(_rendered(case, result, tiny))
     click.echo()
     click.echo(table(["data", "plan", "level", "SNR dB", "MiB", "ratio", "decode cost", "seconds"], rows))
     click.echo(_closing(folder, pictures))
@@ -145,10 +146,23 @@ def _sheet(case: Case, data: Dataset, result: Result) -> Path:
     return comparison_sheet(original, levels, result.path.with_suffix(".png"), title=title, kind=data.kind)
 
 
+def _rendered(case: Case, result: Result, tiny: bool) -> Path:
+    """The material on a cloth, the jet as a volume: rendered from the file's model, by NumPy, which needs no GPU."""
+    from ..render import Scene, Surface, render
+    from ..render.outputs import save_picture
+
+    width, height = (96, 72) if tiny else (320, 240)
+    path = result.path.with_name(f"{case.name}-rendered.png")
+    scene = Scene(width, height, surface=Surface("cloth", (2.0, 2.0)))
+    save_picture(path, render(result.model, scene, backend="numpy"), overwrite=True)
+    return path
+
+
 def _closing(folder: Path, pictures: list[Path]) -> str:
     """Where the pictures are, and commands to go on with."""
     return "\n".join([
         "", "Pictures to look at:", *(f"  {path}" for path in pictures), "", "To try next:",
+        f"  hmkcta render {folder / 'jet-levels.hmk'} -o {folder / 'jet.gif'} --colours ice --frames 32",
         f"  hmkcta info {folder / 'material-levels.hmk'}",
         f"  hmkcta verify {folder / 'jet-auto.hmk'} --against {folder / 'jet.npy'}",
         f"  hmkcta plan {folder / 'material.npy'} --axes light,view,y,x,rgb --snr 30",
