@@ -70,10 +70,11 @@ def demo_command(output: str, tiny: bool, quiet: bool, verbose: bool) -> None:
         np.save(folder / f"{case.name}.npy", data.values)
         shape = " x ".join(map(str, data.values.shape))
         click.echo(f"  {shape} ({', '.join(data.names)}), {format_bytes(data.nbytes)}")
-        for result in _results(case, data, folder, TINY_LEVELS if tiny else LEVELS, quiet):
+        results = _results(case, data, folder, TINY_LEVELS if tiny else LEVELS, quiet)
+        for result in results:
             rows += _rows(case, data, result)
             pictures.append(_sheet(case, data, result))
-        pictures.append(_rendered(case, result, tiny))
+        pictures.append(_rendered(case, results[-1], tiny))
     click.echo()
     click.echo(table(["data", "plan", "level", "SNR dB", "MiB", "ratio", "decode cost", "seconds"], rows))
     click.echo(_closing(folder, pictures))
