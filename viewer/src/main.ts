@@ -184,6 +184,8 @@ class Page {
     const compare = this.app?.state.compare;
     divider.hidden = compare?.mode !== "split";
     divider.style.left = `${100 * (compare?.position ?? 0.5)}%`;
+    byId("left").textContent = `Level ${Math.min(this.app?.state.level ?? 1, this.app?.arrived ?? 1)}`;
+    byId("right").textContent = compare?.level === null ? "Original" : `Level ${compare?.level ?? 1}`;
     this.statistics();
   }
 

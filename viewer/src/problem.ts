@@ -10,7 +10,7 @@ export class Problem extends Error {
 }
 
 const LEADS: Record<Kind, string> = {
-  Corruption: "The file is damaged, so it is not shown.",
+  Corruption: "The file is damaged.",
   InsufficientData: "The file is not complete.",
   Compatibility: "This page cannot read the file.",
   ResourceLimit: "The file asks for more than this page allows.",
@@ -25,7 +25,8 @@ export function asProblem(error: unknown): Problem {
   }
   if (error instanceof HmkError) {
     const next = error.hint === "" ? "" : `${error.hint[0]?.toUpperCase() ?? ""}${error.hint.slice(1)}.`;
-    return new Problem(`${LEADS[error.kind]} ${error.sentence}`, error.message, next);
+    const detail = error.message.replace(` Next: ${error.hint}.`, ""); // said in `next`
+    return new Problem(`${LEADS[error.kind]} ${error.sentence}`, detail, next);
   }
   const message = error instanceof Error ? error.message : String(error);
   return new Problem("Something unforeseen went wrong on this page.", message, "Reload the page to try again.");

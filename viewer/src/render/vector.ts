@@ -51,12 +51,12 @@ export interface Rays {
   forward: Vector;
 }
 
-/** The rays of a camera for pictures of an aspect (width over height). */
+/** The rays of a camera for pictures of an aspect (width over height); of upright ones `fov` is the width's. */
 export function cameraRays(camera: Camera, aspect: number): Rays {
   const backward = direction(camera.azimuth, camera.elevation);
   const forward = scaled(backward, -1);
   const right = direction(camera.azimuth + 90, 0);
-  const size = Math.tan((camera.fov * RADIANS) / 2);
+  const size = Math.tan((camera.fov * RADIANS) / 2) / Math.min(1, aspect);
   return {
     forward, eye: sum(camera.target, scaled(backward, camera.distance)),
     right: scaled(right, size * aspect), up: scaled(cross(right, forward), size),

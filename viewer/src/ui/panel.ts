@@ -7,7 +7,8 @@ import { findCameras } from "../render/lightfield";
 import { layOut } from "../render/layout";
 import { colourAxis } from "../render/slices";
 import { CURVES, type State, VOLUME_MODES, newLight } from "../state";
-import { type Control, buttons, check, choice, colour, group, make, note, only, plain, slider } from "./controls";
+import { type Control, buttons, check, choice, colour, group, make, only, plain, slider } from "./controls";
+import { KEYS } from "./keys";
 import { transferEditor } from "./transfer";
 
 const KINDS: Record<FileKind, string> = {
@@ -405,28 +406,12 @@ export class Panel {
     const rows = Object.entries(KEYS).map(([keys, does]) => make("tr", {},
       make("td", {}, ...keys.split(" ").flatMap((key) => [make("kbd", {}, key), " "])), make("td", {}, does)));
     const details = make("details", { id: "keys" }, make("summary", {}, "Mouse, touch and keys"),
-      note(() => "Drag to turn or move, drag with the right button or Shift to move the light (two fingers on a touch screen), wheel or pinch to come nearer.").element,
+      make("p", { class: "note" }, "Drag: turn or move. Right button, Shift or two fingers: move the light. "
+        + "Wheel or pinch: nearer, farther. Pointing at a slice reads its value."),
       make("table", {}, make("tbody", {}, ...rows)));
-    details.querySelector("p")!.textContent = "Drag: turn or move. Right button, Shift or two fingers: move the light. "
-      + "Wheel or pinch: nearer, farther. Pointing at a slice reads its value.";
     return { element: make("section", {}, details), refresh: () => undefined };
   }
 }
-
-/** What the keys do; `docs/viewer.md` has the same table. */
-export const KEYS: Record<string, string> = {
-  "← → ↑ ↓": "turn the camera, move the view point or the slice",
-  "Shift + ← → ↑ ↓": "move the light",
-  "+ -": "nearer, farther",
-  "[ ]": "level down, up",
-  ", .": "previous, next frame",
-  Space: "play or stop time",
-  C: "compare: off, side by side, error",
-  "E Shift+E": "exposure up, down",
-  R: "reset the view",
-  S: "save the picture",
-  "?": "this list",
-};
 
 /** Save what the canvas shows as a PNG file. */
 export function savePicture(): void {
