@@ -13,6 +13,7 @@ from typing import Any
 from zlib import crc32
 
 from hmkcta.hmkfile import load
+from hmkcta.render.contraction import uniform_levels
 from hmkcta.render.image import pack_image
 from hmkcta.render.prelude import Options, decoder_uniform, image_pages, prelude
 
@@ -37,7 +38,9 @@ def case(file: str, options: Options) -> dict[str, Any]:
     if not options.page_shift:
         options = Options(options.picks, options.channels, options.contracted, ceil(log2(image.words.size / 4)))
     pages = image_pages(image.words.size, options.page_shift)
-    return {"file": file, "options": asdict(options), "pages": pages, "text": prelude(metadata, pages, options),
+    uniform = uniform_levels(metadata, levels)
+    return {"file": file, "options": asdict(options), "pages": pages, "uniform_levels": uniform,
+            "text": prelude(metadata, pages, options, uniform),
             "words": image.words.size, "crc32": crc32(image.words.astype("<u4").tobytes()), "rows": image.rows,
             "scales": image.scales, "coefficients": image.coefficients,
             "uniform": decoder_uniform(metadata, len(levels)).hex()}

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from gpu_tools import KINDS, Kind, adapter, job, random_indices, run_in_dawn
 from hmkcta import Model
 from hmkcta.render.contract import contraction_constants, contraction_shader
+from hmkcta.render.contraction import uniform_levels
 from hmkcta.render.device import spread
 from hmkcta.render.gpu_decode import picked_words
 from hmkcta.render.image import pack_image
@@ -73,7 +74,8 @@ def texts() -> dict[str, str]:
             model = kind.model()
             picks = fitting(model, 3) if built.pieces == WEIGHTED else None
             for channels, pages in product(built.channels, (1, 5)):
-                head = prelude(model.metadata, pages, Options(picks, channels))
+                uniform = uniform_levels(model.metadata, model.levels)
+                head = prelude(model.metadata, pages, Options(picks, channels), uniform)
                 made[f"{name} of {kind.name}, {channels} channels, {pages} pages"] = compose(head, *built.pieces, name)
     return made
 
@@ -122,7 +124,8 @@ def test_tint_decodes_elements(tmp_path: Path) -> None:
         indices = random_indices(model, 500)
         for level in range(1, kind.levels + 1):
             pages, decoder = buffers(model, level)
-            code = compose(prelude(model.metadata, pages), "image", "decode", "elements")
+            head = prelude(model.metadata, pages, uniform=uniform_levels(model.metadata, model.levels))
+            code = compose(head, "image", "decode", "elements")
             lists = [("read-only-storage", indices.astype(np.uint32).tobytes()), ("storage", bytes(4 * len(indices)))]
             jobs.append(job(code, "decode_elements", [decoder, lists], spread(-(-len(indices) // 64))))
             expected.append(model.at_level(level)[tuple(indices.T)])

@@ -17,13 +17,12 @@ from ..axes import axis_order
 from ..errors import HmkctaError, Kind, invalid
 from ..packed import Metadata
 from ..transform import from_json
+from .contraction import contraction
 
 #: Words of a page by its logarithm: 2^25 words are the 128 MiB that WebGPU guarantees for a storage buffer binding.
 PAGE_SHIFT = 25
 #: Of the 8 storage buffers that WebGPU guarantees a stage, those an image may take.
 MOST_PAGES = 5
-#: Of the contracted cores in group 0, behind all pages there can be.
-FRAME_BINDING = 8
 #: Rows of a mode are kept in a mask of one word.
 MOST_ROWS = 32
 
@@ -54,13 +53,15 @@ class Options:
 PLAIN = Options()
 
 
-def prelude(metadata: Metadata, pages: int, options: Options = PLAIN) -> str:
+def prelude(metadata: Metadata, pages: int, options: Options = PLAIN, uniform: Sequence[int] = ()) -> str:
     """The constants and generated functions that the files of `hmkcta/shaders` are written against.
 
     Args:
         metadata: the model's.
         pages: of its image, from `image_pages`.
         options: of the shader.
+        uniform: levels, from 0, whose nodes that are not empty all have the ranks in the metadata: loops over their
+            cores then have constant bounds (`uniform_levels`).
 
     Raises:
         HmkctaError: `picks` are not one number of 1 or more an axis, or give a mode more than 32 rows; the channels
@@ -89,6 +90,7 @@ def prelude(metadata: Metadata, pages: int, options: Options = PLAIN) -> str:
         f"const AXIS_MODE = {_array(modes)};",
         f"const AXIS_STRIDE = {_array(strides)};",
         f"const RANK_SUM = {max(1, sum(taken))}u;",
+        f"const WEIGHT_FIRST = {_array([sum(taken[:n]) for n in range(order)])};",
         f"const AXIS_PICKS = {_array(picks)};",
         f"const PICKS = {max(picks)}u;",
         f"const ROW_FIRST = {_array(first)};",
@@ -99,7 +101,7 @@ def prelude(metadata: Metadata, pages: int, options: Options = PLAIN) -> str:
         f"const COLOUR_ROWS = {1 if colour is None else room[colour]}u;",
         f"const COLOUR_RANKS = {1 if colour is None else max(taken[colour], 1)}u;",
         *_pages(pages, options.page_shift),
-        *_contraction(metadata, colour, options.contracted),
+        *contraction(metadata, taken, colour, options.contracted, uniform),
     ]
     return "\n".join(lines) + "\n"
 
@@ -241,36 +243,6 @@ def _pages(pages: int, shift: int) -> list[str]:
     inner = [f"    case {page}u: {{ return page_{page}[at & {(1 << shift) - 1}u]; }}" for page in range(pages - 1)]
     last = f"    default: {{ return page_{pages - 1}[at & {(1 << shift) - 1}u]; }}"
     return [*head, "  switch at >> PAGE_SHIFT {", *inner, last, "  }", "}"]
-
-
-def _contraction(metadata: Metadata, colour: int | None, contracted: Sequence[int]) -> list[str]:
-    """Functions that multiply the core of the cell at hand with its weights, a mode each, as WGSL has no recursion.
-
-    Each adds up its mode and multiplies once. The mode with the colours comes first, so that all others are done in
-    single numbers.
-    """
-    rest = [n for n in range(len(metadata.organisation)) if n not in contracted and n != colour]
-    nest = rest if colour is None else [colour, *rest]
-    lines: list[str] = []
-    for place, n in enumerate(nest):
-        kind, weight = ("Value", "cell_colour[e]") if n == colour else ("f32", f"cell_weight[cell_first[{n}] + e]")
-        index = f"cell_index[cell_first[{n}] + e]" if n in metadata.undecomposed else "e"
-        lines += [
-            f"fn contract_{place}(at: u32) -> {kind} {{",
-            f"  var sum = {kind}(0.0);",
-            f"  for (var e = 0u; e < cell_count[{n}]; e++) {{",
-            f"    sum += {weight} * contract_{place + 1}(at + {index} * node_stride[{n}]);",
-            "  }",
-            "  return sum;",
-            "}",
-        ]
-    number = "bitcast<f32>(frame[at])" if contracted else "coefficient(at)"
-    start = "frame[node / NODE_WORDS]" if contracted else "word(node + 1u)"
-    if contracted:
-        lines.append(f"@group(0) @binding({FRAME_BINDING}) var<storage, read> frame: array<u32>;")
-    lines += [f"fn contract_{len(nest)}(at: u32) -> f32 {{", f"  return {number};", "}"]
-    lines += ["fn contract_core() -> Value {", "  return Value(contract_0(cell_core));", "}"]
-    return [*lines, "fn node_core(node: u32) -> u32 {", f"  return {start};", "}"]
 
 
 def _mask(modes: Sequence[int]) -> int:

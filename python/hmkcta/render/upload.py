@@ -6,9 +6,10 @@ from typing import Any, final
 
 from ..model import Model
 from .contract import AxisPicks, FrameContraction
+from .contraction import FRAME_BINDING, uniform_levels
 from .device import Device
 from .image import pack_image
-from .prelude import FRAME_BINDING, PLAIN, Options, decoder_uniform, image_pages, prelude
+from .prelude import PLAIN, Options, decoder_uniform, image_pages, prelude
 
 
 @final
@@ -35,6 +36,7 @@ class DecoderBuffers:
         self.metadata = model.metadata
         self.options = options
         self.nbytes = image.words.nbytes
+        self._uniform = uniform_levels(model.metadata, model.levels)
         self.pages = image_pages(image.words.size, options.page_shift)
         page = 1 << options.page_shift
         self._buffers = [device.buffer(f"hmkcta image {number}", image.words[number * page : (number + 1) * page])
@@ -51,7 +53,7 @@ class DecoderBuffers:
 
     def prelude(self, options: Options | None = None) -> str:
         """The prelude for these buffers; other options must have the same `page_shift` and contracted modes."""
-        return prelude(self.metadata, self.pages, self.options if options is None else options)
+        return prelude(self.metadata, self.pages, self.options if options is None else options, self._uniform)
 
     def bind_group(self, levels: int | None = None) -> Any:
         """Group 0 for the first `levels` levels, all by default.

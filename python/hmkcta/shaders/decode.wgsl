@@ -19,7 +19,7 @@ fn decode_rows(rows: array<u32, ORDER>, levels: u32) -> Value {
     if (!open_node(node)) {
       break;
     }
-    value += node_value(node, row);
+    value += node_value(node, level, row);
     let first_child = word(node);
     if (first_child == LEAF || level + 1u == levels) {
       break;
@@ -39,7 +39,7 @@ fn decode_rows(rows: array<u32, ORDER>, levels: u32) -> Value {
 }
 
 // What the node at hand adds to the element: the sum over all choices of one cluster subset a mode.
-fn node_value(node: u32, rows: array<u32, ORDER>) -> Value {
+fn node_value(node: u32, level: u32, rows: array<u32, ORDER>) -> Value {
   var row = rows;
   var choice: array<u32, ORDER>;  // k_n
   var sum = Value(0.0);
@@ -52,13 +52,11 @@ fn node_value(node: u32, rows: array<u32, ORDER>) -> Value {
       }
     }
     open_cell(node);
-    var first = 0u;
     for (var n = 0u; n < ORDER; n++) {
-      cell_first[n] = first;
       if (undecomposed(n)) {
         cell_count[n] = 1u;
         set_weight(n, 0u, 1.0);
-        cell_index[first] = row[n];
+        cell_index[WEIGHT_FIRST[n]] = row[n];
       } else {
         let basis = basis_row(n, row[n], choice[n]);
         cell_count[n] = node_rank[n];
@@ -66,9 +64,8 @@ fn node_value(node: u32, rows: array<u32, ORDER>) -> Value {
           set_weight(n, r, coefficient(basis + r));
         }
       }
-      first += cell_count[n];
     }
-    sum += cell_scale * contract_core();
+    sum += cell_scale * contract_core(level);
     more = false;
     for (var left = ORDER; left > 0u && !more; left--) {
       choice[left - 1u] += 1u;

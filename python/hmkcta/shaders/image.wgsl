@@ -28,8 +28,8 @@ var<private> cell_core: u32;                     // address of its core
 var<private> cell_scale: f32;
 
 // The cell's weights of every mode: a basis row, or one for each row of an undecomposed mode.
-var<private> cell_first: array<u32, ORDER>;      // where mode n begins in the arrays
-var<private> cell_count: array<u32, ORDER>;      // its numbers there
+// Those of mode n begin at WEIGHT_FIRST[n].
+var<private> cell_count: array<u32, ORDER>;      // how many
 var<private> cell_index: array<u32, RANK_SUM>;   // core index of each number of an undecomposed mode
 var<private> cell_weight: array<f32, RANK_SUM>;
 var<private> cell_colour: array<Value, COLOUR_RANKS>;  // instead of `cell_weight` in the mode with the colours
@@ -109,6 +109,6 @@ fn set_weight(n: u32, e: u32, weight: f32) {
   if (n == COLOUR) {
     cell_colour[e] = Value(weight);
   } else {
-    cell_weight[cell_first[n] + e] = weight;
+    cell_weight[WEIGHT_FIRST[n] + e] = weight;
   }
 }

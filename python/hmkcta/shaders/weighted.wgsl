@@ -18,6 +18,8 @@ var<private> row_weight: array<f32, ROWS>;
 var<private> row_colour: array<Value, COLOUR_ROWS>;  // instead of `row_weight` in the mode with the colours
 var<private> row_count: array<u32, ORDER>;
 var<private> row_at: array<u32, LEVELS * ROWS>;  // by depth: the row's place in the node's list
+var<private> row_cluster: array<u32, ROWS>;      // the row's first cluster that is not below the cell's; LEAF: none
+var<private> row_subset: array<u32, ROWS>;       // which of its subsets that is
 var<private> inside: array<u32, OPEN>;           // by depth: rows of mode n inside the node
 var<private> waiting: array<u32, OPEN>;          // by depth: those of them in parts that no child was entered for yet
 var<private> node_at: array<u32, LEVELS>;
@@ -177,13 +179,10 @@ fn picked_value(node: u32, depth: u32) -> Value {
   var more = true;
   while (more) {
     open_cell(node);
-    var first = 0u;
     for (var n = 0u; n < ORDER; n++) {
-      cell_first[n] = first;
       weigh_rows(depth, n);
-      first += cell_count[n];
     }
-    sum += cell_scale * contract_core();
+    sum += cell_scale * contract_core(depth);
     more = false;
     for (var left = ORDER; left > 0u && !more; left--) {
       let n = left - 1u;
@@ -197,19 +196,25 @@ fn picked_value(node: u32, depth: u32) -> Value {
   return sum;
 }
 
-// The lowest cluster subset of mode n, not below `least`, that a row inside the node is a member of; LEAF: none.
+// Goes to the lowest cluster subset of mode n, not below `least`, that a row inside the node is a member of, and notes
+// the first such subset of each row. LEAF: there is none.
 fn next_cluster(depth: u32, n: u32, least: u32) -> u32 {
   if (undecomposed(n)) {
     return select(LEAF, 0u, least == 0u);
   }
   var lowest = LEAF;
   for (var rows = inside[depth * ORDER + n]; rows != 0u; rows &= rows - 1u) {
-    let record = node_rows[n] + row_at[depth * ROWS + first_row(n, rows)] * (2u + node_mixture[n]);
-    for (var k = 0u; k < node_mixture[n]; k++) {
-      let cluster = word(record + 2u + k);
-      if (cluster >= least) {
-        lowest = min(lowest, cluster);
-      }
+    let i = first_row(n, rows);
+    let subsets = node_rows[n] + row_at[depth * ROWS + i] * (2u + node_mixture[n]) + 2u;
+    var k = 0u;  // subsets of a row ascend
+    while (k < node_mixture[n] && word(subsets + k) < least) {
+      k += 1u;
+    }
+    row_subset[i] = k;
+    row_cluster[i] = LEAF;
+    if (k < node_mixture[n]) {
+      row_cluster[i] = word(subsets + k);
+      lowest = min(lowest, row_cluster[i]);
     }
   }
   return lowest;
@@ -217,7 +222,6 @@ fn next_cluster(depth: u32, n: u32, least: u32) -> u32 {
 
 // The basis rows of mode n in the cell at hand, weighted and added up, go to `cell_weight`.
 fn weigh_rows(depth: u32, n: u32) {
-  let first = cell_first[n];
   cell_count[n] = 0u;
   if (contracted(n)) {
     return;
@@ -227,7 +231,7 @@ fn weigh_rows(depth: u32, n: u32) {
       let i = first_row(n, rows);
       set_weight(n, cell_count[n], 0.0);
       add_weight(n, cell_count[n], i, 1.0);
-      cell_index[first + cell_count[n]] = row_at[depth * ROWS + i];
+      cell_index[WEIGHT_FIRST[n] + cell_count[n]] = row_at[depth * ROWS + i];
       cell_count[n] += 1u;
     }
     return;
@@ -238,13 +242,10 @@ fn weigh_rows(depth: u32, n: u32) {
   }
   for (var rows = inside[depth * ORDER + n]; rows != 0u; rows &= rows - 1u) {
     let i = first_row(n, rows);
-    let row = row_at[depth * ROWS + i];
-    for (var k = 0u; k < node_mixture[n]; k++) {
-      if (word(node_rows[n] + row * (2u + node_mixture[n]) + 2u + k) == cell_cluster[n]) {
-        let basis = basis_row(n, row, k);
-        for (var r = 0u; r < node_rank[n]; r++) {
-          add_weight(n, r, i, coefficient(basis + r));
-        }
+    if (row_cluster[i] == cell_cluster[n]) {
+      let basis = basis_row(n, row_at[depth * ROWS + i], row_subset[i]);
+      for (var r = 0u; r < node_rank[n]; r++) {
+        add_weight(n, r, i, coefficient(basis + r));
       }
     }
   }
@@ -255,6 +256,6 @@ fn add_weight(n: u32, e: u32, i: u32, number: f32) {
   if (n == COLOUR) {
     cell_colour[e] += row_colour[i - ROW_FIRST[n]] * number;
   } else {
-    cell_weight[cell_first[n] + e] += row_weight[i] * number;
+    cell_weight[WEIGHT_FIRST[n] + e] += row_weight[i] * number;
   }
 }
