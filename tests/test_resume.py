@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import random
-import signal
-import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +11,11 @@ import numpy as np
 import pytest
 
 import hmkcta
-from cli_tools import finish, refused, report, run, saved, smooth, start
+from cli_tools import smooth
 from hmkcta import HmkctaError, Journal, Model
 from hmkcta.journal import NODES, PLAN, RUN
 from hmkcta.recordlog import RecordLog
-from hmkcta.synthetic import material
-
-DATA = material(lights=4, views=6, size=24, seed=2)
-LEVELS = "R=3,2,4,4 / R=2,1,2,2 C=3,2,2,2 K=2 / R=1 C=2,1,2,2 K=2"
-MODES = "light+rgb, view, y, x"
+from resume_tools import DATA, LEVELS, MODES, After, Stop
 
 #: Every kind of step: levels with back-fitting, a scheme found by trial, ranks of their own for both goals, a plan.
 CASES: dict[str, dict[str, Any]] = {
@@ -35,22 +27,6 @@ CASES: dict[str, dict[str, Any]] = {
     "chosen plan": {"snr": 20.0, "quality": "fast"},
     "transform": {"plan": "R=2,1,2,2 / R=1 C=2,1,2,2 K=2", "transform": "log1p"},
 }
-
-
-class Stop(Exception):
-    """What ends a run in these tests."""
-
-
-class After:
-    """Progress that ends the run when it is called for the n-th time."""
-
-    def __init__(self, calls: int) -> None:
-        self.left = calls
-
-    def __call__(self, *_: object) -> None:
-        self.left -= 1
-        if self.left < 0:
-            raise Stop
 
 
 def fitted(**options: Any) -> Model:
@@ -258,173 +234,6 @@ def test_another_node_than_the_one_written_down(tmp_path: Path) -> None:
     with pytest.raises(HmkctaError) as caught:
         resumed(tmp_path, **CASES["levels"])
     assert caught.value.reason == "partial-damaged"
-
-
-# The command line
-
-
-@pytest.fixture(scope="module")
-def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return saved(tmp_path_factory.mktemp("source") / "material.npy", DATA.values)
-
-
-COMMAND = ("--axes", "light,view,y,x,rgb", "--organisation", MODES, "--plan", LEVELS, "--threads", 2)
-CHOSEN = ("--axes", "light,view,y,x,rgb", "--organisation", MODES, "--snr", 27, "--threads", 2)
-
-
-def begun(source: Path, output: Path) -> None:
-    """Interrupted work on an output."""
-    with pytest.raises(Stop), Journal(f"{output}.partial") as journal:
-        hmkcta.compress(np.load(source), LEVELS, axes=["light", "view", "y", "x", "rgb"], organisation=MODES,
-                        journal=journal, progress=After(40))
-
-
-def test_interrupted_work_is_neither_lost_nor_taken_silently(source: Path, tmp_path: Path) -> None:
-    output = tmp_path / "a.hmk"
-    begun(source, output)
-    sentence = refused("compress", source, "-o", output, *COMMAND, code=3)
-    assert "--resume" in sentence
-    assert "--overwrite" in sentence
-    assert "seed 3" in refused("compress", source, "-o", output, *COMMAND, "--seed", 3, "--resume", code=2)
-    found = report("compress", source, "-o", output, *COMMAND, "--resume")
-    assert found["nodes_resumed"] > 10
-    assert list(tmp_path.iterdir()) == [output]
-    begun(source, output)
-    again = report("compress", source, "-o", output, *COMMAND, "--overwrite")
-    assert again["nodes_resumed"] == 0
-    assert list(tmp_path.iterdir()) == [output]
-
-
-def test_resume_replaces_an_output_only_when_told_to(source: Path, tmp_path: Path) -> None:
-    output = tmp_path / "a.hmk"
-    output.write_text("precious")
-    begun(source, output)
-    refused("compress", source, "-o", output, *COMMAND, "--resume", code=3)
-    found = report("compress", source, "-o", output, *COMMAND, "--resume", "--overwrite")
-    assert found["nodes_resumed"] > 10
-    assert hmkcta.open(output).nbytes == found["bytes"]
-
-
-def test_resume_where_nothing_was_begun(source: Path, tmp_path: Path) -> None:
-    """So that a batch script can always ask for it."""
-    result = run("compress", source, "-o", tmp_path / "a.hmk", *COMMAND, "--resume")
-    assert "begins anew" in result.stderr
-    assert list(tmp_path.iterdir()) == [tmp_path / "a.hmk"]
-
-
-def test_a_file_where_the_journal_should_be(source: Path, tmp_path: Path) -> None:
-    (tmp_path / "a.hmk.partial").write_text("precious")
-    for extra in ("--resume", "--overwrite", "--quiet"):
-        assert "a.hmk.partial" in refused("compress", source, "-o", tmp_path / "a.hmk", *COMMAND, extra, code=3)
-    assert (tmp_path / "a.hmk.partial").read_text() == "precious"
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="needs a limit on the file size")
-def test_full_disk(source: Path, tmp_path: Path) -> None:
-    """Every node that still fitted on the disk is there when there is room again."""
-    output = tmp_path / "a.hmk"
-    limit = "import resource\nresource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))"
-    code, out, err = finish(start("compress", source, "-o", output, *COMMAND, "--quiet", before=limit))
-    assert (code, out) == (3, "")
-    assert "disk-full" in err
-    assert "--resume" in err
-    assert err.count("\n") == 1
-    found = report("compress", source, "-o", output, *COMMAND, "--resume")
-    assert found["nodes_resumed"] > 0
-    run("compress", source, "-o", tmp_path / "b.hmk", *COMMAND)
-    assert output.read_bytes() == (tmp_path / "b.hmk").read_bytes()
-
-
-@pytest.mark.skipif(os.name != "posix", reason="needs signals")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupt_says_how_to_go_on(number: signal.Signals, source: Path, tmp_path: Path) -> None:
-    words = ("compress", source, "-o", "a.hmk", *COMMAND)
-    process = start(*words, cwd=tmp_path)
-    await_size(tmp_path / "a.hmk.partial" / NODES, 20000)
-    process.send_signal(number)
-    code, out, err = finish(process)
-    assert (code, out) == (128 + number, "")
-    assert err.splitlines()[-1].startswith("hmkcta: interrupted")
-    assert err.splitlines()[-1].endswith(f"--plan '{LEVELS}' --threads 2 --resume")
-    assert "a.hmk.partial" in err
-    code, out, err = finish(start(*words, "--resume", "--json", cwd=tmp_path))
-    assert (code, json.loads(out)["nodes_resumed"] > 0) == (0, True)
-
-
-#: A long call of native code, during which Python sees no signal: the first before any journal, the second within.
-DEAF = """
-import hmkcta.cli.compress as c, numpy as np
-def deaf(*a, **k):
-    open({ready!r}, "w").close()
-    np.linalg.svd(np.random.default_rng(1).random((4000, 4000)))
-c.compress = deaf
-"""
-DEAF_NODE = """
-import hmkcta.hierarchy as h, numpy as np
-def deaf(*a, **k):
-    open({ready!r}, "w").close()
-    np.linalg.svd(np.random.default_rng(1).random((4000, 4000)))
-h.fit_level = deaf
-"""
-
-
-@pytest.mark.skipif(os.name != "posix", reason="needs signals")
-@pytest.mark.parametrize("deaf", [DEAF, DEAF_NODE], ids=["main thread", "node"])
-def test_an_interrupt_does_not_wait_for_native_code(deaf: str, source: Path, tmp_path: Path) -> None:
-    process = start("compress", source, "-o", tmp_path / "a.hmk", *COMMAND, "--json",
-                    before=deaf.format(ready=str(tmp_path / "ready")))
-    await_size(tmp_path / "ready", 0)
-    begin = time.monotonic()
-    process.send_signal(signal.SIGINT)
-    code, out, err = finish(process)
-    assert code == 130
-    assert time.monotonic() - begin < 8
-    assert json.loads(out)["error"]["exit_code"] == 130
-    assert err == "hmkcta: interrupted; nothing is left half written.\n"
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["ready"]
-
-
-def await_size(path: Path, size: int) -> None:
-    """Wait until another process has written so much there."""
-    deadline = time.monotonic() + 60
-    while not (path.exists() and path.stat().st_size >= size):
-        assert time.monotonic() < deadline
-        time.sleep(0.002)
-
-
-@pytest.mark.skipif(os.name != "posix", reason="needs kill -9")
-def test_killed_at_twenty_random_moments(source: Path, tmp_path: Path) -> None:
-    output = tmp_path / "a.hmk"
-    rng = random.Random(20)
-    reference: dict[tuple[object, ...], bytes] = {}
-    for words in (COMMAND, CHOSEN):
-        begin = time.monotonic()
-        assert finish(start("compress", source, "-o", output, *words, "--quiet"))[0] == 0
-        takes = time.monotonic() - begin
-        reference[words] = output.read_bytes()
-        output.unlink()
-    kills = went_on = ended = 0
-    while kills < 20:
-        words = (COMMAND, CHOSEN)[ended % 2]
-        process = start("compress", source, "-o", output, *words, "--quiet", "--resume")
-        time.sleep(rng.uniform(0.3, 1.0) * takes)
-        killed = process.poll() is None
-        process.kill()
-        code, _, err = finish(process)
-        assert code in (0, -signal.SIGKILL), err
-        kills += killed
-        if output.exists():
-            assert output.read_bytes() == reference[words]
-            output.unlink()
-            ended += 1
-        else:
-            nodes = tmp_path / "a.hmk.partial" / NODES
-            went_on += nodes.exists() and nodes.stat().st_size > 0
-    words = (COMMAND, CHOSEN)[ended % 2]
-    assert finish(start("compress", source, "-o", output, *words, "--quiet", "--resume"))[0] == 0
-    assert output.read_bytes() == reference[words]
-    assert [path.name for path in tmp_path.iterdir() if path.suffix != ".tmp"] == ["a.hmk"]
-    assert went_on >= 5, "the kills came too early or too late to test anything"
 
 
 def test_a_node_that_backfitting_leaves_as_it_was(tmp_path: Path) -> None:
