@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 from math import ceil
 from typing import Any, final
 
@@ -17,7 +18,7 @@ from .gpu_grid import GpuGrid
 from .gpu_pass import ComputePass, Slot, out_texture, read_texture, tiles
 from .gpu_svbrdf import GpuSvbrdf
 from .grid import grid_at, volume_slices
-from .layout import Layout
+from .layout import Layout, value_range
 from .numpy_path import rays_of
 from .prelude import shader
 from .scene import VOLUME_MODES, Scene
@@ -53,6 +54,7 @@ class GpuPath:
         }
         self._device = device
         self._renderer = makers[kind]()
+        self._out: Any = None
 
     def refusal(self, scene: Scene, level: int) -> HmkctaError | None:
         """Why a software adapter would not finish this picture, or None."""
@@ -65,7 +67,17 @@ class GpuPath:
 
     def radiance(self, scene: Scene, level: int | None) -> F32:
         """Radiance and coverage ``[height, width, 4]``."""
-        return self._renderer.radiance(scene, level)
+        return read_texture(self._device, self.draw(scene, level), "f4", 4)
+
+    def draw(self, scene: Scene, level: int | None) -> Any:
+        """Submit the work for a picture and return its texture, rgba32float, which the next call may fill again.
+
+        What stays from picture to picture is kept: what pixels see of a surface, and decoded boxes.
+        """
+        if self._out is None or self._out.size[:2] != (scene.width, scene.height):
+            self._out = out_texture(self._device, "radiance", (scene.width, scene.height, 1), "rgba32float")
+        self._renderer.draw(scene, level, self._out)
+        return self._out
 
 
 @final
@@ -78,8 +90,8 @@ class GpuLightfield:
         self._grid = GpuGrid(device, model, layout)
         self._pass = ComputePass(device, "shade_lightfield", shader("lightfield"), SLOTS)
 
-    def radiance(self, scene: Scene, level: int | None) -> F32:
-        """Radiance and coverage ``[height, width, 4]``."""
+    def draw(self, scene: Scene, level: int | None, out: Any) -> None:
+        """Submit the work that fills `out` with radiance and coverage."""
         aimed = lightfield.aim(self._cameras, scene.viewpoint)
         grid = grid_at(self._layout, lightfield.camera_slices(self._layout, aimed), scene.time)
         channels = len(self._layout.channels)
@@ -92,7 +104,7 @@ class GpuLightfield:
         frame["rows"], frame["columns"] = grid.shape[1:]
         frame["scale"], frame["offset_y"], frame["offset_x"] = lightfield.fit(scene, *grid.shape[1:])
         texture = self._grid.texture(grid, level)
-        return _shaded(self._device, self._pass, scene, (frame, cameras, texture))
+        _shade(self._device, self._pass, scene, (frame, cameras, texture, out))
 
     def turns(self, scene: Scene, level: int) -> int:
         """A bound of the turns of all loops of an invocation."""
@@ -109,9 +121,9 @@ class GpuVolume:
         self._grid = GpuGrid(device, model, layout)
         self._pass = ComputePass(device, "shade_volume", shader("volume"), SLOTS)
 
-    def radiance(self, scene: Scene, level: int | None) -> F32:
-        """Premultiplied display colour and opacity ``[height, width, 4]``."""
-        marching = volume.prepare(self._model, self._model.metadata.axes, self._layout, scene)
+    def draw(self, scene: Scene, level: int | None, out: Any) -> None:
+        """Submit the work that fills `out` with premultiplied display colour and opacity."""
+        marching = volume.prepare(self._window, self._model.metadata.axes, self._layout, scene)
         rays, look = rays_of(scene, "volume"), scene.volume
         frame = np.zeros((), VOLUME_FRAME)
         frame["width"], frame["height"], frame["most_steps"] = scene.width, scene.height, marching.most_steps
@@ -124,7 +136,11 @@ class GpuVolume:
         frame["ambient"], frame["specular"] = look.ambient, look.specular
         frame["light"][:3] = marching.light
         texture = self._grid.texture(grid_at(self._layout, volume_slices(self._layout), scene.time), level)
-        return _shaded(self._device, self._pass, scene, (frame, marching.table, texture))
+        _shade(self._device, self._pass, scene, (frame, marching.table, texture, out))
+
+    @cached_property
+    def _window(self) -> tuple[float, float]:
+        return value_range(self._model, self._layout.sizes)
 
     def turns(self, scene: Scene, level: int) -> int:
         """A bound of the turns of all loops of an invocation."""
@@ -133,10 +149,8 @@ class GpuVolume:
         return max(self._grid.turns(level), marched)
 
 
-def _shaded(device: Device, work: ComputePass, scene: Scene, inputs: tuple[NDArray[np.void], F32, Any]) -> F32:
-    """Run a renderer on its uniform, its table and the decoded elements."""
-    frame, table, texture = inputs
-    out = out_texture(device, "radiance", (scene.width, scene.height, 1), "rgba32float")
-    resources = (device.buffer("frame", frame.tobytes(), "UNIFORM"), device.buffer("table", table), texture, out)
+def _shade(device: Device, work: ComputePass, scene: Scene, given: tuple[NDArray[np.void], F32, Any, Any]) -> None:
+    """Run a renderer on its uniform, its table and the decoded elements, into a texture."""
+    frame, table, decoded, out = given
+    resources = (device.buffer("frame", frame.tobytes(), "UNIFORM"), device.buffer("table", table), decoded, out)
     work.run(resources, tiles(scene.width, scene.height))
-    return read_texture(device, out, "f4", 4)

@@ -12,7 +12,7 @@ from ..model import Model
 from .device import Device
 from .directions import GRID, DirectionTable
 from .gbuffer import Rays, trace
-from .gpu_pass import ComputePass, Slot, out_texture, picture_texture, read_texture, tiles
+from .gpu_pass import ComputePass, Slot, picture_texture, tiles
 from .layout import Layout
 from .mesh import make_mesh
 from .numpy_path import rays_of
@@ -55,14 +55,12 @@ class GpuSvbrdf:
         self._directions = device.buffer("directions", tables)
         self._seen: tuple[Any, tuple[Any, ...]] | None = None
 
-    def radiance(self, scene: Scene, level: int | None) -> F32:
-        """Radiance and coverage ``[height, width, 4]``."""
+    def draw(self, scene: Scene, level: int | None, out: Any) -> None:
+        """Submit the work that fills `out`, a texture rgba32float of the scene's size."""
         rays = rays_of(scene, "svbrdf")
-        out = out_texture(self._device, "radiance", (scene.width, scene.height, 1), "rgba32float")
         uniform = self._device.buffer("svbrdf", self._frame(scene, rays).tobytes(), "UNIFORM")
         resources = (uniform, self._directions, *self._surfaces(scene, rays), out)
         self._pass.run(resources, tiles(scene.width, scene.height), self._buffers.bind_group(level))
-        return read_texture(self._device, out, "f4", 4)
 
     def turns(self, scene: Scene, level: int) -> int:
         """A bound of the turns of all loops of an invocation."""

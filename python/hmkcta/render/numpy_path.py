@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any, final
 
 import numpy as np
@@ -13,7 +14,7 @@ from ..pictures import slice_image
 from . import lightfield, svbrdf, volume
 from .gbuffer import Rays, camera_rays, trace
 from .grid import decode_grid, grid_at, volume_slices
-from .layout import Layout
+from .layout import Layout, value_range
 from .mesh import make_mesh
 from .scene import Camera, Scene
 
@@ -81,9 +82,13 @@ class NumpyPath:
         return lightfield.shade(decode_grid(source, grid), aimed, len(self._layout.channels), scene)
 
     def _volume(self, source: Any, scene: Scene) -> F32:
-        marching = volume.prepare(self._reference, self._axes, self._layout, scene)
+        marching = volume.prepare(self._window, self._axes, self._layout, scene)
         values = decode_grid(source, grid_at(self._layout, volume_slices(self._layout), scene.time))
         return volume.shade(values, marching, rays_of(scene, self._kind), scene.width, scene.height)
+
+    @cached_property
+    def _window(self) -> tuple[float, float]:
+        return value_range(self._reference, self._layout.sizes)
 
     def _slice(self, source: Any, scene: Scene) -> F32:
         picture = slice_image(source, self._axes, "generic", scene.position)

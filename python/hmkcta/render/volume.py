@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from ..axes import Axis
 from .colours import transfer_table
 from .gbuffer import Rays
-from .layout import Layout, value_range
+from .layout import Layout
 from .scene import Look, Scene, direction
 
 F32 = NDArray[np.float32]
@@ -49,12 +48,12 @@ class Marching:
         return ceil(2 * float(np.linalg.norm(self.half)) / self.step) + 1
 
 
-def prepare(source: Any, axes: Sequence[Axis], layout: Layout, scene: Scene) -> Marching:
-    """Box, window and transfer function of a scene; the window comes from the data where the scene does not say it."""
+def prepare(window: tuple[float, float], axes: Sequence[Axis], layout: Layout, scene: Scene) -> Marching:
+    """Box and transfer function of a scene; `window` is that of the data, for scenes that do not say one."""
     look = scene.volume
     extent = np.array([axes[n].size * spacing(axes[n]) for n in reversed(layout.space)])
     voxel = min(2 * spacing(axes[n]) / extent.max() for n in layout.space)
-    window = look.window or value_range(source, layout.sizes)
+    window = look.window or window
     if window[1] <= window[0]:
         window = (window[0], window[0] + 1)
     light = scene.lights[0] if scene.lights else None
