@@ -4,6 +4,7 @@ import { readFileSync } from "node:fs";
 import { join } from "node:path";
 import { describe, expect, it } from "vitest";
 import { decodeElement, decodeRows, sourceValue, valueRange } from "../src/decode/element";
+import { uniformLevels } from "../src/gpu/contraction";
 import { eachCoefficients, layOutImage, packTables } from "../src/gpu/image";
 import { decoderUniform, prelude } from "../src/gpu/prelude";
 import { UniformLayout } from "../src/gpu/uniform";
@@ -16,6 +17,7 @@ const TESTS = join(import.meta.dirname, "..", "..", "tests");
 interface HeadCase {
   file: string;
   pages: number;
+  uniform_levels: number[];
   options: { picks: number[] | null; channels: 1 | 3; contracted: number[]; page_shift: number };
   text: string;
   words: number;
@@ -36,7 +38,8 @@ describe("shader heads and images", () => {
   it.each(HEADS)("$file $options", (each) => {
     const { metadata, levels } = model(each.file);
     const { picks, channels, contracted, page_shift: pageShift } = each.options;
-    const options = { channels, contracted, pageShift, ...(picks === null ? {} : { picks }) };
+    expect(uniformLevels(metadata, levels)).toEqual(each.uniform_levels);
+    const options = { channels, contracted, pageShift, uniform: each.uniform_levels, ...(picks === null ? {} : { picks }) };
     expect(prelude(metadata, each.pages, options)).toBe(each.text);
     const layout = layOutImage(levels);
     expect([layout.rows[0]?.[0], layout.scales[0], layout.coefficients]).toEqual([each.rows, each.scales, each.coefficients]);

@@ -2,6 +2,7 @@
 
 import type { Metadata } from "../reader/metadata";
 import type { PackedLevel } from "../reader/packed";
+import { uniformLevels } from "./contraction";
 import { type ImageLayout, eachCoefficients, layOutImage, packTables } from "./image";
 import { PAGE_SHIFT, decoderUniform, imagePages } from "./prelude";
 
@@ -13,6 +14,8 @@ export class Decoder {
   readonly pages: number;
   readonly bytes: number;
   readonly layout: GPUBindGroupLayout;
+  /** Levels whose loops have constant bounds. */
+  readonly uniform: number[];
   private readonly image: ImageLayout;
   private readonly buffers: GPUBuffer[];
   private readonly groups = new Map<number, GPUBindGroup>();
@@ -21,6 +24,7 @@ export class Decoder {
   /** `levels` have their tables; their numbers may still be missing. */
   constructor(private readonly device: GPUDevice, readonly metadata: Metadata, private readonly levels: PackedLevel[]) {
     this.image = layOutImage(levels);
+    this.uniform = uniformLevels(metadata, levels);
     const words = this.image.coefficients[levels.length]!;
     this.pages = imagePages(words);
     this.bytes = 4 * words;

@@ -7,6 +7,7 @@
 import { axisPlaces } from "../decode/element";
 import { Problem } from "../problem";
 import type { Metadata } from "../reader/metadata";
+import { contraction } from "./contraction";
 
 /** Words of a page by its logarithm: 128 MiB, the storage buffer binding that WebGPU guarantees. */
 export const PAGE_SHIFT = 25;
@@ -19,6 +20,7 @@ export interface Options {
   picks?: number[]; // for each source axis, how many weighted indices it can have; 1 each by default
   channels?: 1 | 3;
   contracted?: number[]; // modes
+  uniform?: number[]; // levels, from 0, whose loops get constant bounds: `uniformLevels`
   pageShift?: number;
 }
 
@@ -38,7 +40,8 @@ export function picksFit(metadata: Metadata, picks: number[]): boolean {
 
 /** The constants and generated functions that the files of `hmkcta/shaders` are written against. */
 export function prelude(metadata: Metadata, pages: number, options: Options = {}): string {
-  const { picks = metadata.axes.map(() => 1), channels = 1, contracted = [], pageShift = PAGE_SHIFT } = options;
+  const { picks = metadata.axes.map(() => 1), channels = 1, contracted = [], uniform = [],
+    pageShift = PAGE_SHIFT } = options;
   const order = metadata.modeSizes.length;
   const places = axisPlaces(metadata);
   const room = rooms(metadata, picks);
@@ -57,6 +60,7 @@ export function prelude(metadata: Metadata, pages: number, options: Options = {}
     `const AXIS_MODE = ${list(places.map(({ mode }) => mode))};`,
     `const AXIS_STRIDE = ${list(places.map(({ stride }) => stride))};`,
     `const RANK_SUM = ${Math.max(1, taken.reduce((sum, each) => sum + each, 0))}u;`,
+    `const WEIGHT_FIRST = ${list(taken.map((_, n) => taken.slice(0, n).reduce((sum, each) => sum + each, 0)))};`,
     `const AXIS_PICKS = ${list(picks)};`,
     `const PICKS = ${Math.max(...picks)}u;`,
     `const ROW_FIRST = ${list(first)};`,
@@ -73,7 +77,7 @@ export function prelude(metadata: Metadata, pages: number, options: Options = {}
     `const COLOUR_ROWS = ${colour === undefined ? 1 : room[colour]!}u;`,
     `const COLOUR_RANKS = ${colour === undefined ? 1 : Math.max(taken[colour]!, 1)}u;`,
     ...pageLines(pages, pageShift),
-    ...contractionLines(order, metadata.undecomposed, colour, contracted),
+    ...contraction(metadata, taken, colour, contracted, uniform),
   ].join("\n")}\n`;
 }
 
@@ -139,36 +143,4 @@ function pageLines(pages: number, shift: number): string[] {
     ...numbers.slice(0, -1).map((page) => `    case ${page}u: { return page_${page}[at & ${inner}u]; }`),
     `    default: { return page_${pages - 1}[at & ${inner}u]; }`, "  }", "}",
   ];
-}
-
-/**
- * Functions that multiply the core of the cell at hand with its weights, a mode each, as WGSL has no recursion. The mode
- * with the colours comes first, so that all others are done in single numbers.
- */
-function contractionLines(
-  order: number, undecomposed: number[], colour: number | undefined, contracted: number[],
-): string[] {
-  const modes = Array.from({ length: order }, (_, n) => n);
-  const rest = modes.filter((n) => !contracted.includes(n) && n !== colour);
-  const nest = colour === undefined ? rest : [colour, ...rest];
-  const lines = nest.flatMap((n, place) => {
-    const kind = n === colour ? "Value" : "f32";
-    const weight = n === colour ? "cell_colour[e]" : `cell_weight[cell_first[${n}] + e]`;
-    const index = undecomposed.includes(n) ? `cell_index[cell_first[${n}] + e]` : "e";
-    return [
-      `fn contract_${place}(at: u32) -> ${kind} {`,
-      `  var sum = ${kind}(0.0);`,
-      `  for (var e = 0u; e < cell_count[${n}]; e++) {`,
-      `    sum += ${weight} * contract_${place + 1}(at + ${index} * node_stride[${n}]);`,
-      "  }", "  return sum;", "}",
-    ];
-  });
-  const folded = contracted.length > 0;
-  if (folded) {
-    lines.push("@group(0) @binding(8) var<storage, read> frame: array<u32>;");
-  }
-  return [...lines, `fn contract_${nest.length}(at: u32) -> f32 {`,
-    `  return ${folded ? "bitcast<f32>(frame[at])" : "coefficient(at)"};`, "}",
-    "fn contract_core() -> Value {", "  return Value(contract_0(cell_core));", "}",
-    "fn node_core(node: u32) -> u32 {", `  return ${folded ? "frame[node / NODE_WORDS]" : "word(node + 1u)"};`, "}"];
 }

@@ -26,7 +26,7 @@ export function gridPass(device: GPUDevice, decoder: Decoder): Promise<Pass> {
   const picks = decoder.metadata.axes.map((axis) => (axis.role === "time" ? 2 : 1));
   return Pass.make(device, {
     entry: "decode_grid", struct: "GridFrame", decoder: decoder.layout,
-    head: prelude(decoder.metadata, decoder.pages, { picks }), shaders: ["image", "decode", "weighted", "grid"],
+    head: prelude(decoder.metadata, decoder.pages, { picks, uniform: decoder.uniform }), shaders: ["image", "decode", "weighted", "grid"],
     bindings: ["storage", "store-3d"],
   });
 }

@@ -181,7 +181,8 @@ async function makeShading(device: GPUDevice, decoder: Decoder, layout: Layout):
   };
   const nearest = !picksFit(decoder.metadata, picksWith(2));
   const channels = colour ? 3 : 1;
-  const head = prelude(decoder.metadata, decoder.pages, { channels, picks: picksWith(nearest ? 1 : 2) });
+  const { uniform } = decoder;
+  const head = prelude(decoder.metadata, decoder.pages, { channels, uniform, picks: picksWith(nearest ? 1 : 2) });
   const pass = await Pass.make(device, {
     entry: "shade_svbrdf", struct: "SvbrdfFrame", decoder: decoder.layout, head,
     shaders: ["image", "decode", "weighted", "svbrdf"],

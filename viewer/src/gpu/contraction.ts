@@ -1,0 +1,93 @@
+/** The part of a prelude that multiplies the core of a cell with its weights. Twin of `hmkcta.render.contraction`. */
+
+import type { Metadata } from "../reader/metadata";
+import type { PackedLevel } from "../reader/packed";
+
+/** Modes in the order of the loops, where their weights begin, and their counts and strides as text. */
+interface Nest {
+  name: string;
+  counts: string[];
+  strides: string[];
+}
+
+interface Shared {
+  undecomposed: number[];
+  colour: number | undefined;
+  first: number[];
+  modes: number[];
+  number: (at: string) => string; // a core number
+}
+
+/** One function a mode, from the outermost; each adds up its mode and multiplies once. */
+function functions({ name, counts, strides }: Nest, shared: Shared): string[] {
+  const { undecomposed, colour, first, modes, number } = shared;
+  const lines = modes.flatMap((n, place) => {
+    const kind = n === colour ? "Value" : "f32";
+    const weight = n === colour ? "cell_colour[e]" : `cell_weight[${first[n]}u + e]`;
+    const index = undecomposed.includes(n) ? `cell_index[${first[n]}u + e]` : "e";
+    const at = `at + ${index} * ${strides[place]}`;
+    const inner = place === modes.length - 1 ? number(at) : `${name}_${place + 1}(${at})`;
+    return [
+      `fn ${name}_${place}(at: u32) -> ${kind} {`, `  var sum = ${kind}(0.0);`,
+      `  for (var e = 0u; e < ${counts[place]}; e++) {`, `    sum += ${weight} * ${inner};`, "  }", "  return sum;", "}",
+    ];
+  });
+  return modes.length > 0 ? lines : [`fn ${name}_0(at: u32) -> f32 {`, `  return ${number("at")};`, "}"];
+}
+
+/**
+ * `contract_core(level)`: the core of the cell at hand times its weights; and `node_core`, where cores begin. The mode
+ * with the colours comes first, so that all others are done in single numbers. `taken` says for each mode how many
+ * weights it has at most; `uniform` which levels, from 0, get loops with constant bounds.
+ */
+export function contraction(
+  metadata: Metadata, taken: number[], colour: number | undefined, contracted: number[], uniform: number[],
+): string[] {
+  const order = metadata.modeSizes.length;
+  const all = Array.from({ length: order }, (_, n) => n);
+  const kept = all.filter((n) => !contracted.includes(n));
+  const rest = kept.filter((n) => n !== colour);
+  const modes = colour === undefined ? rest : [colour, ...rest];
+  const first = all.map((n) => taken.slice(0, n).reduce((sum, each) => sum + each, 0));
+  const folded = contracted.length > 0;
+  const number = (at: string): string => (folded ? `bitcast<f32>(frame[${at}])` : `coefficient(${at})`);
+  const shared = { undecomposed: metadata.undecomposed, colour, first, modes, number };
+  const last = contracted.includes(order - 1) ? Math.max(0, ...rest) : order - 1;
+  const nests = new Map<string, Nest>([["contract", {
+    name: "contract", counts: modes.map((n) => `cell_count[${n}]`),
+    strides: modes.map((n) => (n === last ? "1u" : `node_stride[${n}]`)),
+  }]]);
+  const cases = new Map<string, number[]>();
+  for (const level of uniform) {
+    const { ranks } = metadata.levels[level]!;
+    const name = `contract_${ranks.join("x")}`;
+    const stride = (n: number): number => kept.reduce((product, m) => (m > n ? product * ranks[m]! : product), 1);
+    nests.set(name, {
+      name, strides: modes.map((n) => `${stride(n)}u`),
+      counts: modes.map((n) => (metadata.undecomposed.includes(n) ? `cell_count[${n}]` : `${ranks[n]}u`)),
+    });
+    cases.set(name, [...(cases.get(name) ?? []), level]);
+  }
+  return [
+    ...(folded ? ["@group(0) @binding(8) var<storage, read> frame: array<u32>;"] : []),
+    ...[...nests.values()].flatMap((nest) => functions(nest, shared)),
+    "fn contract_core(level: u32) -> Value {", "  switch level {",
+    ...Array.from(cases, ([name, levels]) =>
+      `    case ${levels.map((level) => `${level}u`).join(", ")}: { return Value(${name}_0(cell_core)); }`),
+    "    default: { return Value(contract_0(cell_core)); }", "  }", "}",
+    "fn node_core(node: u32) -> u32 {", `  return ${folded ? "frame[node / NODE_WORDS]" : "word(node + 1u)"};`, "}",
+  ];
+}
+
+/** Levels, from 0, whose nodes that are not empty all have the ranks that the metadata give. */
+export function uniformLevels(metadata: Metadata, levels: PackedLevel[]): number[] {
+  return levels.flatMap(({ nodes, order, shape }, l) => {
+    const { ranks } = metadata.levels[l]!;
+    for (let s = 0; s < nodes; s += 1) {
+      if (shape[3 * s * order]! > 0 && ranks.some((rank, n) => shape[(3 * s + 2) * order + n] !== rank)) {
+        return [];
+      }
+    }
+    return nodes > 0 ? [l] : [];
+  });
+}
