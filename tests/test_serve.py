@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import http.client
+import os
 import signal
 import socket
+import subprocess
+import sys
 import time
 from collections.abc import Generator
 from pathlib import Path
@@ -12,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli_tools import finish, refused, saved, start
+from cli_tools import PYTHON, finish, refused, saved, start
 from hmkcta import Model, compress
 from hmkcta.errors import HmkctaError
 from hmkcta.hmkfile import encode, loads
@@ -80,6 +83,14 @@ def test_ranges_outside_and_odd_ones(server: Server, file: Path) -> None:
     for odd in ("bytes=9-3", "bytes=0-1,3-4", "lines=0-1", "bytes=-", "bytes=a-b"):
         answer, body = ask(server, "/files/a%20file.hmk", Range=odd)
         assert (answer.status, len(body)) == (200, size), odd
+
+
+def test_it_is_loaded_when_it_is_first_used() -> None:
+    program = "import sys, hmkcta; before = 'hmkcta.serve' in sys.modules; hmkcta.serve.view; print(before)"
+    environment = {**os.environ, "PYTHONPATH": str(PYTHON)}
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60,
+                          env=environment)
+    assert done.stdout == "False\n"
 
 
 def test_head(server: Server, file: Path) -> None:

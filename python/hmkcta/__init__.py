@@ -27,7 +27,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """`hmkcta.render` is loaded when it is first used."""
-    if name == "render":
-        return import_module(".render", __name__)
+    """`hmkcta.render` and `hmkcta.serve` are loaded when they are first used."""
+    if name in ("render", "serve"):
+        return import_module(f".{name}", __name__)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

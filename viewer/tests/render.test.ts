@@ -1,0 +1,157 @@
+/** The renderers' host code without a GPU: meshes, directions, cameras, tables. */
+
+import { describe, expect, it } from "vitest";
+import type { Axis } from "../src/reader/metadata";
+import { colourTable, interpolated } from "../src/render/colours";
+import { buildTable, directionsOf, hemisphere } from "../src/render/directions";
+import { layOut, shownChannels, timeSteps } from "../src/render/layout";
+import { aim, findCameras } from "../src/render/lightfield";
+import { VERTEX_NUMBERS, makeMesh, parseObj } from "../src/render/mesh";
+import { type Vector, cameraRays, clipFromWorld, cross, dot } from "../src/render/vector";
+import { spacing } from "../src/render/volume";
+
+function axis(name: string, size: number, role: Axis["role"], values?: number[], width = 0): Axis {
+  const coords = values === undefined ? null : { values: Float64Array.from(values), width };
+  return { name, size, role, coords, unit: "" };
+}
+
+/** A row of the interleaved vertices: position, normal, tangent with handedness, texture coordinates. */
+function vertex(mesh: ReturnType<typeof makeMesh>, i: number): { place: Vector; normal: Vector; tangent: Vector; hand: number; uv: number[] } {
+  const row = Array.from(mesh.vertices.subarray(i * VERTEX_NUMBERS, (i + 1) * VERTEX_NUMBERS));
+  const three = (at: number): Vector => [row[at]!, row[at + 1]!, row[at + 2]!];
+  return { place: three(0), normal: three(3), tangent: three(6), hand: row[9]!, uv: row.slice(10) };
+}
+
+describe("meshes", () => {
+  it.each(["sphere", "plane", "cloth"] as const)("%s has unit frames and faces outward", (shape) => {
+    const mesh = makeMesh(shape, 2, 10, 20);
+    const count = mesh.vertices.length / VERTEX_NUMBERS;
+    expect(Math.max(...mesh.indices)).toBe(count - 1);
+    for (let i = 0; i < count; i += 37) {
+      const { normal, tangent } = vertex(mesh, i);
+      expect(Math.hypot(...normal)).toBeCloseTo(1, 5);
+      expect(Math.hypot(...tangent)).toBeCloseTo(1, 5);
+      expect(dot(normal, tangent)).toBeCloseTo(0, 5);
+    }
+  });
+
+  it("has v along growing rows", () => {
+    const mesh = makeMesh("plane", 1, 10, 20);
+    const [first, below] = [vertex(mesh, 0), vertex(mesh, 2)];
+    expect(first.place).toEqual([0, -1, 0.5]);
+    const down = cross(first.normal, first.tangent).map((each) => first.hand * each) as Vector;
+    expect(dot(down, below.place)).toBeGreaterThan(dot(down, first.place));
+    expect([first.uv, below.uv]).toEqual([[0, 0], [0, 1]]);
+  });
+
+  it("reads OBJ: y up, v from the bottom, largest half extent 1", () => {
+    const text = "v 0 0 0\nv 4 0 0\nv 4 2 0\nv 0 2 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nf 1/1 2/2 3/3 4/4\n";
+    const mesh = parseObj(text, 1);
+    expect(Array.from(mesh.indices)).toEqual([0, 1, 2, 0, 2, 3]);
+    const { place, normal, tangent, hand, uv } = vertex(mesh, 0);
+    expect(place).toEqual([0, -1, -0.5]);
+    expect(uv).toEqual([0, 1]);
+    expect(normal).toEqual([1, 0, 0]);
+    expect(tangent).toEqual([0, 1, 0]);
+    expect(hand).toBe(-1);
+  });
+
+  it("refuses OBJ without texture coordinates, and nothing at all", () => {
+    expect(() => parseObj("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3", 1)).toThrow("no texture coordinates");
+    expect(() => parseObj("v 0 0 0\nvt 0 0\nf 1/1 9/1 1/1", 1)).toThrow("damaged");
+    expect(() => parseObj("hello", 1)).toThrow("0 triangles");
+  });
+});
+
+describe("directions", () => {
+  /** Interpolate as the shader does, without its bound on steps. */
+  function weigh(vectors: Vector[], [x, y, z]: Vector): Map<number, number> {
+    const { words, triangles } = buildTable(vectors);
+    const floats = new Float32Array(words.buffer);
+    const p = [x / (1 + z), y / (1 + z)] as const;
+    const cell = p.map((each) => Math.min(63, Math.floor((each + 1) * 32))) as [number, number];
+    let t = words[16 * triangles + 64 * cell[1] + cell[0]]!;
+    for (;;) {
+      const at = 16 * t;
+      const affine = (k: number): number => floats[at + k]! * p[0] + floats[at + k + 1]! * p[1] + floats[at + k + 2]!;
+      const weights = [affine(8), affine(11)];
+      weights.push(1 - weights[0]! - weights[1]!);
+      const least = Math.min(...weights);
+      const across = words[at + 4 + weights.indexOf(least)]!;
+      if (least >= -1e-6 || across === 0xffffffff) {
+        const result = new Map<number, number>();
+        weights.forEach((weight, k) => result.set(words[at + k]!, (result.get(words[at + k]!) ?? 0) + weight));
+        return result;
+      }
+      t = across;
+    }
+  }
+
+  it("gives a measured direction itself", () => {
+    const vectors = hemisphere(24, 0);
+    vectors.forEach((vector, i) => expect(weigh(vectors, vector).get(i)).toBeCloseTo(1, 4));
+  });
+
+  it("interpolates between, and goes on beyond the measured ones", () => {
+    const vectors = hemisphere(24, 0);
+    const between = weigh(vectors, [0.3, -0.2, Math.sqrt(1 - 0.13)]);
+    expect([...between.values()].reduce((sum, each) => sum + each, 0)).toBeCloseTo(1, 5);
+    expect(between.size).toBe(3);
+    const horizon = weigh(vectors, [1, 0, 0]);
+    expect([...horizon.values()].reduce((sum, each) => sum + each, 0)).toBeCloseTo(1, 5);
+  });
+
+  it("takes angles and vectors, and assumes a spiral without", () => {
+    const angles = { ...axis("light", 2, "light", [0, 0, 60, 90], 2), unit: "degrees" };
+    expect(directionsOf(angles).vectors[1]!.map((each) => Number(each.toFixed(3)))).toEqual([0, 0.866, 0.5]);
+    expect(directionsOf(axis("light", 5, "light")).assumed).toBe(true);
+    expect(() => directionsOf(axis("light", 1, "light", [0, 0, -1], 3))).toThrow("no directions above the surface");
+    expect(() => directionsOf(axis("light", 1, "light", [0.5], 0))).toThrow("no directions");
+  });
+});
+
+describe("axes", () => {
+  it("finds what each kind needs", () => {
+    const axes = [axis("light", 4, "light"), axis("y", 8, "space"), axis("x", 8, "space"), axis("rgb", 3, "channel")];
+    expect(layOut(axes, "svbrdf")).toEqual({ light: 0, views: [], time: null, space: [1, 2], channel: 3, channels: [0, 1, 2] });
+    expect(() => layOut(axes, "volume")).toThrow("3 axes of role space");
+    expect(() => layOut(axes, "lightfield")).toThrow("role view");
+    expect(shownChannels(31)).toEqual([30, 15, 0]);
+    expect(timeSteps(1.25, 4)).toEqual({ frames: [1, 2], weight: 0.25 });
+    expect(timeSteps(3, 4)).toEqual({ frames: [2, 3], weight: 1 });
+    expect(spacing(axis("x", 3, "space", [0, 0.5, 1]))).toBe(0.5);
+    expect(spacing(axis("x", 3, "space", [0, 0.5, 2]))).toBe(1);
+  });
+
+  it("places cameras, and weighs the nearest two each way", () => {
+    const axes = [axis("view", 9, "view"), axis("y", 8, "space"), axis("x", 8, "space")];
+    const cameras = findCameras(axes, layOut(axes, "lightfield"));
+    expect(cameras.place[5]).toEqual([1, 2]);
+    const aimed = aim(cameras, { row: 0.25, column: 2, focus: 2, aperture: 0 });
+    expect(aimed).toEqual([{ camera: 2, weight: 0.75, shift: [-0.5, 0] }, { camera: 5, weight: 0.25, shift: [1.5, 0] }]);
+    expect(aim(cameras, { row: 1, column: 1, focus: 0, aperture: 5 })).toHaveLength(9);
+    const scattered = [axis("view", 3, "view", [0, 0, 0, 3, 3, 0], 2), ...axes.slice(1)];
+    expect(findCameras(scattered, layOut(scattered, "lightfield")).place).toEqual([[0, 0], [0, 1], [1, 0]]);
+  });
+});
+
+describe("pictures", () => {
+  it("interpolates tables as NumPy does", () => {
+    [[0, 0], [0.15, 0], [0.575, 0.175], [1, 0.35]].forEach(([share, value]) => {
+      expect(interpolated([[0, 0], [0.15, 0], [1, 0.35]], share!)).toBeCloseTo(value!, 12);
+    });
+    const table = colourTable("grey", [[0, 0], [1, 1]]);
+    expect(Array.from(table.subarray(4 * 255))).toEqual([1, 1, 1, 1]);
+    expect(table[4 * 51]).toBeCloseTo(0.2, 6);
+  });
+
+  it("projects what the rays see", () => {
+    const rays = cameraRays({ azimuth: 20, elevation: 30, distance: 3, fov: 38, target: [0, 0, 0] }, 1.5);
+    const matrix = clipFromWorld(rays, 0.1, 100);
+    const place = [0, 1, 2].map((c) => rays.eye[c]! + 2 * (rays.forward[c]! + 0.5 * rays.right[c]! - 0.25 * rays.up[c]!));
+    const clip = [0, 1, 2, 3].map((row) => [...place, 1].reduce((sum, each, c) => sum + each * matrix[4 * c + row]!, 0));
+    expect(clip[0]! / clip[3]!).toBeCloseTo(0.5, 5);
+    expect(clip[1]! / clip[3]!).toBeCloseTo(-0.25, 5);
+    expect(clip[2]! / clip[3]!).toBeGreaterThan(0);
+  });
+});
