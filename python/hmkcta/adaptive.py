@@ -10,12 +10,13 @@ from math import inf, prod
 import numpy as np
 from numpy.typing import NDArray
 
-from .allocation import Allocation, Spectrum, allocate, spectrum
+from .allocation import Allocation, Spectrum, allocate, spectrum, trimmed
 from .cells import zero_cells
 from .errors import invalid
 from .fit import Labels
-from .hierarchy import Hierarchy, LabelsOf, Run, backfit, fit_nodes, gather, in_parallel, squared_norm
+from .hierarchy import Hierarchy, LabelsOf, Run, backfit, fit_nodes, gather, in_parallel, restore, sampled, saved
 from .plan import LevelSpec
+from .streamed import squared_norm
 from .tucker import core_energies
 
 F32 = NDArray[np.float32]
@@ -72,21 +73,26 @@ def node_spectrum(
     *,
     alone: bool = False,
     nbytes: float = inf,
+    true_sizes: Sequence[int] | None = None,
 ) -> Spectrum | None:
     """The node's choices of ranks, its cells' being the same; None where there is nothing to store.
 
     `labels` are the disjoint memberships of its cells; a node that is `alone` in its level needs no convex choices.
+    A tensor of less than the `true_sizes` is a sample of the node.
     """
+    full = tuple(true_sizes or tensor.shape)
+    scale = prod(full) / max(1, tensor.size)
     energy = squared_norm(tensor)
     if tensor.size == 0 or energy == 0:
         return None
     blocks = [tensor] if labels is None else cell_blocks(tensor, labels, spec.clusters)
     sizes = [max(block.shape[n] for block in blocks) for n in range(tensor.ndim)]
-    limits = table_limits(sizes, spec, nbytes)
-    table = summed(core_energies(block, limits, np.random.default_rng(seed)) for block in blocks if block.size)
+    stored = [-(-size * long // max(1, short)) for size, long, short in zip(sizes, full, tensor.shape, strict=True)]
+    limits = table_limits(sizes, spec, nbytes, stored)
+    table = scale * summed(core_energies(block, limits, np.random.default_rng(seed)) for block in blocks if block.size)
     undecomposed = [r is None for r in spec.ranks]
     return spectrum(
-        table, energy, tensor.shape, undecomposed, decode_cost, spec.clusters if labels else None, hull=not alone
+        table, scale * energy, full, undecomposed, decode_cost, spec.clusters if labels else None, hull=not alone
     )
 
 
@@ -114,9 +120,13 @@ def fit_to_goal(
     spectra: list[Spectrum | None] = [None] * len(nodes)
 
     def examine(s: int) -> None:
-        tensor = gather(tree.residual, nodes[s])
+        node, part = nodes[s], labels(nodes[s])
+        sample = sampled(tree, node, spec)
+        tensor, steps = (gather(tree.residual, node), [1] * len(node.sizes)) if sample is None else sample
+        part = None if part is None else [own[::step] for own, step in zip(part, steps, strict=True)]
         spectra[s] = node_spectrum(
-            tensor, spec, decode_cost, run.seed, labels(nodes[s]), alone=len(nodes) == 1, nbytes=goal.size or inf
+            tensor, spec, decode_cost, run.seed, part, alone=len(nodes) == 1, nbytes=goal.size or inf,
+            true_sizes=node.sizes,
         )
 
     in_parallel(examine, nodes, "ranks of each node", run, tree.residual)
@@ -136,7 +146,7 @@ class _LastLevel:
     def __init__(self, tree: Hierarchy, found: Found, spec: LevelSpec, goal: Goal, run: Run, labels: LabelsOf) -> None:
         self.tree, self.found, self.spec, self.goal, self.run, self.labels = tree, found, spec, goal, run, labels
         self.spectra = [choices for _, choices in found]
-        self.residual = tree.residual.copy()
+        self.residual = saved(tree)
         self.cells = [[node.cells for node in nodes] for nodes in tree.levels]
         #: Squared error outside the nodes that have choices, and bytes beside what the choices count.
         self.elsewhere = tree.error - sum(float(choices.error[0]) for choices in self.spectra)
@@ -154,7 +164,8 @@ class _LastLevel:
         target, reached, tried = snr, None, set[bytes]()
         for _ in range(ATTEMPTS):
             error = self.goal.energy * 10 ** (-target / 10)
-            chosen = allocate(self.spectra, error=max(error - self.elsewhere, 0.0))
+            error = max(error - self.elsewhere, 0.0)
+            chosen = trimmed(self.spectra, allocate(self.spectra, error=error), error)
             if chosen.choice.tobytes() in tried:
                 if reached is not None:
                     break
@@ -175,9 +186,9 @@ class _LastLevel:
             self._fit(allocate(self.spectra, error=0.0))
 
     def _fit(self, chosen: Allocation) -> None:
-        self.tree.residual[...] = self.residual
-        for nodes, saved in zip(self.tree.levels, self.cells, strict=True):
-            for node, cells in zip(nodes, saved, strict=True):
+        restore(self.tree, self.residual)
+        for nodes, before in zip(self.tree.levels, self.cells, strict=True):
+            for node, cells in zip(nodes, before, strict=True):
                 node.cells = cells
         fit_nodes(self.tree, self._specs(chosen), self.run, self.labels)
         for _ in range(self.run.effort.backfits if len(self.tree.levels) > 1 else 0):

@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 F64 = NDArray[np.float64]
 Ranks = tuple[int | None, ...]
 
+#: Most nodes that give back what the last step of all hulls leaves unused.
+TRIMS = 8
+
 
 def empty_node_bytes(order: int, stored: int) -> float:
     """Table entries of every node, also one that carries nothing: shape and offsets."""
@@ -24,17 +27,19 @@ def empty_node_bytes(order: int, stored: int) -> float:
 
 @dataclass(frozen=True)
 class Spectrum:
-    """One node's choices: what it would leave and cost at every choice of ranks worth keeping, best first by bytes.
+    """One node's choices: what it would leave and cost at every choice of ranks that no other beats in both.
 
     Attributes:
         error: squared error left, `[choices]`, descending; the first choice is to store nothing.
         nbytes: bytes in the file, `[choices]`, ascending.
         ranks: `[choices, N]`.
+        steps: indices of the choices that a multiplier may pick.
     """
 
     error: F64
     nbytes: F64
     ranks: NDArray[np.int32]
+    steps: NDArray[np.intp]
 
 
 def node_bytes(
@@ -58,7 +63,7 @@ def spectrum(
     *,
     hull: bool = True,
 ) -> Spectrum:
-    """The lower convex hull of (bytes, error) over all ranks within the decode cost.
+    """The choices among all ranks within the decode cost.
 
     Args:
         table: captured energy by ranks, from `tucker.core_energies`.
@@ -67,12 +72,13 @@ def spectrum(
         undecomposed: modes that keep their identity basis.
         decode_cost: largest prod R_n over decomposed modes.
         clusters: cells of the node along each mode, which all get the same ranks; None: one cell.
-        hull: keep the convex hull only; else every choice that no other beats in both bytes and error.
+        hull: steps are those on the lower convex hull of (bytes, error) only, else all of them.
     """
     choices = _choices(table.shape, tuple(sizes), tuple(undecomposed), decode_cost, tuple(clusters or [1] * len(sizes)))
     error = np.concatenate([[energy], np.maximum(energy - table.reshape(-1)[choices.entry], 0.0)])
-    keep = _hull(choices.nbytes, error) if hull else _pareto(choices.nbytes, error)
-    return Spectrum(error[keep], choices.nbytes[keep], choices.ranks[keep])
+    kept = _pareto(choices.nbytes, error)
+    error, nbytes = error[kept], choices.nbytes[kept]
+    return Spectrum(error, nbytes, choices.ranks[kept], _hull(nbytes, error) if hull else np.arange(len(kept)))
 
 
 @dataclass(frozen=True)
@@ -106,12 +112,12 @@ def _choices(
 
 
 def _hull(nbytes: F64, error: F64) -> NDArray[np.intp]:
-    """Indices of the lower convex hull, bytes ascending."""
+    """Indices of the lower convex hull; bytes ascend, errors descend."""
     hull: list[int] = []
-    for i in _pareto(nbytes, error):
-        while len(hull) >= 2 and _above(hull[-2], hull[-1], int(i), nbytes, error):
+    for i in range(len(nbytes)):
+        while len(hull) >= 2 and _above(hull[-2], hull[-1], i, nbytes, error):
             hull.pop()
-        hull.append(int(i))
+        hull.append(i)
     return np.array(hull, np.intp)
 
 
@@ -141,19 +147,42 @@ def allocate(spectra: Sequence[Spectrum], *, nbytes: float | None = None, error:
 
     Steps along all hulls are taken in the order of error saved a byte, which is what one multiplier chooses.
     """
-    gains = [(s.error[:-1] - s.error[1:]) / (s.nbytes[1:] - s.nbytes[:-1]) for s in spectra]
-    node = np.repeat(np.arange(len(spectra)), [len(g) for g in gains])
-    step_bytes = np.concatenate([np.diff(s.nbytes) for s in spectra])
-    step_error = np.concatenate([np.diff(s.error) for s in spectra])
+    step_bytes = [np.diff(s.nbytes[s.steps]) for s in spectra]
+    step_error = [np.diff(s.error[s.steps]) for s in spectra]
+    node = np.repeat(np.arange(len(spectra)), [len(steps) for steps in step_bytes])
+    dearer, better = np.concatenate(step_bytes), np.concatenate(step_error)
     # One node alone takes its choices in their order, whether or not they are convex.
-    order = np.argsort(-np.concatenate(gains), kind="stable") if len(spectra) > 1 else np.arange(len(step_bytes))
-    spent = sum(float(s.nbytes[0]) for s in spectra) + np.concatenate([[0.0], np.cumsum(step_bytes[order])])
-    left = sum(float(s.error[0]) for s in spectra) + np.concatenate([[0.0], np.cumsum(step_error[order])])
+    order = np.argsort(better / dearer, kind="stable") if len(spectra) > 1 else np.arange(len(dearer))
+    spent = sum(float(s.nbytes[0]) for s in spectra) + np.concatenate([[0.0], np.cumsum(dearer[order])])
+    left = sum(float(s.error[0]) for s in spectra) + np.concatenate([[0.0], np.cumsum(better[order])])
     if nbytes is not None:
         taken = int(np.searchsorted(spent, nbytes, side="right")) - 1
     else:
         assert error is not None
         taken = int(np.argmax(left <= error)) if left[-1] <= error else len(order)
     taken = max(taken, 0)
-    choice = np.bincount(node[order[:taken]], minlength=len(spectra)).astype(np.intp)
+    counts = np.bincount(node[order[:taken]], minlength=len(spectra))
+    choice = np.array([s.steps[count] for s, count in zip(spectra, counts, strict=True)], np.intp)
     return Allocation(choice, float(spent[taken]), float(left[taken]))
+
+
+def trimmed(spectra: Sequence[Spectrum], chosen: Allocation, error: float) -> Allocation:
+    """Cheaper choices off the hulls for a few nodes, as far as no more than the error is left.
+
+    Hulls of a few nodes come in steps of several dB; what their last step leaves unused buys bytes back.
+    """
+    choice, nbytes, left = chosen.choice.copy(), chosen.nbytes, chosen.error
+    for _ in range(TRIMS):
+        slack, best, node = error - left, 0.0, -1
+        for number, (s, now) in enumerate(zip(spectra, choice, strict=True)):
+            other = int(np.searchsorted(-s.error, -(s.error[now] + slack)))
+            saved = float(s.nbytes[now] - s.nbytes[min(other, now)])
+            if saved > best:
+                best, node = saved, number
+        if node < 0:
+            break
+        s, now = spectra[node], choice[node]
+        choice[node] = np.searchsorted(-s.error, -(s.error[now] + slack))
+        left += float(s.error[choice[node]] - s.error[now])
+        nbytes -= best
+    return Allocation(choice, nbytes, left)

@@ -84,7 +84,7 @@ def to_json(metadata: Metadata, arrays: Mapping[str, ArrayRecord]) -> dict[str, 
     """The JSON object of the metadata and of the records of a file's arrays."""
     return {
         "version": VERSION, "source_dtype": metadata.source_dtype,
-        "axes": [_axis_to_json(axis) for axis in metadata.axes],
+        "axes": [axis_to_json(axis) for axis in metadata.axes],
         "organisation": [list(mode) for mode in metadata.organisation],
         "levels": [{"C": _integers(level.clusters), "K": _integers(level.mixture), "R": _integers(level.ranks),
                     "scheme": level.scheme} for level in metadata.levels],
@@ -101,7 +101,8 @@ def _integers(values: Iterable[int]) -> list[int]:
     return [int(value) for value in values]
 
 
-def _axis_to_json(axis: Axis) -> dict[str, Any]:
+def axis_to_json(axis: Axis) -> dict[str, Any]:
+    """The axis as the metadata holds it; long coordinates are an array of their own, named there."""
     coords = coords_name(axis)
     inline = None if axis.coords is None or coords else coords_array(axis).tolist()
     return {"name": axis.name, "size": int(axis.size), "role": axis.role, "coords": coords or inline, "unit": axis.unit}
