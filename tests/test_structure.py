@@ -29,7 +29,7 @@ LAYERS = (
     ("pack", "allocation", "model", "verbatim"),
     ("adaptive", "measure"),
     ("trial", "measure_streamed"),
-    ("tuning", "follow"),
+    ("tuning", "follow", "forecast"),
     ("encode",),
     ("", "pictures", "readers", "synthetic"),
     ("render", "serve"),

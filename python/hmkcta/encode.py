@@ -16,6 +16,7 @@ from .follow import Task, follow
 from .hierarchy import Progress, Run
 from .hmkfile.metadata import KINDS
 from .journal import Journal, decisive
+from .memory import check_memory
 from .model import Model
 from .plan import SCHEMES, Plan, parse_plan
 from .source import Source, prepare
@@ -23,6 +24,8 @@ from .tuning import tune
 
 #: Default goal: 1/100 of the float32 bytes, and no more than this SNR, beyond which eyes and 8-bit screens see nothing.
 DEFAULT_RATIO, DEFAULT_SNR = 100, 50.0
+#: Elements of the sample that a plan is chosen on at most, and bytes of memory for each.
+TRIAL_ELEMENTS, TRIAL_BYTES = 1 << 24, 20
 #: A default goal is never below this: header and tables alone take several KiB.
 SMALLEST_DEFAULT = 16384
 
@@ -55,8 +58,8 @@ def choose_plan(
     run = _run(quality, scheme, decode_cost, seed, threads, progress)
     _check_goal(snr, size)
     with _one_blas_thread():
-        source = _source(array, axes, transform, nan, max_memory)
-        return _chosen(source, run, organisation, snr, size, decode_cost)
+        source = prepare(array, axes, transform, nan)
+        return _chosen(source, run, organisation, snr, size, decode_cost, max_memory)
 
 
 def compress(
@@ -96,7 +99,8 @@ def compress(
         kind: ``svbrdf``, ``lightfield``, ``volume`` or ``generic``; None: from the roles of the axes.
         seed: the same seed makes the same file.
         threads: how many; None: all cores.
-        max_memory: bytes; None: what is free.
+        max_memory: bytes to work in; None: half of what is free. A tensor too large for it is streamed, by way of
+            scratch files in the folder for temporary files (``TMPDIR``).
         progress: called with a stage's name and the fraction of it done.
         journal: keeps what is finished, so that an interrupted call can go on.
 
@@ -118,7 +122,7 @@ def compress(
     if kind is not None and kind not in KINDS:
         raise invalid("unknown-kind", "kind", kind, ", ".join(KINDS))
     with _one_blas_thread():
-        source = _source(array, axes, transform, nan, max_memory)
+        source = prepare(array, axes, transform, nan)
         if isinstance(plan, str):
             modes = source.organisation(organisation)
             plan = replace(parse_plan(plan, modes, "most" if scheme == "auto" else scheme), snr=snr, size=size)
@@ -127,7 +131,7 @@ def compress(
             journal.begin(decisive(source, plan, organisation=organisation, snr=snr, size=size, kind=kind,
                                    decode_cost=decode_cost, quality=quality, scheme=scheme, seed=seed,
                                    max_memory=max_memory))
-        plan = plan or run.journal.plan(lambda: _chosen(source, run, organisation, snr, size, decode_cost))
+        plan = plan or run.journal.plan(lambda: _chosen(source, run, organisation, snr, size, decode_cost, max_memory))
         return follow(Task(source, plan, scheme, decode_cost, kind or source.kind, run, max_memory))
 
 
@@ -161,14 +165,17 @@ def _check_goal(snr: float | None, size: int | None) -> None:
         raise invalid("size", "size", size, "a positive number of bytes")
 
 
-def _source(array: Any, axes: Any, transform: str, nan: float | None, max_memory: int | None) -> Source:
-    source = prepare(array, axes, transform, nan)
-    return source
-
-
 def _chosen(
-    source: Source, run: Run, organisation: str | None, snr: float | None, size: int | None, decode_cost: int
+    source: Source,
+    run: Run,
+    organisation: str | None,
+    snr: float | None,
+    size: int | None,
+    decode_cost: int,
+    max_memory: int | None,
 ) -> Plan:
+    sampled = TRIAL_BYTES * min(prod(source.shape), TRIAL_ELEMENTS)
+    check_memory(sampled, "choosing a plan", "give the levels by --plan, or raise --max-memory", max_memory)
     ceiling = None
     if snr is None and size is None:
         size, ceiling = max(4 * prod(source.shape) // DEFAULT_RATIO, SMALLEST_DEFAULT), DEFAULT_SNR

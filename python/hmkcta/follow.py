@@ -13,14 +13,26 @@ from .adaptive import Goal, fit_to_goal
 from .axes import mode_sizes
 from .errors import invalid
 from .fit import EFFORTS
-from .hierarchy import Hierarchy, Run, ascend, backfit, descend, fit_nodes, grid_labels, whole
+from .hierarchy import (
+    Hierarchy,
+    Run,
+    ascend,
+    backfit,
+    descend,
+    fit_nodes,
+    grid_labels,
+    restore,
+    saved,
+    thinned,
+    whole,
+)
 from .hmkfile import encoded_size
 from .measure import measure_both
 from .measure_streamed import measure_streamed
 from .model import Model
 from .pack import bounds, pack_levels
 from .packed import LevelQuality, Metadata, PackedLevel
-from .plan import SCHEMES, LevelSpec, Plan
+from .plan import SCHEMES, LevelSpec, Plan, check_plan
 from .predict import memory_limit
 from .source import Source
 from .streamed import Streamed
@@ -52,7 +64,7 @@ def follow(task: Task) -> Model:
         HmkctaError: the plan does not fit the tensor, or its goal is below what it can do.
     """
     plan, run = task.plan, task.run
-    _check(plan, mode_sizes(task.source.axes, plan.organisation))
+    check_plan(plan, mode_sizes(task.source.axes, plan.organisation))
     tree, goal = _begun(task)
     for number, spec in enumerate(plan.levels):
         if number:
@@ -74,27 +86,6 @@ def follow(task: Task) -> Model:
     return _measured(task, tree)
 
 
-def _check(plan: Plan, sizes: Sequence[int]) -> None:
-    first = plan.levels[0]
-    for number, level in enumerate(plan.levels, start=1):
-        if [r is None for r in level.ranks] != [r is None for r in first.ranks]:
-            allowed = "* for the same modes in every level"
-            raise invalid("undecomposed-differ", f"R of level {number}", str(level), allowed)
-        if level.own and (number < len(plan.levels) or (plan.snr is None and plan.size is None)):
-            allowed = "R<= in the last level only, together with a goal"
-            raise invalid("own-ranks-place", f"level {number}", str(level), allowed, "add --snr or --size")
-        if level.own and level.cells > 1 and not level.grid:
-            allowed = "R<= with blocks, grid=AXIS:COUNT, or below a level that has the clusters"
-            raise invalid("own-ranks-clusters", f"level {number}", str(level), allowed)
-    for n, (rank, clusters, size) in enumerate(zip(first.ranks, first.clusters, sizes, strict=True)):
-        if rank is not None and rank > size and not first.own:
-            allowed = f"1 to {size}, or * for an undecomposed mode"
-            raise invalid("rank-too-large", f"R of mode {n + 1}", rank, allowed)
-        if clusters > size:
-            allowed = f"1 to {size}, the number of its rows"
-            raise invalid("more-clusters-than-rows", f"C of mode {n + 1}", clusters, allowed)
-
-
 def _begun(task: Task) -> tuple[Hierarchy, Goal]:
     """The hierarchy before any level, in memory or streamed, and the plan's goal with how it is measured."""
     source, organisation = task.source, task.plan.organisation
@@ -114,21 +105,28 @@ def _begun(task: Task) -> tuple[Hierarchy, Goal]:
 
 
 def _descend(task: Task, tree: Hierarchy, above: LevelSpec, below: LevelSpec) -> None:
-    """Subdivide; for ``auto`` all three schemes are tried with a fast fit of the level below."""
+    """Subdivide; for ``auto`` all three schemes are tried with a fast fit of the level below.
+
+    Where memory does not hold the tensor they are tried on every few rows of it.
+    """
     run = task.run
     if task.scheme != "auto" or above.grid or below.own or above.cells == 1:
         descend(tree, above.scheme, run)
         return
+    descend(tree, _best_scheme(thinned(tree, above), below, run), run)
+
+
+def _best_scheme(tree: Hierarchy, below: LevelSpec, run: Run) -> str:
+    """The subdivision under which a fast fit of the level below leaves least."""
     left: dict[str, float] = {}
-    saved = tree.residual.copy()
+    before = saved(tree)
     for scheme in SCHEMES:
         descend(tree, scheme, run)
         fit_nodes(tree, [below] * len(tree.levels[-1]), replace(run, effort=EFFORTS["fast"]))
         left[scheme] = tree.error
-        tree.residual[...] = saved
-        tree.levels[-1].clear()
+        restore(tree, before)
         ascend(tree)
-    descend(tree, min(left, key=lambda scheme: left[scheme]), run)
+    return min(left, key=lambda scheme: left[scheme])
 
 
 def _snr(task: Task, tree: Hierarchy, energy: float) -> float:

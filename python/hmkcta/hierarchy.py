@@ -21,14 +21,17 @@ from .fit import WARM, Effort, Labels, fit_level
 from .journal import NoJournal
 from .memberships import uniform_blocks
 from .plan import LevelSpec
-from .streamed import Piece, Streamed, squared_norm
+from .streamed import Piece, Saved, Streamed, squared_norm, thinned_cells
 from .subdivision import subdivide
-from .workset import fit_streamed, refit_streamed
+from .workset import fit_streamed, refit_streamed, thinning
 
 F32 = NDArray[np.float32]
 Rows = tuple[NDArray[np.intp], ...]
 #: Called with a stage's name and the fraction of it that is done.
 Progress = Callable[[str, float], None]
+
+#: Elements of a tensor that memory does not hold by which its spectra and subdivisions are judged.
+SAMPLED = 1 << 23
 
 
 @dataclass(frozen=True)
@@ -115,6 +118,21 @@ def scatter(tensor: F32 | Streamed, node: Node, values: F32) -> None:
         tensor[...] = values
     else:
         tensor[np.ix_(*node.rows)] = values
+
+
+def saved(tree: Hierarchy) -> F32 | Saved:
+    """The residual as it is, to `restore` it."""
+    return tree.residual.saved() if isinstance(tree.residual, Streamed) else tree.residual.copy()
+
+
+def restore(tree: Hierarchy, before: F32 | Saved) -> None:
+    """Put a saved residual back; the nodes are left alone."""
+    if isinstance(before, Saved):
+        assert isinstance(tree.residual, Streamed)
+        tree.residual.restore(before)
+    else:
+        assert not isinstance(tree.residual, Streamed)
+        tree.residual[...] = before
 
 
 def in_parallel(
@@ -204,6 +222,31 @@ def _exchanged(residual: F32, old: Cells | None, new: Cells | None) -> F32:
     return residual
 
 
+def sampled(tree: Hierarchy, node: Node, spec: LevelSpec) -> tuple[F32, list[int]] | None:
+    """Every few rows of a node of the deepest level that memory does not hold, and the steps; None if it does."""
+    outside = streamed(tree, node)
+    if outside is None:
+        return None
+    steps = thinning(outside.shape, spec, min(outside.limit, SAMPLED))
+    return outside.sample(steps, 0 if node.piece else len(tree.levels) - 1), steps
+
+
+def thinned(tree: Hierarchy, spec: LevelSpec) -> Hierarchy:
+    """A small hierarchy in memory whose deepest level is the tree's first node that memory does not hold, thinned.
+
+    The tree itself if there is no such node.
+    """
+    for node in tree.levels[-1]:
+        outside = streamed(tree, node)
+        if outside is not None and node.cells is not None:
+            steps = thinning(outside.shape, spec, min(outside.limit, SAMPLED))
+            cells = thinned_cells(node.cells, steps)
+            small = whole(outside.sample(steps))
+            small.levels[0][0].cells = cells
+            return small
+    return tree
+
+
 def descend(tree: Hierarchy, scheme: str, run: Run) -> None:
     """Subdivide every node of the deepest level: its children become the next level, not yet fitted."""
     nodes = tree.levels[-1]
@@ -243,13 +286,9 @@ def _children(node: Node, clusters: Sequence[int]) -> Iterator[Node]:
 
 
 def ascend(tree: Hierarchy) -> None:
-    """Take the deepest level away again, its part of the model back into the residual."""
+    """Take the deepest level away again; the residual, to which it may have been fitted, is the caller's to restore."""
     tree.schemes.pop()
-    for node in tree.levels.pop():
-        if node.cells is not None:
-            tensor = gather(tree.residual, node)
-            kernels.accumulate(node.cells, tensor, 1.0)
-            scatter(tree.residual, node, tensor)
+    tree.levels.pop()
     for node in tree.levels[-1]:
         node.parts, node.children = None, []
 

@@ -8,8 +8,6 @@ from math import prod
 from .memory import check_memory, memory_budget
 from .plan import LevelSpec, Plan
 
-#: Bytes of memory for each element while fitting: the float32 tensor, its residual, a saved residual, working copies.
-MEMORY_AN_ELEMENT = 20
 #: Most elements of a tensor that is fitted in one piece: more elements fit it no better.
 WORKSET = 1 << 26
 #: Fewer elements than these (or than all there are) are too few to fit a level to.
@@ -37,15 +35,6 @@ def memory_limit(plan: Plan, sizes: Sequence[int], memory: int | None) -> int:
     if prod(sizes) <= limit or plan.levels[0].search != "fast":
         return limit
     return prod(sizes)
-
-
-def fitting_memory(shape: Sequence[int]) -> int:
-    """Bytes that fitting an array of this shape takes at most.
-
-    >>> fitting_memory((72, 24, 96, 96)) / 2**20
-    303.75
-    """
-    return MEMORY_AN_ELEMENT * prod(shape)
 
 
 def predicted_bytes(plan: Plan, sizes: Sequence[int]) -> int | None:

@@ -66,6 +66,16 @@ class Block:
     tensor: F32
 
 
+@dataclass(frozen=True, eq=False)
+class Saved:
+    """A state of a streamed residual."""
+
+    wholes: list[Cells | None]
+    stored: list[Cells | None]
+    energies: list[float]
+    scratch: Scratch | None
+
+
 @dataclass(eq=False)
 class Streamed:
     """A tensor in a source or in pieces, less the models of `wholes`.
@@ -238,6 +248,19 @@ class Streamed:
     def settle(self) -> None:
         """All pieces have been held with the present terms: there are none any more."""
         self.stored = list(self.wholes)
+
+    def saved(self) -> Saved:
+        """All that changes, to go back to; what lies in pieces is copied to a second scratch file."""
+        scratch = None if self.scratch is None else self.scratch.copy()
+        return Saved(list(self.wholes), list(self.stored), [piece.energy for piece in self.pieces], scratch)
+
+    def restore(self, saved: Saved) -> None:
+        """Go back, with the pieces there were then."""
+        self.wholes, self.stored = list(saved.wholes), list(saved.stored)
+        for piece, energy in zip(self.pieces, saved.energies, strict=True):
+            piece.energy = energy
+        if saved.scratch is not None:
+            saved.scratch.copy_to(self._scratch)
 
     def large(self, piece: Piece) -> Large | None:
         """The piece as a streamed tensor of its own, if memory does not hold it."""

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
+from math import prod
 from typing import Any
 
 import click
 
 from ..axes import Axis, format_organisation, mode_sizes, name_axes, parse_organisation, separate
 from ..encode import choose_plan
+from ..fit import EFFORTS
+from ..forecast import Forecast, forecast
 from ..memory import format_bytes
 from ..plan import Plan, check_plan, parse_plan
-from ..predict import fitting_memory, predicted_bytes
+from ..predict import predicted_bytes
+from ..scratch import scratch_folder
 from .goal import Goal, command_for, goal_from, goal_options
 from .options import Command, File, json_option, quiet_option, together, verbose_option
 from .output import emit, seconds, table
@@ -39,7 +44,8 @@ def plan_command(source: str, plan: str | None, as_json: bool, quiet: bool, verb
             chosen = given_plan(plan, axes, goal)
         else:
             chosen = choose_plan(array, snr=goal.snr, size=goal.size, progress=progress, **goal.settings)
-    report = describe(chosen, axes, goal.settings["decode_cost"])
+    cost = expected(chosen, axes, goal)
+    report = describe(chosen, axes, goal.settings["decode_cost"], cost)
     report["command"] = command_for(source, "OUT.hmk", chosen, goal)
     report["seconds"] = round(progress.elapsed, 3)
     if as_json:
@@ -58,7 +64,15 @@ def given_plan(text: str, axes: tuple[Axis, ...], goal: Goal) -> Plan:
     return plan
 
 
-def describe(plan: Plan, axes: tuple[Axis, ...], allowed_cost: int) -> dict[str, Any]:
+def expected(plan: Plan, axes: tuple[Axis, ...], goal: Goal) -> Forecast:
+    """What following the plan will take, with the options given."""
+    options = goal.settings
+    threads = options["threads"] or os.cpu_count() or 1
+    effort = EFFORTS[options["quality"]]
+    return forecast(plan, mode_sizes(axes, plan.organisation), effort, threads, options["max_memory"])
+
+
+def describe(plan: Plan, axes: tuple[Axis, ...], allowed_cost: int, cost: Forecast) -> dict[str, Any]:
     """What the plan does and costs; `allowed_cost` bounds the levels whose nodes choose their ranks."""
     sizes = mode_sizes(axes, plan.organisation)
     costs: list[int] = []
@@ -69,8 +83,8 @@ def describe(plan: Plan, axes: tuple[Axis, ...], allowed_cost: int) -> dict[str,
         "levels": [{"level": number, "text": str(level), "search": level.search, "decode_cost": cost}
                    for number, (level, cost) in enumerate(zip(plan.levels, costs, strict=True), start=1)],
         "snr": plan.snr, "size": plan.size, "predicted_bytes": predicted_bytes(plan, sizes),
-        "decode_cost": sum(costs), "memory": fitting_memory(sizes),
-        "source_bytes_float32": fitting_memory(sizes) // 5,
+        "decode_cost": sum(costs), "memory": cost.memory, "scratch": cost.scratch,
+        "fitting_seconds": round(cost.seconds, 1), "source_bytes_float32": 4 * prod(sizes),
     }
 
 
@@ -89,6 +103,9 @@ def as_text(report: dict[str, Any]) -> str:
         f"bytes         {size}",
         f"decode cost   up to {report['decode_cost']} multiply-adds an element",
         f"memory        {format_bytes(report['memory'])}",
+        *([f"scratch       {format_bytes(report['scratch'])} in {scratch_folder()}, set by TMPDIR"]
+          if report["scratch"] else []),
+        f"time          about {seconds(report['fitting_seconds'])}, longer on a busy or slow machine",
         "",
         table(["level", "decode cost", "ranks R, clusters C, mixture K"], rows, left=[2]),
         "",

@@ -1,0 +1,81 @@
+"""What following a plan will take, told before the work: memory, scratch space, time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import prod
+
+from .fit import Effort
+from .plan import LevelSpec, Plan
+from .predict import WORKING, memory_limit
+from .streamed import SLAB
+from .workset import thinning
+
+#: Bytes for each element of a tensor in memory: its residual lasts, the rest is `WORKING`; a saved residual for goals.
+_RESIDUAL, _SAVED = 4, 4
+#: Bytes for each element of a slab that quality is measured on, and the elements of such a slab.
+_MEASURING, _MEASURED = 48, 1 << 22
+#: Bytes of the interpreter with everything loaded.
+_BASE = 90 * 2**20
+#: How much larger than the average the largest sub-tensors get.
+_UNEVEN = 8
+#: Nanoseconds of one core for each element: to read, hash, look at and measure the source; for each cell an element
+#: belongs to, of a search round and of a sweep; of HOOI; to write a piece and read it. One core of a 2023 server.
+_SOURCE_NS, _SEARCH_NS, _SWEEP_NS, _HOOI_NS, _PIECE_NS = 35.0, 1.7, 1.9, 10.0, 15.0
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """Bytes of memory at most, bytes of scratch space on disk, seconds; the latter for a server core, within a factor.
+
+    >>> from hmkcta.plan import parse_plan
+    >>> from hmkcta.fit import EFFORTS
+    >>> modes = (("light",), ("view",), ("y",), ("x",))
+    >>> plan = parse_plan("R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2 / R=2,2,3,3 C=3,3,4,4 K=2", modes)
+    >>> cost = forecast(plan, (174, 58, 400, 380), EFFORTS["fast"], threads=2, memory=1_400_000_000)
+    >>> cost.memory < 1_400_000_000, cost.scratch, cost.seconds < 300
+    (True, 6135936000, True)
+    """
+
+    memory: int
+    scratch: int
+    seconds: float
+
+
+def forecast(plan: Plan, sizes: Sequence[int], effort: Effort, threads: int, memory: int | None) -> Forecast:
+    """The cost of a plan for a tensor of the given mode sizes, `memory` bytes allowed (None: half of what is free)."""
+    limit, elements = memory_limit(plan, sizes, memory), prod(sizes)
+    own = plan.levels[-1].own
+    if elements <= limit:
+        working = WORKING + (_SAVED if own else 0)
+        measuring = _RESIDUAL * elements + _MEASURING * min(elements, _MEASURED)
+        return Forecast(_BASE + max(working * elements, measuring), 0, _seconds(plan, sizes, effort, threads))
+    cut = next((n for n, level in enumerate(plan.levels[:-1]) if level.cells > 1), None)
+    wholes = plan.levels if cut is None else plan.levels[: cut + 1]
+    held = max(_workset(sizes, level, limit) for level in wholes)
+    if cut is not None:
+        held = max(held, min(limit, _UNEVEN * threads * elements // plan.levels[cut].cells))
+    slabs = 8 * 4 * SLAB * max(1, min(threads, limit // SLAB))
+    scratch = 0 if cut is None else 4 * elements * (2 if own else 1)
+    return Forecast(_BASE + max(WORKING * held, slabs), scratch, _seconds(plan, sizes, effort, threads, cut=cut))
+
+
+def _workset(sizes: Sequence[int], level: LevelSpec, limit: int) -> int:
+    spec = level.clamped(sizes)
+    if spec.search == "fast":
+        return limit
+    return prod(-(-size // step) for size, step in zip(sizes, thinning(sizes, spec, limit), strict=True))
+
+
+def _seconds(plan: Plan, sizes: Sequence[int], effort: Effort, threads: int, cut: int | None = None) -> float:
+    each = _SOURCE_NS + (0 if cut is None else _PIECE_NS * (1 + effort.backfits))
+    for level in plan.levels:
+        met = prod(level.mixture)
+        if level.cells == 1:
+            each += _HOOI_NS * (1 + effort.sweeps)
+        else:
+            each += 5 + met * (_SEARCH_NS * effort.searches + _SWEEP_NS * effort.sweeps)
+        if len(plan.levels) > 1:
+            each += effort.backfits * (met * _SWEEP_NS + 10)
+    return each * 1e-9 * prod(sizes) / threads

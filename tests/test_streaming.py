@@ -1,0 +1,298 @@
+"""Tensors that memory does not hold: what comes out is as good, whatever the threads, and leaves nothing behind."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from itertools import pairwise
+from math import prod
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from hmkcta import Model, compress, predict, streamed
+from hmkcta import backends as kernels
+from hmkcta.cells import Cells
+from hmkcta.errors import HmkctaError
+from hmkcta.fit import EFFORTS
+from hmkcta.hierarchy import Run, backfit, descend, fit_nodes, whole
+from hmkcta.measure import measure
+from hmkcta.plan import LevelSpec, parse_plan
+from hmkcta.readers import open_array
+from hmkcta.scratch import Scratch
+from hmkcta.search import project_model
+from hmkcta.source import Source, prepare
+from hmkcta.streamed import Piece, Streamed, put
+from hmkcta.synthetic import material, volume
+from hmkcta.workset import projected
+
+F32 = NDArray[np.float32]
+WH4_LIKE = "R=3,3,4,4 / R=2,2,2,2 C=2,2,3,3 K=2 / R=1,1,2,2 C=2 K=2"
+MODES = "light+rgb, view, y, x"
+
+
+@pytest.fixture(autouse=True)
+def small_slabs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Slabs and worksets that small data are larger than."""
+    monkeypatch.setattr(streamed, "SLAB", 15_000)
+    monkeypatch.setattr("hmkcta.measure_streamed.SLAB", 40_000)
+
+
+@pytest.fixture(scope="module")
+def cloth() -> Any:
+    return material(lights=6, views=8, size=32)
+
+
+def fitted(data: Any, monkeypatch: pytest.MonkeyPatch, workset: int, plan: str = WH4_LIKE, **options: Any) -> Model:
+    """With tensors of up to `workset` elements held in memory."""
+    monkeypatch.setattr(predict, "WORKSET", workset)
+    settings: dict[str, Any] = {"scheme": "most", "quality": "fast", "threads": 2, "organisation": MODES, **options}
+    return compress(data.values, plan, axes=data.axes, **settings)
+
+
+def test_streaming_is_as_good_as_memory(cloth: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The levels of the whole tensor are fitted otherwise, so bytes differ; nothing may be lost."""
+    inside = fitted(cloth, monkeypatch, cloth.values.size)
+    outside = fitted(cloth, monkeypatch, cloth.values.size // 3)
+    assert outside.snr > inside.snr - 0.02
+    assert outside.nbytes < 1.01 * inside.nbytes
+
+
+@pytest.mark.parametrize("share", [3, 40])
+def test_threads_change_nothing(cloth: Any, monkeypatch: pytest.MonkeyPatch, share: int, tmp_path: Path) -> None:
+    """Also where pieces themselves are too large for memory (a fortieth is less than the largest of 36)."""
+    files: list[bytes] = []
+    for threads in (1, 3):
+        model = fitted(cloth, monkeypatch, cloth.values.size // share, threads=threads, plan=WH4_LIKE)
+        model.save(tmp_path / f"{threads}.hmk")
+        files.append((tmp_path / f"{threads}.hmk").read_bytes())
+    assert files[0] == files[1]
+
+
+@pytest.mark.parametrize("transform", ["identity", "log1p"])
+def test_what_is_stated_is_what_is_stored(cloth: Any, monkeypatch: pytest.MonkeyPatch, transform: str) -> None:
+    """The streamed measurement against the one that decodes."""
+    model = fitted(cloth, monkeypatch, cloth.values.size // 3, transform=transform, quality="medium")
+    decoded = measure(model, cloth.values)
+    for stated, found in zip(model.quality, decoded, strict=True):
+        assert stated.snr_db == pytest.approx(found.snr_db, abs=1e-3)
+        assert stated.rmse == pytest.approx(found.rmse, rel=1e-3)
+        assert stated.max_abs_error == pytest.approx(found.max_abs_error, rel=1e-3)
+
+
+def test_back_fitting_lowers_the_error(cloth: Any) -> None:
+    source = prepare(cloth.values, cloth.axes, "identity", None)
+    plan = parse_plan(WH4_LIKE, source.organisation(MODES))
+    run = Run(EFFORTS["fast"], 0, 2, lambda _stage, _fraction: None)
+    tree = whole(Streamed(source, plan.organisation, 2, cloth.values.size // 3))
+    for number, spec in enumerate(plan.levels):
+        if number:
+            descend(tree, "most", run)
+        fit_nodes(tree, [spec] * len(tree.levels[-1]), run)
+    errors = [tree.error]
+    for _ in range(3):
+        backfit(tree, run)
+        errors.append(tree.error)
+    assert all(after < before for before, after in pairwise(errors))
+    assert errors[-1] < 0.95 * errors[0]
+    # What is kept in pieces is what the nodes leave of the tensor.
+    left = source.tensor(plan.organisation)
+    for level in tree.levels:
+        for node in level:
+            if node.cells is not None:
+                block = np.ascontiguousarray(left[np.ix_(*node.rows)])
+                kernels.accumulate(node.cells, block, -1.0)
+                left[np.ix_(*node.rows)] = block
+    assert errors[-1] == pytest.approx(streamed.squared_norm(left), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("plan", "size"), [("R<=8,8,10,10", 13_000), ("R=3,3,4,4 / R=1 C=1,1,2,2 / R<=8,8,10,10", 30_000)]
+)
+def test_goals_are_met_by_streamed_fits(cloth: Any, monkeypatch: pytest.MonkeyPatch, plan: str, size: int) -> None:
+    """By ranks of the whole tensor's own, and by those of pieces."""
+    model = fitted(cloth, monkeypatch, cloth.values.size // 3, plan=plan, snr=14.5)
+    assert 14.5 <= model.snr < 15.5
+    model = fitted(cloth, monkeypatch, cloth.values.size // 3, plan=plan, size=size)
+    assert 0.8 * size < model.nbytes <= size
+
+
+def test_a_streamed_volume_keeps_its_undecomposed_mode(monkeypatch: pytest.MonkeyPatch) -> None:
+    data = volume((20, 24, 28), frames=6)
+    plan = "R=*,2,2,2 / R=*,1,1,1 C=1,3,3,3 K=1,2,2,2 / R=*,1,1,1 C=1,2,2,2 K=1,2,2,2"
+    inside, outside = (
+        fitted(data, monkeypatch, data.values.size // share, plan, organisation=None) for share in (1, 3)
+    )
+    assert outside.snr > inside.snr - 0.3
+
+
+def test_automatic_subdivision_of_a_streamed_tensor(cloth: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    schemes = {
+        scheme: fitted(cloth, monkeypatch, cloth.values.size // 3, scheme=scheme).snr
+        for scheme in ("auto", "most", "least", "uniform")
+    }
+    assert schemes["auto"] >= min(schemes["most"], schemes["uniform"])
+    assert schemes["auto"] in [schemes[name] for name in ("most", "least", "uniform")]
+
+
+# The parts
+
+
+@pytest.fixture(scope="module")
+def source(cloth: Any) -> Source:
+    """In Fortran order, so that the last axis is the slowest."""
+    values = np.asfortranarray(cloth.values[:6, :5, :17, :13])
+    return prepare(values, ["light", "view", "y", "x", "rgb"], "identity", None)
+
+
+@pytest.mark.parametrize("steps", [(1, 1, 1, 1), (2, 1, 3, 1), (5, 2, 1, 4)])
+@pytest.mark.parametrize("limit", [100, 700, 10**6])
+def test_slabs_make_up_the_tensor(source: Source, steps: tuple[int, ...], limit: int) -> None:
+    organisation = source.organisation(MODES)
+    expected = source.tensor(organisation)[tuple(slice(None, None, step) for step in steps)]
+    found = np.full(expected.shape, np.nan, np.float32)
+    for part in source.parts(limit):
+        rows, block = source.block(organisation, part, steps)
+        if block.size:
+            found[np.ix_(*rows)] = block
+    assert np.array_equal(found, expected)
+
+
+def random_cells(sizes: tuple[int, ...], spec: LevelSpec, seed: int) -> Cells:
+    rng = np.random.default_rng(seed)
+    members = [
+        np.sort(np.argsort(rng.random((size, c)), axis=1)[:, :k], axis=1).astype(np.uint16)
+        for size, c, k in zip(sizes, spec.clusters, spec.mixture, strict=True)
+    ]
+    ranks = [size if rank is None else rank for size, rank in zip(sizes, spec.ranks, strict=True)]
+    bases = [
+        np.zeros(0, np.float32)
+        if spec.ranks[n] is None
+        else rng.standard_normal((size, spec.mixture[n], spec.cells // spec.clusters[n], ranks[n]), np.float32)
+        for n, size in enumerate(sizes)
+    ]
+    return Cells(sizes, spec, members, bases, rng.standard_normal((spec.cells, *ranks), np.float32))
+
+
+PAIRS = [
+    ((9, 5, 8), LevelSpec((2, 2, 3), (2, 1, 3), (2, 1, 2)), LevelSpec((3, 2, 1), (3, 2, 2), (1, 2, 2))),
+    ((4, 9, 8), LevelSpec((None, 2, 3), (1, 2, 3), (1, 2, 2)), LevelSpec((None, 3, 2), (1, 1, 1), (1, 1, 1))),
+]
+
+
+@pytest.mark.parametrize(("sizes", "spec", "other"), PAIRS)
+def test_a_model_is_projected_in_closed_form(sizes: tuple[int, ...], spec: LevelSpec, other: LevelSpec) -> None:
+    cells, model = random_cells(sizes, spec, 1), random_cells(sizes, other, 2)
+    tensor = np.zeros(sizes, np.float32)
+    kernels.accumulate(model, tensor, 1.0)
+    for n in (n for n in range(3) if spec.ranks[n] is not None):
+        expected = kernels.project_cells(cells, tensor, n)
+        np.testing.assert_allclose(project_model(cells, model, n), expected, rtol=1e-3, atol=1e-3)
+
+
+def test_a_part_of_cells_is_the_part_of_their_tensor() -> None:
+    for sizes, spec, _ in PAIRS:
+        cells, tensor = random_cells(sizes, spec, 3), np.zeros(sizes, np.float32)
+        kernels.accumulate(cells, tensor, 1.0)
+        rows = [np.array([0, 2, 3]), np.array([4]), np.arange(1, 7)]
+        part = np.zeros((3, 1, 6), np.float32)
+        kernels.accumulate(cells.part(rows), part, 1.0)
+        np.testing.assert_allclose(part, tensor[np.ix_(*rows)], rtol=1e-5, atol=1e-5)
+
+
+def test_projections_are_summed_over_slabs_and_pieces(source: Source) -> None:
+    organisation = source.organisation(MODES)
+    tensor = source.tensor(organisation)
+    spec = LevelSpec((2, 2, 2, 3), (2, 1, 3, 2), (2, 1, 2, 1))
+    ones = (1, 1, 1, 1)
+    cells, first = random_cells(tensor.shape, spec, 1), random_cells(tensor.shape, LevelSpec(ones, ones, ones), 5)
+    residual = Streamed(source, organisation, 2, tensor.size // 3)
+    residual.change(0, first)
+    left = tensor.copy()
+    kernels.accumulate(first, left, -1.0)
+    expected = [kernels.project_cells(cells, left, n) for n in range(4)]
+    for n in range(4):
+        np.testing.assert_allclose(projected(residual, 1, cells, n, [1] * 4), expected[n], rtol=1e-4, atol=1e-4)
+    parts: list[NDArray[np.intp]] = [np.arange(size) % 2 for size in tensor.shape]
+    pieces = residual.cut(parts, (2, 2, 2, 2))
+    for piece in pieces:
+        np.testing.assert_allclose(residual.read(piece), left[np.ix_(*piece.rows)], atol=1e-5)
+    for n in range(4):
+        np.testing.assert_allclose(projected(residual, 1, cells, n, [1] * 4), expected[n], rtol=1e-4, atol=1e-4)
+    assert residual.error == pytest.approx(streamed.squared_norm(left), rel=1e-5)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_blocks_are_put_where_they_belong(data: st.DataObject) -> None:
+    sizes = data.draw(st.lists(st.integers(1, 5), min_size=1, max_size=4).map(tuple))
+    places = [np.array(sorted(data.draw(st.sets(st.integers(0, size - 1), min_size=1)))) for size in sizes]
+    lengths = [len(place) for place in places]
+    values = np.arange(1, 1 + prod(lengths), dtype=np.float32).reshape(lengths)
+    piece = Piece(tuple(np.arange(size) for size in sizes), 3)
+    with Scratch(piece.elements + 5) as scratch:
+        put(scratch, piece, places, values)
+        found, expected = scratch.read(0, scratch.count), np.zeros(sizes, np.float32)
+    expected[np.ix_(*places)] = values
+    assert np.array_equal(found[3:-2].reshape(sizes), expected)
+    assert not found[:3].any()
+    assert not found[-2:].any()
+
+
+# Scratch space
+
+
+def test_scratch_files_have_no_name(tmp_path: Path) -> None:
+    with Scratch(1000, tmp_path) as scratch:
+        scratch.write(0, np.ones(1000, np.float32))
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_no_room_for_scratch_is_said_before_the_work(tmp_path: Path) -> None:
+    with pytest.raises(HmkctaError, match="TMPDIR"):
+        Scratch(1 << 60, tmp_path)
+    with pytest.raises(HmkctaError, match="TMPDIR"):
+        Scratch(10, tmp_path / "not there")
+
+
+@pytest.fixture
+def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    return tmp_path
+
+
+@pytest.mark.parametrize("stage", ["level 2", "reordering", "level 3"])
+def test_nothing_is_left_behind_by_an_interrupted_fit(
+    cloth: Any, monkeypatch: pytest.MonkeyPatch, temporary: Path, stage: str
+) -> None:
+    before = len(os.listdir("/proc/self/fd")) if Path("/proc/self/fd").exists() else None
+
+    def interrupted(name: str, fraction: float) -> None:
+        if name == stage and (fraction > 0 or stage == "reordering"):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fitted(cloth, monkeypatch, cloth.values.size // 3, progress=interrupted)
+    assert list(temporary.iterdir()) == []
+    if before is not None:
+        assert len(os.listdir("/proc/self/fd")) <= before
+
+
+def test_a_mapped_file_is_read_in_slabs(cloth: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The same bytes as from memory."""
+    np.save(tmp_path / "cloth.npy", cloth.values)
+    mapped = open_array(tmp_path / "cloth.npy")
+    assert isinstance(mapped, np.memmap)
+    monkeypatch.setattr(predict, "WORKSET", mapped.size // 3)
+    models = [
+        compress(array, WH4_LIKE, axes=cloth.axes, organisation=MODES, scheme="most", quality="fast")
+        for array in (cloth.values, mapped)
+    ]
+    for number, model in enumerate(models):
+        model.save(tmp_path / f"{number}.hmk")
+    assert (tmp_path / "0.hmk").read_bytes() == (tmp_path / "1.hmk").read_bytes()
