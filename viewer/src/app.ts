@@ -16,7 +16,7 @@ import { VolumeRenderer } from "./render/volume";
 import { type State, newState } from "./state";
 
 const MOVING = 45; // milliseconds that a frame may take while something moves
-const STILL = 700; // and when nothing does: longer ones are stopped by some systems
+const STILL = 1000; // and when nothing does: longer ones are stopped by some systems
 const SETTLED = 250; // milliseconds after the last change
 const DECODE = 120; // milliseconds of decoding a frame
 const SCALES = [1, 0.7, 0.5, 0.35, 0.25, 0.18, 0.125];
@@ -27,6 +27,27 @@ export interface Statistics {
   width: number;
   height: number;
   decoding: boolean;
+}
+
+/** What the last frame took, and what a pixel more would. */
+interface Cost {
+  pixels: number;
+  milliseconds: number;
+  slope: number;
+}
+
+/** The cost after a further frame. A frame has a part that pixels do not change, which two sizes tell apart. */
+function measured(before: Cost | null, pixels: number, milliseconds: number): Cost {
+  const share = milliseconds / pixels;
+  if (before === null || before.pixels === pixels) {
+    return { pixels, milliseconds, slope: Math.min(share, before?.slope ?? share) };
+  }
+  const slope = (milliseconds - before.milliseconds) / (pixels - before.pixels);
+  return { pixels, milliseconds, slope: Math.min(share, Math.max(0.2 * share, slope)) };
+}
+
+function predicted(cost: Cost, pixels: number): number {
+  return cost.milliseconds + cost.slope * (pixels - cost.pixels);
 }
 
 /** What the page around is told. */
@@ -49,7 +70,8 @@ export class App {
   private drawing = false;
   private closed = false;
   private changed = 0;
-  private perPixel = 0; // milliseconds
+  private cost: Cost | null = null;
+  private warm = false; // the first frame of a shader waits for the driver to compile it, and says nothing of its cost
   private budget = 1 << 11; // elements decoded a frame
   private fixedSize: [number, number] | null = null;
 
@@ -142,7 +164,8 @@ export class App {
     const before = this.renderer;
     this.renderer = made ?? await SliceRenderer.make(device, decoders);
     before?.destroy();
-    this.perPixel = 0;
+    this.cost = null;
+    this.warm = false;
     this.watcher.onNotes([...notes, ...this.renderer.notes]);
     this.resetView();
     this.redraw();
@@ -258,8 +281,11 @@ export class App {
       return { complete: parts.every((part) => part.complete), decoded: parts.reduce((sum, part) => sum + part.decoded, 0) };
     });
     const milliseconds = performance.now() - start;
-    if (decoded === 0) {
-      this.perPixel = milliseconds / (width * height);
+    if (!this.warm) {
+      this.warm = true;
+      this.dirty = this.fixedSize === null || decoded > 0;
+    } else if (decoded === 0) {
+      this.cost = measured(this.cost, width * height, milliseconds);
     } else {
       const faster = milliseconds < DECODE / 4 ? 4 : milliseconds < DECODE / 2 ? 2 : milliseconds > DECODE ? 0.5 : 1;
       this.budget = Math.max(256, Math.min(1 << 26, this.budget * faster));
@@ -292,10 +318,9 @@ export class App {
     const most = this.gpu.device.limits.maxTextureDimension2D;
     const full = [this.canvas.clientWidth, this.canvas.clientHeight].map((side) =>
       Math.max(8, Math.min(most, Math.round(side * density))));
-    const time = full[0]! * full[1]! * this.perPixel;
     const allowed = moving ? MOVING : STILL;
-    const unknown = this.perPixel === 0;
-    const scale = unknown ? SCALES.at(-1)! : SCALES.find((each) => each * each * time <= allowed) ?? SCALES.at(-1)!;
+    const scale = SCALES.find((each) =>
+      this.cost !== null && predicted(this.cost, each * each * full[0]! * full[1]!) <= allowed) ?? SCALES.at(-1)!;
     return [Math.max(8, Math.round(full[0]! * scale)), Math.max(8, Math.round(full[1]! * scale))];
   }
 }

@@ -24,11 +24,23 @@ export async function load(source: ByteSource, listener: Listener): Promise<Read
   const reading = new Reading(source.bytes.subarray(LENGTH_BYTES, LENGTH_BYTES + length), source.size, VIEWER_LIMITS);
   await source.upTo(reading.tablesEnd);
   reading.readTables(source.bytes);
+  const levels = reading.metadata.levels.map((_, l) => l + 1);
+  const arrivals = fetchAhead(source, levels.map((level) => reading.levelEnd(level)));
   await listener.onTables(reading);
-  for (let level = 1; level <= reading.metadata.levels.length; level += 1) {
-    await source.upTo(reading.levelEnd(level));
+  for (const level of levels) {
+    await arrivals[level - 1];
     reading.readLevel(level, source.bytes);
     await listener.onLevel(reading, level);
   }
   return reading;
+}
+
+/** Fetch on while shaders are compiled and pictures drawn; one promise an end, each kept when its bytes are there. */
+function fetchAhead(source: ByteSource, ends: number[]): Promise<void>[] {
+  let before = Promise.resolve();
+  return ends.map((end) => {
+    before = before.then(() => source.upTo(end));
+    before.catch(() => undefined); // whoever waits for it hears of the failure
+    return before;
+  });
 }
