@@ -49,6 +49,7 @@ PASSES = {
     "lightfield": Pass(),
     "volume": Pass(),
     "display": Pass(),
+    "peak": Pass(),
 }
 #: What a shader is built for decides about its text: all of these, for every pass that decodes.
 BUILT_FOR = [kind for kind in KINDS if kind.name in

@@ -14,6 +14,7 @@ import click
 
 from ..errors import HmkctaError, Kind
 from ..temporaries import remove_all
+from .bench import bench_command
 from .compress import compress_command
 from .decompress import decompress_command
 from .demo import demo_command
@@ -75,7 +76,7 @@ def main() -> None:
 
 
 for _command in (compress_command, plan_command, info_command, verify_command, decompress_command, view_command,
-                 render_command, demo_command):
+                 render_command, bench_command, demo_command):
     main.add_command(_command)
 
 

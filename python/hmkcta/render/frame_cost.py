@@ -107,7 +107,9 @@ class _Counter:
         if not level.shape[s].any():
             return own
         subsets = [_subsets(level, s, n, rows[n]) for n in range(order)]
-        for cell in product(*(np.unique(subset).tolist() for subset in subsets)):
+        distinct = [np.unique(subset).tolist() for subset in subsets]
+        own += Cost(words=_searches(subsets, [len(clusters) for clusters in distinct]))
+        for cell in product(*distinct):
             own += self._cell(level, s, [subset == c for subset, c in zip(subsets, cell, strict=True)])
         child = level.child
         if depth + 1 >= self.upto or child is None or child[s] == child[s + 1]:
@@ -137,8 +139,14 @@ class _Counter:
             cells=1,
             multiply_adds=contraction + sum(count * lane for count, lane in basis),
             coefficients=prod(counts) + sum(count for count, _ in basis),
-            words=2 + 2 * sum(member.size for member in members),
+            words=3,
         )
+
+
+def _searches(subsets: Sequence[NDArray[np.int64]], distinct: Sequence[int]) -> int:
+    """Words read to go from cluster to cluster: the subsets of a mode's rows, whenever it moves on or restarts."""
+    moves = [prod(distinct[:n]) * (distinct[n] + 1) for n in range(len(distinct))]
+    return sum(move * subset.size for move, subset in zip(moves, subsets, strict=True))
 
 
 def _subsets(level: PackedLevel, s: int, n: int, rows: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..decode import check_indices
-from ..errors import invalid
+from ..errors import HmkctaError, Kind, invalid
 from ..memory import check_memory
 from ..model import Model
 from .device import Device, shared_device, spread
 from .prelude import PAGE_SHIFT, Options, compose
+from .software import MOST_TURNS, loop_turns
 from .upload import DecoderBuffers
 from .weighted import Picks
 
@@ -63,7 +64,8 @@ class GpuDecoder:
             Source values, [B].
 
         Raises:
-            HmkctaError: not that many axes, no integers, an index or a level out of range.
+            HmkctaError: not that many axes, no integers, an index or a level out of range; a software adapter would
+                not finish (`refusal`).
         """
         wanted = np.asarray(indices)
         shape = self.model.shape
@@ -71,10 +73,25 @@ class GpuDecoder:
             raise invalid("coords-shape", "indices", f"shape {wanted.shape}", f"[elements, {len(shape)}]")
         for axis, size in enumerate(shape):
             check_indices(wanted[:, axis], size, f"indices of axis {self.model.metadata.axes[axis].name}")
+        self._check(None, level)
         group = self.buffers.bind_group(level)
         batches = [self._elements.run(wanted[start : start + _BATCH].astype(np.uint32), group)
                    for start in range(0, len(wanted), _BATCH)]
         return np.concatenate([np.empty(0, np.float32), *batches])
+
+    def submit(self, indices: NDArray[np.integer[Any]]) -> None:
+        """Submit the decoding of elements with valid indices [B, axes], and wait for nothing: for measuring speed."""
+        self._elements.submit(indices, self.buffers.bind_group())
+
+    def refusal(self, picks: Sequence[int] | None = None, level: int | None = None) -> HmkctaError | None:
+        """Why a software adapter would not finish an element, or a sum with so many picks an axis; None if it would."""
+        counts = picks or (1,) * len(self.model.shape)
+        turns = loop_turns(self.model, counts, level or len(self.model.levels)) if self.device.software else 0
+        if turns <= MOST_TURNS:
+            return None
+        return HmkctaError(Kind.RESOURCE_LIMIT, "software-loops", f"decoding by {self.device.name}",
+                           found=f"up to {turns} turns of the shader's loops", allowed=f"{MOST_TURNS} in software",
+                           hint="use the NumPy decoder (the model itself), or a lower level")
 
     def reconstruct(self, level: int | None = None) -> NDArray[np.float32]:
         """All elements, in the source's shape.
@@ -103,6 +120,7 @@ class GpuDecoder:
             check_indices(np.asarray(index), self.model.shape[axis], f"indices of axis {name}")
         counts = tuple(index.shape[1] for index, _ in picks)
         channels = 3 if any(np.ndim(weight) == 3 for _, weight in picks) else 1
+        self._check(counts, level)
         if (counts, channels) not in self._sums:
             options = Options(picks=counts, channels=channels, page_shift=self.buffers.options.page_shift)
             head = self.buffers.prelude(options)
@@ -115,22 +133,36 @@ class GpuDecoder:
         return values.reshape(-1, 3) if channels == 3 else values
 
 
+    def _check(self, picks: Sequence[int] | None, level: int | None) -> None:
+        refusal = self.refusal(picks, level)
+        if refusal is not None:
+            raise refusal
+
+
 @final
 class ListPass:
     """A pass with a list of what is wanted and a list of the results."""
 
     def __init__(self, device: Device, buffers: DecoderBuffers, entry: str, code: str) -> None:
         self._device = device
+        self._sent: tuple[Any, Any, Any] | None = None
         self._layout = device.layout(entry, ["read-only-storage", "storage"])
         self._pipeline = device.pipeline(entry, code, [buffers.layout, self._layout])
 
     def run(self, wanted: NDArray[np.uint32], group: Any, numbers: int = 1) -> NDArray[np.float32]:
         """The results, `numbers` for each entry of `wanted`."""
-        entries = self._device.buffer("wanted", np.ascontiguousarray(wanted))
-        values = self._device.room("decoded", 4 * numbers * len(wanted))
-        own = self._device.group("lists", self._layout, [entries, values])
+        self._sent = None
+        return self._device.read(self.submit(wanted, group, numbers)).view(np.float32)
+
+    def submit(self, wanted: NDArray[np.integer[Any]], group: Any, numbers: int = 1) -> Any:
+        """The buffer that will hold the results; the array of the last call is not sent again."""
+        if self._sent is None or self._sent[0] is not wanted:
+            entries = self._device.buffer("wanted", np.ascontiguousarray(wanted, np.uint32))
+            values = self._device.room("decoded", 4 * numbers * len(wanted))
+            self._sent = wanted, values, self._device.group("lists", self._layout, [entries, values])
+        _, values, own = self._sent
         self._device.dispatch(self._pipeline, [group, own], spread(-(-len(wanted) // _GROUP)))
-        return self._device.read(values).view(np.float32)
+        return values
 
 
 def picked_words(picks: Sequence[Picks], most: int, channels: int) -> NDArray[np.uint32]:
