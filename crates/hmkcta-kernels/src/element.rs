@@ -256,3 +256,62 @@ impl<T: Real> Cell<T> {
         lanes
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::machine::tests::on_all_machines;
+    use crate::packed::MOST_MODES;
+    use crate::testing::close;
+
+    /// Float16 numbers between 0.25 and 1 of either sign.
+    fn bits(count: usize, seed: usize) -> Vec<u16> {
+        (0..count)
+            .map(|i| 0x3400 + ((i * 7919 + seed * 104_729) % 2048) as u16 + (((i * i + seed) % 2) << 15) as u16)
+            .collect()
+    }
+
+    #[test]
+    fn all_machines_and_both_sources_agree() {
+        on_all_machines(compare);
+    }
+
+    fn compare() {
+        // Ranks with unrolled loops of four and of eight lanes, without, beyond one vector, and many modes.
+        for ranks in [vec![2, 2, 3, 3], vec![4, 4, 6, 6], vec![3, 5, 2], vec![20], vec![2, 2, 1, 2, 3]] {
+            let order = ranks.len();
+            let mut node = NodeView {
+                order,
+                clusters: [1; MOST_MODES],
+                mixture: [1; MOST_MODES],
+                ranks: [1; MOST_MODES],
+                rows: [0; MOST_MODES],
+                core: &[],
+                scale: &[],
+                cluster: [&[]; MOST_MODES],
+                basis: [&[]; MOST_MODES],
+                decomposed: [false; MOST_MODES],
+            };
+            for (n, &rank) in ranks.iter().enumerate() {
+                (node.clusters[n], node.mixture[n], node.ranks[n]) = (2, 2, rank);
+                (node.rows[n], node.decomposed[n]) = (3, true);
+            }
+            let core = bits(node.cells() * node.core_size(), 1);
+            let bases: Vec<Vec<u16>> = (0..order).map(|n| bits(3 * 2 * node.others(n) * ranks[n], n + 2)).collect();
+            let scale = vec![0.5; node.cells()];
+            (node.core, node.scale) = (&core, &scale);
+            for (n, basis) in bases.iter().enumerate() {
+                (node.cluster[n], node.basis[n]) = (&[0, 1, 0, 1, 0, 1], basis);
+            }
+            let pos: Vec<u32> = (0..40 * order as u32).map(|i| i * 7 % 3).collect();
+            let (mut wide, mut narrow, mut alone) = (vec![0.0f64; 40], vec![0.0f32; 40], vec![0.0f32; 1]);
+            Elements::default().add(&node, &pos, &mut wide).unwrap();
+            Elements::default().add(&node, &pos, &mut narrow).unwrap();
+            Elements::default().add(&node, &pos[..order], &mut alone).unwrap();
+            assert_eq!(alone[0], narrow[0]);
+            let largest = wide.iter().fold(1.0f64, |most, x| most.max(x.abs()));
+            wide.iter().zip(&narrow).for_each(|(&x, &y)| close((f64::from(y) / largest) as f32, x / largest));
+            assert!(Elements::default().add(&node, &[9, 0, 0, 0, 0][..order], &mut alone).is_err());
+        }
+    }
+}

@@ -17,6 +17,7 @@ mod machine;
 mod packed;
 mod part;
 mod pick;
+mod plane;
 mod planes;
 mod project;
 mod real;

@@ -6,14 +6,15 @@
 
 use crate::cells::Node;
 use crate::machine::dispatch;
+use crate::plane::Plane;
 use crate::threads::{PARALLEL, for_each};
 use crate::tiles::{Tile, tiles};
 use pulp::{Simd, WithSimd};
 use std::ops::Range;
 
 /// Rows and columns of a tile.
-const ROWS: usize = 8;
-const COLUMNS: usize = 16;
+pub const ROWS: usize = 8;
+pub const COLUMNS: usize = 16;
 /// Pieces the planes are shared out in.
 const PIECES: usize = 64;
 
@@ -44,33 +45,33 @@ pub fn accumulate(node: &Node, tensor: &mut [f32], bases: &[&[f32]], cores: &[f3
 }
 
 /// A node prepared for it.
-struct Planes<'a> {
-    node: &'a Node<'a>,
-    bases: &'a [&'a [f32]],
+pub struct Planes<'a> {
+    pub node: &'a Node<'a>,
+    pub bases: &'a [&'a [f32]],
     /// N - 2, the number of leading modes.
-    depth: usize,
-    rows: usize,
-    columns: usize,
-    row_tiles: Vec<Tile>,
-    column_tiles: Vec<Tile>,
+    pub depth: usize,
+    pub rows: usize,
+    pub columns: usize,
+    pub row_tiles: Vec<Tile>,
+    pub column_tiles: Vec<Tile>,
     /// Of each row tile the first of its `[subsets, R_a, ROWS]` numbers among those of one leading and column subset.
-    row_starts: Vec<usize>,
+    pub row_starts: Vec<usize>,
     /// Of each column tile the first of its `[subsets, R_b, COLUMNS]` numbers among those of one leading and row subset.
-    column_starts: Vec<usize>,
+    pub column_starts: Vec<usize>,
     /// Basis numbers of the rows, `[leading cells, C_b, row tiles..]`, zero where a row is not the cell's.
-    row_bases: Vec<f32>,
+    pub row_bases: Vec<f32>,
     /// Basis numbers of the columns, `[leading cells, C_a, column tiles..]`.
-    column_bases: Vec<f32>,
+    pub column_bases: Vec<f32>,
     /// Where each column stands in a line of column tiles.
-    places: Vec<u32>,
+    pub places: Vec<u32>,
 }
 
 /// Combinations of leading subsets that meet at the present leading indices, and their cores contracted with the rows
 /// of these: `[combinations, remaining cells, remaining ranks]`.
 #[derive(Clone, Default)]
-struct Partial {
-    cells: Vec<usize>,
-    cores: Vec<f32>,
+pub struct Partial {
+    pub cells: Vec<usize>,
+    pub cores: Vec<f32>,
 }
 
 /// Buffers of one task.
@@ -79,11 +80,11 @@ struct Work {
     plane: Buffers,
 }
 
-struct Buffers {
+pub struct Buffers {
     /// Rows' coefficients of one row tile, `[combinations, subsets, C_b, R_b, ROWS]`.
-    coefficients: Vec<f32>,
+    pub coefficients: Vec<f32>,
     /// `[ROWS, column tiles, COLUMNS]`
-    lines: Vec<f32>,
+    pub lines: Vec<f32>,
 }
 
 impl Work {
@@ -126,7 +127,7 @@ impl<'a> Planes<'a> {
     }
 
     /// Cells and core numbers that are left from mode `n` on.
-    fn left(&self, n: usize) -> (usize, usize) {
+    pub fn left(&self, n: usize) -> (usize, usize) {
         (self.node.clusters[n..].iter().product(), self.node.ranks[n..].iter().product())
     }
 
@@ -239,128 +240,39 @@ impl WithSimd for Contract<'_> {
     }
 }
 
-/// One plane.
-struct Plane<'p> {
-    planes: &'p Planes<'p>,
-    present: &'p Partial,
-    buffers: &'p mut Buffers,
-    x: &'p mut [f32],
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::machine::tests::on_all_machines;
+    use crate::reconstruct::by_cells;
+    use crate::testing::{close, numbers};
 
-impl WithSimd for Plane<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(mut self, simd: S) {
-        for number in 0..self.planes.row_tiles.len() {
-            self.coefficients(simd, number);
-            for column in 0..self.planes.column_tiles.len() {
-                match COLUMNS / S::F32_LANES {
-                    1 => self.tile::<S, 8, 1>(simd, number, column),
-                    2 => self.tile::<S, 4, 2>(simd, number, column),
-                    _ => self.tile::<S, 2, 4>(simd, number, column),
-                }
-            }
-            self.store(number);
-        }
-    }
-}
-
-impl Plane<'_> {
-    /// Contract the cells' `[R_a, R_b]` with the rows of one tile.
-    #[inline(always)]
-    fn coefficients<S: Simd>(&mut self, _: S, number: usize) {
-        let Plane { planes, present, buffers, .. } = self;
-        let (a, b) = (planes.depth, planes.depth + 1);
-        let (rank_a, rank_b, clusters_b) = (planes.node.ranks[a], planes.node.ranks[b], planes.node.clusters[b]);
-        let (tile, start) = (&planes.row_tiles[number], planes.row_starts[number]);
-        let length = planes.row_bases.len() / (planes.node.cells() / planes.node.clusters[a]);
-        let (cells, numbers) = planes.left(a);
-        let coefficients = &mut buffers.coefficients;
-        coefficients.resize(present.cells.len() * tile.subsets.len() * clusters_b * rank_b * ROWS, 0.0);
-        let mut outs = coefficients.chunks_exact_mut(rank_b * ROWS);
-        for (&leading, cores) in present.cells.iter().zip(present.cores.chunks_exact(cells * numbers)) {
-            for (subset, &c) in tile.subsets.iter().enumerate() {
-                for c_b in 0..clusters_b {
-                    let core = &cores[(usize::from(c) * clusters_b + c_b) * numbers..][..numbers];
-                    let at = (leading * clusters_b + c_b) * length + start + subset * rank_a * ROWS;
-                    let rows = &planes.row_bases[at..][..rank_a * ROWS];
-                    let Some(out) = outs.next() else { return };
-                    for (r_b, out) in out.chunks_exact_mut(ROWS).enumerate() {
-                        let mut sum = [0.0; ROWS];
-                        for (r_a, rows) in rows.chunks_exact(ROWS).enumerate() {
-                            let z = core[r_a * rank_b + r_b];
-                            sum.iter_mut().zip(rows).for_each(|(to, &u)| *to += z * u);
-                        }
-                        out.copy_from_slice(&sum);
-                    }
-                }
-            }
-        }
+    #[test]
+    fn agrees_with_reconstruction_cell_by_cell() {
+        on_all_machines(compare_with_cells);
     }
 
-    /// Sum up one tile, `M` rows by `V` vectors at a time, into `lines`.
-    #[inline(always)]
-    fn tile<S: Simd, const M: usize, const V: usize>(&mut self, simd: S, number: usize, column: usize) {
-        let Plane { planes, present, buffers, .. } = self;
-        let (a, b) = (planes.depth, planes.depth + 1);
-        let (rank, clusters_a, clusters_b) = (planes.node.ranks[b], planes.node.clusters[a], planes.node.clusters[b]);
-        let (rows, columns) = (&planes.row_tiles[number], &planes.column_tiles[column]);
-        let length = planes.column_bases.len() / (planes.node.cells() / clusters_b);
-        let panel = columns.subsets.len() * rank * COLUMNS;
-        let width = planes.column_tiles.len() * COLUMNS;
-        for top in (0..ROWS).step_by(M) {
-            let mut sums = [[simd.splat_f32s(0.0); V]; M];
-            let mut blocks = buffers.coefficients.chunks_exact(clusters_b * rank * ROWS);
-            for &leading in &present.cells {
-                for &c in &rows.subsets {
-                    let Some(block) = blocks.next() else { return };
-                    let at = (leading * clusters_a + usize::from(c)) * length + planes.column_starts[column];
-                    let mut numbers = planes.column_bases[at..][..panel].as_ptr();
-                    for &c_b in &columns.subsets {
-                        let mut weights = block[usize::from(c_b) * rank * ROWS + top..].as_ptr();
-                        for _ in 0..rank {
-                            // SAFETY: a panel has `rank` lines of 16 numbers a subset, a block `rank` lines of 8 a cluster.
-                            unsafe {
-                                let mut values = [simd.splat_f32s(0.0); V];
-                                for (v, value) in values.iter_mut().enumerate() {
-                                    *value = numbers.add(v * S::F32_LANES).cast::<S::f32s>().read_unaligned();
-                                }
-                                for (m, line) in sums.iter_mut().enumerate() {
-                                    let weight = simd.splat_f32s(*weights.add(m));
-                                    for (sum, &value) in line.iter_mut().zip(&values) {
-                                        *sum = simd.mul_add_e_f32s(weight, value, *sum);
-                                    }
-                                }
-                                numbers = numbers.add(COLUMNS);
-                                weights = weights.wrapping_add(ROWS);
-                            }
-                        }
-                    }
-                }
-            }
-            for (m, line) in sums.iter().enumerate() {
-                let out = &mut buffers.lines[(top + m) * width + column * COLUMNS..][..COLUMNS];
-                // SAFETY: V vectors are 16 numbers.
-                unsafe {
-                    for (v, &sum) in line.iter().enumerate() {
-                        out.as_mut_ptr().add(v * S::F32_LANES).cast::<S::f32s>().write_unaligned(sum);
-                    }
-                }
-            }
-        }
-    }
-
-    /// Add the lines to the plane, columns back in their places.
-    #[inline(always)]
-    fn store(&mut self, number: usize) {
-        let Plane { planes, buffers, x, .. } = self;
-        let width = planes.column_tiles.len() * COLUMNS;
-        for (&row, line) in planes.row_tiles[number].rows.iter().zip(buffers.lines.chunks_exact(width)) {
-            let x = &mut x[row as usize * planes.columns..][..planes.columns];
-            for (to, &place) in x.iter_mut().zip(&planes.places) {
-                *to += line[place as usize];
-            }
+    fn compare_with_cells() {
+        for undecomposed in [false, true] {
+            let (sizes, mixture) = (vec![3, 21, 37], vec![if undecomposed { 1 } else { 2 }, 2, 3]);
+            let clusters = vec![if undecomposed { 1 } else { 2 }, 3, 5];
+            let ranks = vec![if undecomposed { 3 } else { 2 }, 3, 2];
+            let members: Vec<Vec<u16>> = (0..3)
+                .map(|n| (0..sizes[n]).flat_map(|i| (0..mixture[n]).map(move |k| (i + k) as u16)).collect::<Vec<u16>>())
+                .zip(&clusters)
+                .map(|(members, &c)| members.iter().map(|k| k % c as u16).collect())
+                .collect();
+            let shape = (sizes.clone(), clusters, mixture, ranks, vec![undecomposed, false, false]);
+            let node = Node::new(shape, members.iter().map(|m| m.as_slice()).collect()).unwrap();
+            assert!(applies(&node));
+            let bases: Vec<Vec<f32>> = (0..3).map(|n| numbers(node.basis_size(n), n as u64)).collect();
+            let bases: Vec<&[f32]> = bases.iter().map(|b| b.as_slice()).collect();
+            let cores = numbers(node.cells() * node.core_size(), 7);
+            let mut found = numbers(sizes.iter().product(), 8);
+            let mut expected = found.clone();
+            accumulate(&node, &mut found, &bases, &cores, -0.5);
+            by_cells(&node, &mut expected, &bases, &cores, -0.5);
+            found.iter().zip(&expected).for_each(|(&x, &y)| close(x, f64::from(y)));
         }
     }
 }

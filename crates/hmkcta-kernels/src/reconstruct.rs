@@ -28,7 +28,7 @@ pub fn accumulate(node: Node, tensor: &mut [f32], bases: &[&[f32]], cores: &[f32
 }
 
 /// Slab by slab of each cell, which is best for long rows and bases.
-fn by_cells(node: &Node, tensor: &mut [f32], bases: &[&[f32]], cores: &[f32], weight: f32) {
+pub fn by_cells(node: &Node, tensor: &mut [f32], bases: &[&[f32]], cores: &[f32], weight: f32) {
     let mut buffers = ModelBuffers::default();
     for (cell, core) in (0..node.cells()).map(|number| node.cell(number)).zip(cores.chunks_exact(node.core_size())) {
         let part = Tucker::load(node, &cell, bases, core);
