@@ -45,16 +45,16 @@ def _copy(threads: int) -> float:
         np.copyto(target[cut], source[cut])
 
     with ThreadPoolExecutor(threads) as pool:
-        seconds, _ = best_of(lambda: list(pool.map(copy, cuts)))
-    return 2 * source.nbytes / seconds
+        _, processor = best_of(lambda: list(pool.map(copy, cuts)))
+    return 2 * source.nbytes * threads / processor
 
 
 def _sgemm(threads: int) -> float:
     a = np.random.default_rng(0).random((SIDE, SIDE), np.float32)
     b, c = a.T.copy(), np.empty_like(a)
     with threadpool_limits(limits=threads, user_api="blas"):
-        seconds, _ = best_of(lambda: np.matmul(a, b, out=c))
-    return 2 * SIDE**3 / seconds
+        _, processor = best_of(lambda: np.matmul(a, b, out=c))
+    return 2 * SIDE**3 * threads / processor
 
 
 def _processor() -> str:

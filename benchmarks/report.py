@@ -16,8 +16,8 @@ class Limits:
 
     Attributes:
         name: processor and cores.
-        copy: bytes a second, by number of threads.
-        sgemm: flops a second, by number of threads.
+        copy: bytes a second that all threads are busy, by number of threads.
+        sgemm: flops, likewise.
     """
 
     name: str
@@ -62,13 +62,21 @@ class Row:
         """Elements a second."""
         return self.elements / self.seconds
 
+    @property
+    def busy(self) -> float:
+        """Seconds with all threads busy: what the limits are compared by, since a machine may have other users.
+
+        Whether the threads were busy shows in `processor` beside `seconds`.
+        """
+        return self.processor / self.threads
+
     def of_sgemm(self, limits: Limits) -> float | None:
         """Share of the sgemm rate of as many threads."""
-        return None if self.flops is None else self.flops / self.seconds / limits.sgemm[self.threads]
+        return None if self.flops is None else self.flops / self.busy / limits.sgemm[self.threads]
 
     def of_copy(self, limits: Limits) -> float | None:
         """Share of the copy bandwidth of as many threads."""
-        return None if self.moved is None else self.moved / self.seconds / limits.copy[self.threads]
+        return None if self.moved is None else self.moved / self.busy / limits.copy[self.threads]
 
 
 def write(rows: Sequence[Row], limits: Limits, name: str, folder: Path = RESULTS) -> Path:

@@ -125,9 +125,29 @@ def _add_elements(levels: Sequence[PackedLevel], coords: Index, out: Real) -> No
     (native or decode_scattered).decode_batches(levels, coords, out)
 
 
-def _add_block(levels: Sequence[PackedLevel], rows: Sequence[Index], block: Real) -> None:
+def _add_block(levels: Sequence[PackedLevel], rows: Sequence[Index], block: Real, first: int = 0) -> None:
     native = _native(levels) if block.dtype == np.float32 else None
-    (native or decode_dense).add_block(levels, rows, block)
+    (native or decode_dense).add_block(levels, rows, block, first)
+
+
+def add_level(levels: Sequence[PackedLevel], rows: Sequence[Index], block: Real, level: int) -> None:
+    """Add one level to a block that holds the levels before it: what `decode_block` would give up to this level.
+
+    Args:
+        levels: the model's levels.
+        rows: as of `decode_block`, and valid.
+        block: C-contiguous, float32 or float64, of the rows' shape.
+        level: its number, 1..L.
+
+    >>> from hmkcta._example import example_level
+    >>> block = np.zeros((1, 2), np.float32)
+    >>> add_level([example_level()], [np.array([1]), np.array([0, 2])], block, 1)
+    >>> block
+    array([[2., 6.]], dtype=float32)
+    """
+    if block.size:
+        with np.errstate(over="ignore", invalid="ignore"):  # as in `decode_elements`
+            _add_block(levels[:level], rows, block, level - 1)
 
 
 def first_levels(levels: Sequence[PackedLevel], upto: int | None) -> Sequence[PackedLevel]:

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .axes import mode_rows, mode_sizes, organise
-from .decode import decode_block
+from .axes import mode_rows, organise
+from .decode import add_level
 from .errors import invalid
 from .model import Model
 from .packed import LevelQuality
@@ -97,7 +97,6 @@ def measure_both(model: Model, source: Any, *, nan: float | None = None, progres
     if tuple(source.shape) != model.shape:
         raise invalid("source-shape", "shape of the source", tuple(source.shape), f"{model.shape}, that of the file")
     metadata = model.metadata
-    sizes = mode_sizes(metadata.axes, metadata.organisation)
     transform = from_json(metadata.transform)
     plain, transformed = Sums(len(model.levels)), Sums(len(model.levels))
     for part in slabs(model.shape, slab):
@@ -108,8 +107,9 @@ def measure_both(model: Model, source: Any, *, nan: float | None = None, progres
         plain.add_values(tensor)
         transformed.add_values(fitted)
         rows = mode_rows(metadata.axes, metadata.organisation, part)
+        decoded = np.zeros(tensor.shape)
         for level in range(len(model.levels)):
-            decoded = np.asarray(decode_block(model.levels, sizes, rows, upto=level + 1, dtype=np.float64), np.float64)
+            add_level(model.levels, rows, decoded, level + 1)
             transformed.add_error(level, fitted - decoded)
             if transform.name != "identity":
                 plain.add_error(level, tensor - np.asarray(transform.inverse(decoded), np.float64))
