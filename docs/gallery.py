@@ -94,7 +94,8 @@ def real_figures(folder: Path) -> list[Figure]:
     made = {
         "steel_svbrdf_parameters": replace(
             material, name="steel", data=lambda: _sheet(folder / "steel_svbrdf_parameters.npz"),
-            scene=replace(material.scene, surface=Surface("sphere", y_axis="up"), camera=Camera(10, 15, 3.6))),
+            scene=replace(material.scene, surface=Surface("sphere", y_axis="up"), camera=Camera(10, 15, 3.6),
+                          tone=replace(material.scene.tone, stops=-0.8))),
         "shop_lightfield": replace(
             light_field, name="shop", data=lambda: _npz(folder / "shop_lightfield.npz", "lightfield"),
             organisation="row+column+rgb, y, x",
@@ -103,7 +104,7 @@ def real_figures(folder: Path) -> list[Figure]:
             scene=Scene(384, 256, viewpoint=Viewpoint(3.5, 4.5)), inset=(0.4, 0.4, 0.65, 0.7)),
         "viscous_fingers_volume": replace(
             volume, name="fingers", data=lambda: _npz(folder / "viscous_fingers_volume.npz", "volume"),
-            scene=replace(volume.scene, volume=Look(colours="ice"))),
+            scene=replace(volume.scene, volume=Look(colours="ice"), camera=Camera(-60, 20, 4.0)), gain=8.0),
     }
     return [figure for name, figure in made.items() if (folder / f"{name}.npz").is_file()]
 

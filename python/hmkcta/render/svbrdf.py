@@ -93,9 +93,8 @@ def _shade_pixels(source: Any, shading: Shading, scene: Scene, seen: tuple[F32, 
     surface, normal, tangent = seen
     layout = at_time(shading.layout, scene.time)
     rows, columns = (layout.sizes[axis] for axis in layout.space)
-    x, x_sign = texel_taps(surface[:, 0], columns)
-    y, y_sign = texel_taps(surface[:, 1], rows)
-    frame = local_frame(normal[:, :3], tangent, x_sign, y_sign * (-1 if scene.surface.y_axis == "up" else 1))
+    x, y = texel_taps(surface[:, 0], columns), texel_taps(surface[:, 1], rows)
+    frame = local_frame(normal[:, :3], tangent, scene.surface.y_axis == "up")
     view = np.einsum("bjk,bk->bj", frame, -pixel_rays)
     view[:, 2] = np.maximum(view[:, 2], np.float32(LEAST_VIEW))
     view /= np.linalg.norm(view, axis=1, keepdims=True)
@@ -114,12 +113,15 @@ def _shade_pixels(source: Any, shading: Shading, scene: Scene, seen: tuple[F32, 
     return radiance
 
 
-def texel_taps(coordinate: F32, count: int) -> tuple[Taps, F32]:
-    """The two texels around a texture coordinate (in repeats) and their weights; -1 where a repeat is mirrored.
+def texel_taps(coordinate: F32, count: int) -> Taps:
+    """The two texels around a texture coordinate (in repeats) and their weights; every other repeat is mirrored.
 
-    >>> (index, weight), sign = texel_taps(np.array([0.25, 1.25], np.float32), 4)
-    >>> index.tolist(), weight.tolist(), sign.tolist()
-    ([[0, 1], [2, 3]], [[0.5, 0.5], [0.5, 0.5]], [1.0, -1.0])
+    Directions are not mirrored: at the border between two repeats the same texel would then be lit from two sides, and
+    the border would show.
+
+    >>> index, weight = texel_taps(np.array([0.25, 1.25], np.float32), 4)
+    >>> index.tolist(), weight.tolist()
+    ([[0, 1], [2, 3]], [[0.5, 0.5], [0.5, 0.5]])
     """
     repeat = np.floor(coordinate)
     within = coordinate - repeat
@@ -129,15 +131,15 @@ def texel_taps(coordinate: F32, count: int) -> tuple[Taps, F32]:
     first = np.minimum(place.astype(np.intp), max(count - 2, 0))
     share = (place - first).astype(np.float32)
     index = np.stack([first, np.minimum(first + 1, count - 1)], axis=1)
-    return (index, np.stack([1 - share, share], axis=1)), np.where(odd, -1, 1).astype(np.float32)
+    return index, np.stack([1 - share, share], axis=1)
 
 
-def local_frame(normal: F32, tangent: F32, x_sign: F32, y_sign: F32) -> F32:
+def local_frame(normal: F32, tangent: F32, y_up: bool) -> F32:
     """Rows x, y, z of the measured directions' frame in world coordinates, ``[b, 3, 3]``."""
     along = tangent[:, :3] - np.einsum("bk,bk->b", tangent[:, :3], normal)[:, None] * normal
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
     down = np.asarray(np.cross(normal, along) * tangent[:, 3:], np.float32)
-    return np.stack([along * x_sign[:, None], down * y_sign[:, None], normal], axis=1).astype(np.float32)
+    return np.stack([along, -down if y_up else down, normal], axis=1).astype(np.float32)
 
 
 def incident(light: Light, place: F32) -> tuple[F32, F32]:

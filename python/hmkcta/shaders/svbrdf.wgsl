@@ -93,12 +93,13 @@ fn pick_texels(axis: u32, place: f32, count: u32) {
   pick_axis(axis, picks);
 }
 
-// Place in texels of a coordinate in repeats, every other repeat mirrored; and the sign of that mirror.
-fn texel_place(coordinate: f32, count: u32) -> vec2f {
+// Place in texels of a coordinate in repeats, every other repeat mirrored. Directions are not: at the border between two
+// repeats the same texel would then be lit from two sides, and the border would show.
+fn texel_place(coordinate: f32, count: u32) -> f32 {
   let repeat = floor(coordinate);
   let odd = (i32(repeat) & 1) == 1;
   let within = select(coordinate - repeat, 1.0 - (coordinate - repeat), odd);
-  return vec2f(clamp(within * f32(count) - 0.5, 0.0, f32(count - 1u)), select(1.0, -1.0, odd));
+  return clamp(within * f32(count) - 0.5, 0.0, f32(count - 1u));
 }
 
 fn pick_still_axes() {
@@ -128,13 +129,13 @@ fn shade_svbrdf(@builtin(global_invocation_id) pixel: vec3u) {
   let x = texel_place(surface.x, svbrdf.columns);
   let y = texel_place(surface.y, svbrdf.rows);
 
-  // Local frame in world coordinates; a mirrored repeat mirrors its material.
+  // Local frame in world coordinates.
   let normal = normalize(textureLoad(seen_normal, pixel.xy, 0).xyz);
   let tangent = textureLoad(seen_tangent, pixel.xy, 0);
   let along = normalize(tangent.xyz - dot(tangent.xyz, normal) * normal);
   let down = cross(normal, along) * tangent.w;
-  let y_sign = select(y.y, -y.y, (svbrdf.flags & FLAG_Y_UP) != 0u);
-  let to_local = transpose(mat3x3f(along * x.y, down * y_sign, normal));
+  let y_sign = select(1.0, -1.0, (svbrdf.flags & FLAG_Y_UP) != 0u);
+  let to_local = transpose(mat3x3f(along, down * y_sign, normal));
 
   let ndc = vec2f((f32(pixel.x) + 0.5) * 2.0 / f32(svbrdf.width) - 1.0, 1.0 - (f32(pixel.y) + 0.5) * 2.0 / f32(svbrdf.height));
   let ray = normalize(svbrdf.forward.xyz + ndc.x * svbrdf.right.xyz + ndc.y * svbrdf.up.xyz);
@@ -157,8 +158,8 @@ fn shade_svbrdf(@builtin(global_invocation_id) pixel: vec3u) {
     if (local.z <= 0.0) { continue; }
     pick_nothing();
     pick_still_axes();
-    pick_texels(svbrdf.x_axis, x.x, svbrdf.columns);
-    pick_texels(svbrdf.y_axis, y.x, svbrdf.rows);
+    pick_texels(svbrdf.x_axis, x, svbrdf.columns);
+    pick_texels(svbrdf.y_axis, y, svbrdf.rows);
     if (svbrdf.view_table.w != NO_AXIS) { pick_directions(svbrdf.view_table.w, interpolate_direction(svbrdf.view_table, view)); }
     var height = local.z;
     if (svbrdf.light_table.w != NO_AXIS) {
