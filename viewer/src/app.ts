@@ -71,6 +71,7 @@ export class App {
   private closed = false;
   private changed = 0;
   private cost: Cost | null = null;
+  private pending = false; // something is still to be decoded
   private warm = false; // the first frame of a shader waits for the driver to compile it, and says nothing of its cost
   private budget = 1 << 11; // elements decoded a frame
   private fixedSize: [number, number] | null = null;
@@ -265,7 +266,7 @@ export class App {
   }
 
   private async drawFrame(): Promise<void> {
-    const moving = performance.now() - this.changed < SETTLED;
+    const moving = performance.now() - this.changed < SETTLED || this.pending;
     const [width, height] = this.frameSize(moving);
     const start = performance.now();
     const { complete, decoded } = await guarded(this.gpu.device, "drawing", async () => {
@@ -281,13 +282,15 @@ export class App {
       return { complete: parts.every((part) => part.complete), decoded: parts.reduce((sum, part) => sum + part.decoded, 0) };
     });
     const milliseconds = performance.now() - start;
+    this.pending = !complete;
     if (!this.warm) {
       this.warm = true;
       this.dirty = this.fixedSize === null || decoded > 0;
     } else if (decoded === 0) {
       this.cost = measured(this.cost, width * height, milliseconds);
     } else {
-      const faster = milliseconds < DECODE / 4 ? 4 : milliseconds < DECODE / 2 ? 2 : milliseconds > DECODE ? 0.5 : 1;
+      const decoding = milliseconds - (this.cost === null ? 0 : predicted(this.cost, width * height));
+      const faster = decoding < DECODE / 4 ? 4 : decoding < DECODE / 2 ? 2 : decoding > DECODE ? 0.5 : 1;
       this.budget = Math.max(256, Math.min(1 << 26, this.budget * faster));
       this.dirty = true;
     }

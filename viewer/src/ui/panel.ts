@@ -272,14 +272,15 @@ export class Panel {
           volume.step = value;
         }),
       }),
-      this.angle("Light azimuth", -180, 180, () => this.state.lights[0]!.azimuth, (value) => {
+      { element: details, refresh: () => clips.forEach((control) => control.refresh()) },
+    ]), group("Light", [
+      this.angle("Azimuth", -180, 180, () => this.state.lights[0]!.azimuth, (value) => {
         this.state.lights[0]!.azimuth = value;
       }),
-      this.angle("Light height", -90, 90, () => this.state.lights[0]!.elevation, (value) => {
+      this.angle("Elevation", -90, 90, () => this.state.lights[0]!.elevation, (value) => {
         this.state.lights[0]!.elevation = value;
       }),
-      { element: details, refresh: () => clips.forEach((control) => control.refresh()) },
-    ]), this.time()];
+    ], () => volume.mode === "shaded" || iso()), this.time()];
   }
 
   private colourMap(get: () => string, set: (name: string) => void): Control {
