@@ -1,7 +1,8 @@
-"""``python -m benchmarks [small|paper|kernels|decode]``: measure, print a table, write it to benchmarks/results.
+"""``python -m benchmarks [small|paper|kernels|decode|profile]``: measure, print, write to benchmarks/results.
 
 `small` (the default) takes minutes; `paper` makes the data of the paper's sizes in a scratch folder (8 GB, kept for the
-next time) and takes an hour or two. The rate-distortion table is a program of its own, `benchmarks/rate_distortion.py`.
+next time) and takes an hour or two; `profile` only tells where the time of a fit goes. The rate-distortion table is a
+program of its own, `benchmarks/rate_distortion.py`.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from benchmarks import compressing, data, decoding, kernels
+from benchmarks import compressing, data, decoding, kernels, stages
 from benchmarks.compressing import SHEET, TVVD, VOLUME, WH2, WH4, WM1, Case
 from benchmarks.machine import limits
 from benchmarks.report import RESULTS, Row, write
@@ -25,10 +26,13 @@ MEMORY = 1600 * 10**6
 def main() -> None:
     """Measure and write."""
     given = _arguments()
+    if given.set == "profile":
+        sys.stdout.write(_profile(given))
+        return
     count = given.threads or os.cpu_count() or 1
     threads = sorted({1, count})
     machine = limits(threads)
-    scratch = given.scratch or Path(tempfile.gettempdir()) / "hmkcta-benchmarks"
+    scratch = _scratch(given)
     sets: dict[str, Callable[[], Iterator[Row]]] = {
         "kernels": lambda: kernels.rows(list(kernels.NODES), threads, readable=given.reference),
         "decode": lambda: decoding.rows(threads),
@@ -45,7 +49,7 @@ def main() -> None:
 
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=str(__doc__).partition("\n")[0], prog="python -m benchmarks")
-    parser.add_argument("set", nargs="?", default="small", choices=["small", "paper", "kernels", "decode"])
+    parser.add_argument("set", nargs="?", default="small", choices=["small", "paper", "kernels", "decode", "profile"])
     parser.add_argument("--threads", type=int, help="beside one thread; default: all cores")
     parser.add_argument("--data", type=Path, help=f"folder with {data.SHEET_FILE}; default: ${data.SHEET_VARIABLE}")
     parser.add_argument("--scratch", type=Path, help="where data is made; default: a folder for temporary files")
@@ -53,6 +57,17 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--only", nargs="*", default=[], help="paper: only cases whose names begin so")
     parser.add_argument("--reference", action="store_true", help="kernels: the NumPy reference (slow)")
     return parser.parse_args()
+
+
+def _scratch(given: argparse.Namespace) -> Path:
+    return given.scratch or Path(tempfile.gettempdir()) / "hmkcta-benchmarks"
+
+
+def _profile(given: argparse.Namespace) -> str:
+    """WH4 on the sheet, small."""
+    path = _scratch(given) / "sheet-64.npy"
+    data.sheet(path, 64, 60, given.data)
+    return stages.profile(Case("profile", str(path), WH4, SHEET, backfits=1, threads=1))
 
 
 def _small(scratch: Path, folder: Path | None, threads: list[int]) -> Iterator[Row]:

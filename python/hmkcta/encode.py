@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from math import isfinite, prod
 from typing import Any
 
+from . import backends as kernels
 from .axes import Axis
 from .errors import invalid
 from .fit import EFFORTS
@@ -57,7 +58,7 @@ def choose_plan(
     """
     run = _run(quality, scheme, decode_cost, seed, threads, progress)
     _check_goal(snr, size)
-    with _one_blas_thread():
+    with _threads(run.threads):
         source = prepare(array, axes, transform, nan)
         return _chosen(source, run, organisation, snr, size, decode_cost, max_memory)
 
@@ -121,7 +122,7 @@ def compress(
     _check_goal(snr, size)
     if kind is not None and kind not in KINDS:
         raise invalid("unknown-kind", "kind", kind, ", ".join(KINDS))
-    with _one_blas_thread():
+    with _threads(run.threads):
         source = prepare(array, axes, transform, nan)
         if isinstance(plan, str):
             modes = source.organisation(organisation)
@@ -135,11 +136,20 @@ def compress(
         return follow(Task(source, plan, scheme, decode_cost, kind or source.kind, run, max_memory))
 
 
-def _one_blas_thread() -> AbstractContextManager[Any]:
-    """Nodes and blocks run in threads already; BLAS threads beside them only fight, and would change sums."""
+@contextmanager
+def _threads(count: int) -> Generator[None]:
+    """The kernels on as many threads as asked for, and BLAS on one.
+
+    Nodes and blocks run in threads already; BLAS threads beside them only fight, and would change sums.
+    """
     from threadpoolctl import threadpool_limits  # pyright: ignore[reportMissingTypeStubs] (it has none)
 
-    return threadpool_limits(limits=1, user_api="blas")
+    kernels.set_threads(count)
+    try:
+        with threadpool_limits(limits=1, user_api="blas"):
+            yield
+    finally:
+        kernels.set_threads(0)
 
 
 def _run(quality: str, scheme: str, decode_cost: int, seed: int, threads: int | None, progress: Progress | None) -> Run:
