@@ -15,9 +15,11 @@ from .workset import thinning
 #: Bytes for each element of a tensor in memory: its residual lasts, the rest is `WORKING`; a saved residual for goals.
 _RESIDUAL, _SAVED = 4, 4
 #: Bytes for each element of a slab that quality is measured on, and the elements of such a slab.
-_MEASURING, _MEASURED = 48, 1 << 22
+_MEASURING, _MEASURED = 36, 1 << 22
 #: Bytes of the interpreter with everything loaded.
 _BASE = 90 * 2**20
+#: Copies of a slab that are made while it is read and worked on.
+_SLAB_COPIES = 6
 #: How much larger than the average the largest sub-tensors get.
 _UNEVEN = 8
 #: Nanoseconds of one core for each element: to read, hash, look at and measure the source; for each cell an element
@@ -56,9 +58,10 @@ def forecast(plan: Plan, sizes: Sequence[int], effort: Effort, threads: int, mem
     held = max(_workset(sizes, level, limit) for level in wholes)
     if cut is not None:
         held = max(held, min(limit, _UNEVEN * threads * elements // plan.levels[cut].cells))
-    slabs = 8 * 4 * SLAB * max(1, min(threads, limit // SLAB))
+    slabs = _SLAB_COPIES * 4 * SLAB * max(1, min(threads, limit // SLAB))
     scratch = 0 if cut is None else 4 * elements * (2 if own else 1)
-    return Forecast(_BASE + max(WORKING * held, slabs), scratch, _seconds(plan, sizes, effort, threads, cut=cut))
+    working = max(WORKING * held, slabs) if cut is None else WORKING * held + slabs // 2  # which stays in the heaps
+    return Forecast(_BASE + working, scratch, _seconds(plan, sizes, effort, threads, cut=cut))
 
 
 def _workset(sizes: Sequence[int], level: LevelSpec, limit: int) -> int:

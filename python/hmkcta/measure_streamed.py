@@ -90,8 +90,9 @@ def measure_streamed(
         errors.below(root, 0, tuple(rows), values, left)
         return errors
 
-    parts = source.parts(SLAB)
-    for number, errors in enumerate(in_order(measured, parts, residual.workers(4 * SLAB)), start=1):
+    slab = min(SLAB, max(SLAB // 8, residual.limit))
+    parts = source.parts(slab)
+    for number, errors in enumerate(in_order(measured, parts, residual.workers(4 * slab)), start=1):
         total[0].merge(errors.plain)
         total[1].merge(errors.transformed)
         progress("measuring", number / len(parts))

@@ -14,8 +14,9 @@ WORKSET = 1 << 26
 SMALLEST = 1 << 20
 #: Bytes for each of them: the tensor, its residual, and what is made on the way; and bytes of the process itself.
 WORKING, PROCESS = 14, 200 * 2**20
-#: Bytes of the header, with the metadata, for a file of four axes and few levels.
-HEADER_BYTES = 6144
+#: Bytes of the header: of a file, of a mode, and of each further level and its modes. Names, shapes and checksums of
+#: every array; coordinates of axes come on top.
+_HEADER, _HEADER_MODE, _HEADER_LEVEL, _HEADER_LEVEL_MODE = 1300, 900, 1300, 1050
 #: Bytes of tables: of a node besides its rows and cells, of a node for each mode, of a cell.
 _NODE, _NODE_MODE, _CELL = 12, 24, 4
 #: Bytes of tables for each row a node owns: a cluster number, and where it goes at the next level.
@@ -45,11 +46,12 @@ def predicted_bytes(plan: Plan, sizes: Sequence[int]) -> int | None:
     >>> from hmkcta.plan import parse_plan
     >>> modes = (("light",), ("view",), ("y",), ("x",))
     >>> predicted_bytes(parse_plan("R=4,4,6,6", modes), (72, 24, 96, 96)) // 1024
-    10
+    9
     """
     if plan.levels[-1].own and plan.size is None:
         return None
-    total = float(HEADER_BYTES)
+    order, further = len(sizes), len(plan.levels) - 1
+    total = float(_HEADER + _HEADER_MODE * order + further * (_HEADER_LEVEL + _HEADER_LEVEL_MODE * order))
     nodes, rows = 1, [float(size) for size in sizes]  # rows of each mode that a node owns, on average
     for number, level in enumerate(plan.levels, start=1):
         if level.own:

@@ -1,0 +1,114 @@
+"""What a plan says it will take is what it takes: memory within a quarter, bytes exactly, scratch space exactly."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hmkcta import compress
+from hmkcta.errors import HmkctaError
+from hmkcta.fit import EFFORTS
+from hmkcta.forecast import forecast
+from hmkcta.memory import drop_pages
+from hmkcta.plan import parse_plan
+from hmkcta.predict import predicted_bytes
+from hmkcta.readers import open_array
+
+SIDE = 72
+MODES = tuple((f"axis{n}",) for n in range(4))
+
+#: Fits a file in a process of its own, as peak memory never falls, and says what it took.
+PROGRAM = """
+import json, resource, sys
+from hmkcta import compress
+from hmkcta.readers import open_array
+path, plan, memory = sys.argv[1:]
+model = compress(open_array(path), plan, quality="fast", scheme="most", threads=2, max_memory=int(memory) or None)
+unit = 1 if sys.platform == "darwin" else 1024
+print(json.dumps({"peak": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit, "snr": model.snr}))
+"""
+
+
+@pytest.fixture(scope="module")
+def waves(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file of 107 MB: two separable waves and noise."""
+    path, rng = tmp_path_factory.mktemp("waves") / "waves.npy", np.random.default_rng(0)
+    values = np.lib.format.open_memmap(path, mode="w+", dtype=np.float32, shape=(SIDE,) * 4)
+    wave = [np.sin(np.linspace(0, 5 + n, SIDE)) for n in range(8)]
+    for i in range(SIDE):
+        values[i] = wave[0][i] * np.einsum("a,b,c->abc", *wave[1:4]) + wave[4][i] * np.einsum("a,b,c->abc", *wave[5:])
+        values[i] += 0.1 * rng.standard_normal((SIDE,) * 3, np.float32)
+    values.flush()
+    return path
+
+
+CASES = [
+    ("R=4", 0),
+    ("R=2 C=3 K=2 / R=2 C=2 K=2", 0),
+    ("R=2 C=3 K=2", 300_000_000),
+    ("R=2 C=3 K=2 / R=2 C=2 K=2", 300_000_000),
+    ("R=2 / R=2 C=2 K=2 / R=1 C=2 K=2", 300_000_000),
+]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there is no getrusage")
+@pytest.mark.parametrize(("plan", "memory"), CASES)
+def test_memory_is_what_was_said(waves: Path, plan: str, memory: int) -> None:
+    said = forecast(parse_plan(plan, MODES), (SIDE,) * 4, EFFORTS["fast"], 2, memory or None)
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, str(waves), plan, str(memory)], capture_output=True, text=True, check=True
+    )
+    took = json.loads(done.stdout)
+    assert took["snr"] > 11  # the noise
+    assert said.memory / 1.25 < took["peak"] < 1.25 * said.memory
+    if memory:
+        assert took["peak"] < memory
+
+
+def test_scratch_space_is_that_of_the_tensor_where_it_is_subdivided() -> None:
+    sizes = (174, 58, 400, 380)
+    for text, scratch in [("R=4", 0), ("R=2 C=2", 0), ("R=4 / R=2 C=2 / R=1", 4 * int(np.prod(sizes)))]:
+        cost = forecast(parse_plan(text, MODES), sizes, EFFORTS["fast"], 2, 1_400_000_000)
+        assert cost.scratch == scratch
+
+
+def test_a_plan_costs_more_time_the_more_it_does() -> None:
+    sizes, seconds = (100, 100, 100, 100), list[float]()
+    for text, effort in [("R=2", "fast"), ("R=2 C=2 K=2", "fast"), ("R=2 C=2 K=2", "medium")]:
+        seconds.append(forecast(parse_plan(text, MODES), sizes, EFFORTS[effort], 2, None).seconds)
+    assert seconds == sorted(set(seconds))
+
+
+@pytest.mark.parametrize("plan", ["R=3", "R=2 C=2 K=2", "R=2 C=2 K=1 / R=1 C=2 K=1", "R=2 / R=2 C=2 K=1 / R=1"])
+def test_bytes_are_what_was_said(plan: str) -> None:
+    """Where no node is empty: of random numbers none is. All but digits of numbers in the header is counted exactly."""
+    values = np.random.default_rng(0).standard_normal((16, 16, 16, 16), np.float32)
+    model = compress(values, plan, quality="fast", scheme="uniform")
+    assert predicted_bytes(parse_plan(plan, MODES), values.shape) == pytest.approx(model.nbytes, abs=120)
+
+
+def test_less_memory_than_anything_needs_is_refused(waves: Path) -> None:
+    with pytest.raises(HmkctaError, match="--max-memory"):
+        compress(open_array(waves), "R=2", max_memory=1_000_000)
+
+
+def test_pages_of_a_mapped_file_are_let_go_of(waves: Path) -> None:
+    if not Path("/proc/self/statm").exists():
+        pytest.skip("only Linux says how much of a process is in memory")
+
+    def resident() -> int:
+        return int(Path("/proc/self/statm").read_text().split()[2]) * 4096  # file-backed
+
+    array = open_array(waves)
+    before = resident()
+    total = float(array[SIDE // 2 :].sum())
+    looked_at = resident()
+    drop_pages(array)
+    assert looked_at - before > 30_000_000
+    assert resident() - before < 10_000_000
+    assert float(array[SIDE // 2 :].sum()) == total
