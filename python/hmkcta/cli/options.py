@@ -209,7 +209,7 @@ quiet_option = click.option("--quiet", is_flag=True, help="No progress, no repor
 verbose_option = click.option("-v", "--verbose", is_flag=True, is_eager=True, callback=_remember(VERBOSE),
                               help="More about the work; tracebacks.")
 memory_option = click.option("--max-memory", type=ByteSize(), metavar="SIZE",
-                             help="Refuse, before it begins, what needs more.")
+                             help="Memory to work in; what needs more is refused before it begins.")
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace an output that is there already.")
 nan_option = click.option("--nan", type=Fill(), metavar="fill=VALUE",
                           help="Put VALUE for NaN and infinity, else refused.")
