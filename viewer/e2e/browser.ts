@@ -83,17 +83,9 @@ export async function reached(page: Page, state: string): Promise<void> {
 
 /** Wait until nothing more is drawn. */
 export async function settled(page: Page): Promise<void> {
-  let before = "";
-  for (;;) {
-    const now = await page.evaluate(() => {
-      const { frames, complete } = document.querySelector("canvas")!.dataset;
-      return complete === "true" ? frames ?? "" : "";
-    });
-    if (now !== "" && now === before) {
-      return;
-    }
-    before = now;
-    await page.waitForTimeout(500);
+  for (let quiet = 0; quiet < 2;) {
+    await page.waitForTimeout(100);
+    quiet = await page.evaluate(() => document.querySelector("canvas")!.ariaBusy) === "false" ? quiet + 1 : 0;
   }
 }
 

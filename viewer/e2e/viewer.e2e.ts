@@ -138,6 +138,22 @@ describe.runIf(there)("viewer in Chromium", () => {
     expect(await pixels(page, size)).toEqual(before);
   });
 
+  it("edits the transfer function by keys", async () => {
+    await open("volume.hmk");
+    await reached(page, "ready");
+    const points = page.getByRole("group", { name: "Opacity over the values" }).getByRole("button");
+    expect(await points.count()).toBe(3);
+    const before = await pixels(page, size);
+    await points.nth(1).focus();
+    for (let i = 0; i < 20; i += 1) {
+      await page.keyboard.press("ArrowRight");
+    }
+    expect(await points.nth(1).getAttribute("aria-label")).toContain("value 55 %");
+    expect(await pixels(page, size)).not.toEqual(before);
+    await page.keyboard.press("Delete");
+    expect(await points.count()).toBe(2);
+  });
+
   it("plays time", async () => {
     await open("volume.hmk");
     await reached(page, "ready");

@@ -201,6 +201,7 @@ export class App {
     this.dirty = true;
     if (!this.drawing && !this.closed && this.decoder.arrived > 0) {
       this.drawing = true;
+      this.canvas.setAttribute("aria-busy", "true");
       requestAnimationFrame(() => void this.drawFrames());
     }
   }
@@ -251,6 +252,7 @@ export class App {
       this.watcher.onProblem(asProblem(error));
     }
     this.drawing = false;
+    this.canvas.setAttribute("aria-busy", "false");
   }
 
   private sides(): Side[] {

@@ -12,7 +12,8 @@ import { Screen } from "./render/screen";
 import { colourAxis, fitted } from "./render/slices";
 import { BlobSource, type ByteSource, fileUrl, openUrl } from "./stream";
 import { plain } from "./ui/controls";
-import { Panel, type Player } from "./ui/panel";
+import type { Player } from "./ui/groups";
+import { Panel } from "./ui/panel";
 import { Pointer } from "./ui/pointer";
 
 const DEFAULT_FILE = "model.hmk";
@@ -42,7 +43,6 @@ class Page {
   private timer = 0;
   private last: Statistics | null = null;
   private fileBytes: [number, number] = [0, 0];
-  private drawn = 0;
   private readonly canvas = byId<HTMLCanvasElement>("canvas");
 
   async start(): Promise<void> {
@@ -176,9 +176,6 @@ class Page {
 
   private frame(statistics: Statistics): void {
     this.last = statistics;
-    this.drawn += 1;
-    this.canvas.dataset["frames"] = String(this.drawn);
-    this.canvas.dataset["complete"] = String(!statistics.decoding);
     this.canvas.classList.toggle("crisp", this.app?.kind === "generic");
     const divider = byId("divider");
     const compare = this.app?.state.compare;

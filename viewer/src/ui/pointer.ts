@@ -4,7 +4,7 @@ import type { App } from "../app";
 import { findCameras } from "../render/lightfield";
 import { layOut } from "../render/layout";
 import { fitted } from "../render/slices";
-import { type Player, savePicture } from "./panel";
+import { type Player, savePicture } from "./groups";
 
 const TURN = 0.4; // degrees a pixel
 const KEY_STEP = 24; // pixels that an arrow key counts as

@@ -1,0 +1,137 @@
+/** What the panels of all kinds have in common: how a control changes the state, and groups that all of them show. */
+
+import type { App } from "../app";
+import type { FileKind } from "../reader/metadata";
+import { COLOURS } from "../render/colours";
+import { CURVES, type State } from "../state";
+import { type Control, buttons, choice, group, make, only, plain, slider } from "./controls";
+import { KEYS } from "./keys";
+
+const KINDS: Record<FileKind, string> = {
+  svbrdf: "Material", lightfield: "Light field", volume: "Volume", generic: "Slices",
+};
+
+export interface Player {
+  playing: boolean;
+  toggle(): void;
+}
+
+export abstract class Groups {
+  constructor(protected readonly app: App, protected readonly player: Player) {}
+
+  /** Make all controls anew. */
+  abstract build(): void;
+
+  /** Show the state anew. */
+  abstract refresh(): void;
+
+  protected get state(): State {
+    return this.app.state;
+  }
+
+  /** Do something to the state, and draw. */
+  protected change<Value>(act: (value: Value) => void): (value: Value) => void {
+    return (value) => {
+      act(value);
+      this.app.redraw();
+    };
+  }
+
+  protected changed(): void {
+    this.refresh();
+    this.app.redraw();
+  }
+
+  protected angle(label: string, min: number, max: number, get: () => number, set: (value: number) => void): Control {
+    const wrapped = (): number => (max === 180 ? ((((get() + 180) % 360) + 360) % 360) - 180 : get());
+    return slider(label, { min, max, step: 1, get: wrapped, set: this.change(set), show: (value) => `${Math.round(value)}°` });
+  }
+
+  protected colourMap(get: () => string, set: (name: string) => void): Control {
+    return choice("Colours", Object.keys(COLOURS).map((name) => [name, name[0]!.toUpperCase() + name.slice(1)] as const),
+      get, (name) => {
+        set(name);
+        this.changed();
+      });
+  }
+
+  /** Sliders for the values at both ends of the colours. */
+  protected window(get: () => { low: number; high: number }): Control[] {
+    const { app } = this;
+    const share = (value: number): number => (value - app.range[0]) / (app.range[1] - app.range[0] || 1);
+    const end = (label: string, key: "low" | "high"): Control => slider(label, {
+      min: -0.5, max: 1.5, step: 0.005, get: () => share(get()[key]), show: () => plain(get()[key]),
+      set: this.change((value) => {
+        app.windowTouched = true;
+        get()[key] = app.range[0] + value * (app.range[1] - app.range[0]);
+      }),
+    });
+    return [end("Low", "low"), end("High", "high")];
+  }
+
+  protected time(): Control {
+    const { axes } = this.app.metadata;
+    const n = axes.findIndex((axis) => axis.role === "time");
+    const last = Math.max(1, (axes[n]?.size ?? 1) - 1);
+    return group("Time", [
+      slider("Frame", {
+        min: 0, max: last, step: this.app.kind === "svbrdf" ? 1 : 0.05, get: () => this.state.time,
+        show: (value) => `${value.toFixed(this.app.kind === "svbrdf" ? 0 : 1)} / ${last}`, set: this.change((value) => {
+          this.state.time = value;
+        }),
+      }),
+      buttons({ label: "Play", pressed: () => this.player.playing, act: () => this.player.toggle() }),
+    ], () => (axes[n]?.size ?? 1) > 1);
+  }
+
+  protected tone(): Control {
+    const { tone } = this.state;
+    return group("Tone", [
+      slider("Exposure", {
+        min: -6, max: 6, step: 0.1, get: () => tone.stops, show: (value) => `${value.toFixed(1)} EV`, set: this.change((value) => {
+          tone.stops = value;
+        }),
+      }),
+      choice("Curve", CURVES.map((curve) => [curve, curve[0]!.toUpperCase() + curve.slice(1)] as const), () => tone.curve,
+        this.change((curve) => {
+          tone.curve = curve;
+        })),
+    ]);
+  }
+
+  protected view(): Control {
+    const kinds = this.app.kinds();
+    return group("View", [
+      only(() => kinds.length > 1, choice("Show as", kinds.map((kind) => [kind, KINDS[kind]] as const), () => this.app.kind,
+        (kind) => void this.app.showAs(kind).then(() => this.build()))),
+      buttons({
+        label: "Reset view", act: () => {
+          this.app.resetView();
+          this.changed();
+        },
+      }, { label: "Save picture", act: () => savePicture() }),
+    ]);
+  }
+
+  protected keys(): Control {
+    const rows = Object.entries(KEYS).map(([keys, does]) => make("tr", {},
+      make("td", {}, ...keys.split(" ").flatMap((key) => [make("kbd", {}, key), " "])), make("td", {}, does)));
+    const details = make("details", { id: "keys" }, make("summary", {}, "Mouse, touch and keys"),
+      make("p", { class: "note" }, "Drag: turn or move. Right button, Shift or two fingers: move the light. "
+        + "Wheel or pinch: nearer, farther. Pointing at a slice reads its value."),
+      make("table", {}, make("tbody", {}, ...rows)));
+    return { element: make("section", {}, details), refresh: () => undefined };
+  }
+}
+
+/** Save what the canvas shows as a PNG file. */
+export function savePicture(): void {
+  const canvas = document.querySelector("canvas")!;
+  canvas.toBlob((blob) => {
+    if (blob !== null) {
+      const link = make("a", { href: URL.createObjectURL(blob), download: "hmkcta.png" });
+      link.click();
+      setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+    }
+  });
+}
