@@ -101,7 +101,7 @@ def real_figures(folder: Path) -> list[Figure]:
             organisation="row+column+rgb, y, x",
             plans=(("HOSVD", "R=50,80,100"), ("clusters (MK-CTA)", "R=3,6,6 C=8,8,10 K=2"),
                    ("levels (HMK-CTA)", "R=6,12,16 / R=3,4,4 C=3,4,5 K=2 / R=2,3,3 C=2,3,4 K=2")),
-            scene=Scene(384, 256, viewpoint=Viewpoint(3.5, 4.5)), inset=(0.4, 0.4, 0.65, 0.7)),
+            scene=Scene(384, 256, viewpoint=Viewpoint(4, 4)), inset=(0.4, 0.4, 0.65, 0.7)),
         "viscous_fingers_volume": replace(
             volume, name="fingers", data=lambda: _npz(folder / "viscous_fingers_volume.npz", "volume"),
             scene=replace(volume.scene, volume=Look(colours="ice"), camera=Camera(-60, 20, 4.0)), gain=8.0),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from functools import cached_property
 from typing import Any, final
 
 import numpy as np
@@ -44,8 +45,6 @@ class GpuGrid:
         self._still = [axis for axis in range(len(layout.sizes)) if axis not in moving]
         contracted = contractable(model, self._still)
         self._buffers = DecoderBuffers(device, model, Options(picks=tuple(picks), contracted=contracted))
-        code = compose(self._buffers.prelude(), "image", "decode", "weighted", "grid")
-        self._pass = ComputePass(device, "decode_grid", code, SLOTS, self._buffers)
         self._kept: OrderedDict[Any, Any] = OrderedDict()
 
     def texture(self, grid: Grid, level: int | None) -> Any:
@@ -70,6 +69,11 @@ class GpuGrid:
         self._decode(grid, texture, level)
         self._kept[key] = texture
         return texture
+
+    @cached_property
+    def _pass(self) -> ComputePass:
+        code = compose(self._buffers.prelude(), "image", "decode", "weighted", "grid")
+        return ComputePass(self._device, "decode_grid", code, SLOTS, self._buffers)
 
     def turns(self, level: int) -> int:
         """A bound of the turns of all loops of an invocation."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any, final
 
 import numpy as np
@@ -48,8 +49,6 @@ class GpuSvbrdf:
         self._shading = prepare(model.metadata.axes, layout)
         self._channels = 3 if layout.channel is not None and len(layout.channels) == 3 else 1
         self._buffers, self._nearest = _decoder(device, model, layout, self._channels)
-        code = compose(self._buffers.prelude(), "image", "decode", "weighted", "svbrdf")
-        self._pass = ComputePass(device, "shade_svbrdf", code, SLOTS, self._buffers)
         tables, self._light_table, self._view_table = direction_buffer(
             self._shading.light, self._shading.view, layout.light, next(iter(layout.views), None))
         self._directions = device.buffer("directions", tables)
@@ -61,6 +60,12 @@ class GpuSvbrdf:
         uniform = self._device.buffer("svbrdf", self._frame(scene, rays).tobytes(), "UNIFORM")
         resources = (uniform, self._directions, *self._surfaces(scene, rays), out)
         self._pass.run(resources, tiles(scene.width, scene.height), self._buffers.bind_group(level))
+
+    @cached_property
+    def _pass(self) -> ComputePass:
+        """Compiled when it is first used: software takes seconds for it, and may then not be let to run it."""
+        code = compose(self._buffers.prelude(), "image", "decode", "weighted", "svbrdf")
+        return ComputePass(self._device, "shade_svbrdf", code, SLOTS, self._buffers)
 
     def turns(self, scene: Scene, level: int) -> int:
         """A bound of the turns of all loops of an invocation."""
