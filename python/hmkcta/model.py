@@ -31,7 +31,7 @@ _SLAB = 1 << 24
 #: Elements decoded at once straight into the result, which takes no memory; it stops only between slabs, though.
 _IN_PLACE = 1 << 28
 #: Elements decoded together where each needs its coordinates.
-_SCATTERED = 1 << 18
+_SCATTERED = 1 << 20
 #: Walking the tree for one more block costs about as much as this many scattered elements.
 _BLOCK_WORTH = 512
 

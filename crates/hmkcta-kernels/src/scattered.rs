@@ -5,7 +5,7 @@ use crate::element::{Decode, Elements};
 use crate::packed::{Level, NodeView};
 use crate::threads::{count, for_each};
 
-/// Elements walked together at most: memory is some 40 bytes each and thread.
+/// Elements walked together at most: the more, the more share what is widened of a node; some 60 bytes each and thread.
 const BATCH: usize = 1 << 18;
 /// So few are not worth a task of their own.
 const FEW: usize = 1 << 11;
@@ -13,7 +13,7 @@ const FEW: usize = 1 << 11;
 /// Add the values of the elements at `coords` `[elements, N]` to `out`.
 pub fn decode<T: Decode>(levels: &[Level], coords: &[i64], out: &mut [T]) -> Result<(), String> {
     let order = levels.first().map_or(1, Level::order);
-    let batch = out.len().div_ceil(4 * count()).clamp(FEW, BATCH);
+    let batch = out.len().div_ceil(count()).clamp(FEW, BATCH);
     let mut results: Vec<Result<(), String>> = vec![Ok(()); out.len().div_ceil(batch)];
     let tasks: Vec<_> = coords.chunks(batch * order).zip(out.chunks_mut(batch)).zip(&mut results).collect();
     for_each(true, tasks, |((coords, out), result)| *result = Batch::new(coords, order, out).walk(levels));
