@@ -38,14 +38,14 @@ def random_picks(model: Model, counts: tuple[int, ...], sums: int, channel: int 
 
 
 def fitting(model: Model, wanted: int) -> tuple[int, ...]:
-    """As many picks an axis as wanted, fewer where a merged mode would have too many rows."""
+    """As many picks an axis as wanted; fewer where a merged mode has too many rows, or software too much to do."""
     members = [[next(order) for _ in mode] for order in [iter(axis_order(model.metadata.axes,
                model.metadata.organisation))] for mode in model.metadata.organisation]
     counts = [1] * model.ndim
     for axes in members:
         room = MOST_ROWS
         for axis in axes:
-            counts[axis] = min(wanted, room)
+            counts[axis] = min(wanted, room) if axis < 5 else 1
             room //= counts[axis]
     return tuple(counts)
 
