@@ -22,12 +22,13 @@ from hmkcta.errors import HmkctaError
 from hmkcta.fit import EFFORTS
 from hmkcta.hierarchy import Run, backfit, descend, fit_nodes, whole
 from hmkcta.measure import measure
+from hmkcta.pieces import Piece, put
 from hmkcta.plan import LevelSpec, parse_plan
 from hmkcta.readers import open_array
 from hmkcta.scratch import Scratch
 from hmkcta.search import project_model
 from hmkcta.source import Source, prepare
-from hmkcta.streamed import Piece, Streamed, put
+from hmkcta.streamed import Streamed
 from hmkcta.synthetic import material, volume
 from hmkcta.workset import projected
 
@@ -138,6 +139,18 @@ def test_automatic_subdivision_of_a_streamed_tensor(cloth: Any, monkeypatch: pyt
     }
     assert schemes["auto"] >= min(schemes["most"], schemes["uniform"])
     assert schemes["auto"] in [schemes[name] for name in ("most", "least", "uniform")]
+
+
+def test_a_flat_level_of_many_cells_is_fitted_in_place(cloth: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beyond the cells whose Gram matrix fits there are only sweeps over a residual in memory."""
+    monkeypatch.setattr("hmkcta.plan.GRAM_CELLS", 30)
+    flat = "R=1,1,2,2 C=2,2,3,3 K=2"
+    inside = fitted(cloth, monkeypatch, cloth.values.size, flat)
+    outside = fitted(cloth, monkeypatch, cloth.values.size // 3, flat)
+    assert outside.snr == pytest.approx(inside.snr, abs=0.02)
+    monkeypatch.setattr(predict, "FLAT", 50)
+    with pytest.raises(HmkctaError, match="36 cells"):
+        fitted(cloth, monkeypatch, cloth.values.size // 3, flat, max_memory=predict.PROCESS + 2_100_000)
 
 
 # The parts

@@ -20,7 +20,7 @@ LAYERS = (
     ("_version", "errors", "executors", "recordlog", "slabs", "temporaries", "tucker", "_native"),
     ("axes", "memory", "transform", "indexing"),
     ("plan", "packed", "scratch"),
-    ("cells", "predict", "storage", "hmkfile", "source", "_example"),
+    ("cells", "pieces", "predict", "storage", "hmkfile", "source", "_example"),
     ("backends", "memberships", "decode_scattered"),
     ("search", "decode_cells", "journal", "streamed"),
     ("fit", "subdivision", "decode_dense"),

@@ -38,6 +38,11 @@ class Effort:
     sweeps: int = 2
     backfits: int = 1
 
+    @property
+    def sweeps_alone(self) -> int:
+        """Sweeps where there is nothing to search: in the place of all searches but the first."""
+        return self.sweeps + self.searches - 1
+
 
 EFFORTS = {"fast": Effort(2, 2, 1, 0), "medium": Effort(4, 2, 3, 1), "thorough": Effort(13, 3, 6, 4)}
 
@@ -85,7 +90,7 @@ def fit_level(
                 orthonormalise(cells, n)
         residual[...] = tensor
         kernels.accumulate(cells, residual, -1.0)
-    kernels.fit_cells(cells, residual, effort.sweeps, WARM)
+    kernels.fit_cells(cells, residual, effort.sweeps if searched else effort.sweeps_alone, WARM)
     return cells, residual
 
 
@@ -108,7 +113,7 @@ def _hooi(tensor: F32, spec: LevelSpec, effort: Effort, rng: np.random.Generator
     cells.cores[:] = 0
     cells.cores[(0, *map(slice, core.shape))] = core
     residual = left_by(cells, tensor)
-    kernels.fit_cells(cells, residual, effort.sweeps, WARM)
+    kernels.fit_cells(cells, residual, effort.sweeps_alone, WARM)
     return cells, residual
 
 

@@ -33,7 +33,7 @@ from .model import Model
 from .pack import bounds, pack_levels
 from .packed import LevelQuality, Metadata, PackedLevel
 from .plan import SCHEMES, LevelSpec, Plan, check_plan
-from .predict import memory_limit
+from .predict import is_streamed, memory_limit
 from .source import Source
 from .streamed import Streamed
 
@@ -91,7 +91,7 @@ def _begun(task: Task) -> tuple[Hierarchy, Goal]:
     source, organisation = task.source, task.plan.organisation
     sizes = mode_sizes(source.axes, organisation)
     limit = task.run.journal.settled("limit", lambda: memory_limit(task.plan, sizes, task.memory))
-    if prod(source.shape) > limit:
+    if is_streamed(prod(source.shape), limit):
         tree = whole(Streamed(source, organisation, task.run.threads, limit))
     else:
         tree = whole(source.tensor(organisation))

@@ -8,7 +8,7 @@ from math import prod
 
 from .fit import Effort
 from .plan import LevelSpec, Plan
-from .predict import WORKING, memory_limit
+from .predict import FLAT, WORKING, is_streamed, memory_limit
 from .streamed import SLAB
 from .workset import thinning
 
@@ -49,13 +49,15 @@ def forecast(plan: Plan, sizes: Sequence[int], effort: Effort, threads: int, mem
     """The cost of a plan for a tensor of the given mode sizes, `memory` bytes allowed (None: half of what is free)."""
     limit, elements = memory_limit(plan, sizes, memory), prod(sizes)
     own = plan.levels[-1].own
-    if elements <= limit:
+    if not is_streamed(elements, limit):
         working = WORKING + (_SAVED if own else 0)
         measuring = _RESIDUAL * elements + _MEASURING * min(elements, _MEASURED)
         return Forecast(_BASE + max(working * elements, measuring), 0, _seconds(plan, sizes, effort, threads))
     cut = next((n for n, level in enumerate(plan.levels[:-1]) if level.cells > 1), None)
     wholes = plan.levels if cut is None else plan.levels[: cut + 1]
     held = max(_workset(sizes, level, limit) for level in wholes)
+    if limit == elements:  # fitted in place
+        return Forecast(_BASE + FLAT * elements, 0, _seconds(plan, sizes, effort, threads))
     if cut is not None:
         held = max(held, min(limit, _UNEVEN * threads * elements // plan.levels[cut].cells))
     slabs = _SLAB_COPIES * 4 * SLAB * max(1, min(threads, limit // SLAB))

@@ -20,8 +20,9 @@ from .executors import Gate
 from .fit import WARM, Effort, Labels, fit_level
 from .journal import NoJournal
 from .memberships import uniform_blocks
+from .pieces import Piece
 from .plan import LevelSpec
-from .streamed import Piece, Saved, Streamed, squared_norm, thinned_cells
+from .streamed import Saved, Streamed, squared_norm, thinned_cells
 from .subdivision import subdivide
 from .workset import fit_streamed, refit_streamed, thinning
 

@@ -14,7 +14,8 @@ from . import backends as kernels
 from .hierarchy import Hierarchy, Node, Progress
 from .measure import Sums
 from .packed import LevelQuality
-from .streamed import Rows, Streamed, in_float64, in_order, split, squared_norm
+from .pieces import Rows, split
+from .streamed import Streamed, in_float64, in_order, squared_norm
 from .transform import Transform
 
 F32 = NDArray[np.float32]

@@ -14,6 +14,8 @@ WORKSET = 1 << 26
 SMALLEST = 1 << 20
 #: Bytes for each of them: the tensor, its residual, and what is made on the way; and bytes of the process itself.
 WORKING, PROCESS = 14, 200 * 2**20
+#: Bytes for each element of a tensor that is fitted in place, by sweeps alone.
+FLAT = 5
 #: Bytes of the header: of a file, of a mode, and of each further level and its modes. Names, shapes and checksums of
 #: every array; coordinates of axes come on top.
 _HEADER, _HEADER_MODE, _HEADER_LEVEL, _HEADER_LEVEL_MODE = 1300, 900, 1300, 1050
@@ -33,9 +35,17 @@ def memory_limit(plan: Plan, sizes: Sequence[int], memory: int | None) -> int:
         least = PROCESS + WORKING * min(prod(sizes), SMALLEST)
         check_memory(least, "compressing this array", "allow more with --max-memory", memory)
     limit = max(1, min(WORKSET, (memory_budget(memory) - PROCESS) // WORKING))
-    if prod(sizes) <= limit or plan.levels[0].search != "fast":
+    first = next((level for level in plan.levels if level.cells > 1), plan.levels[0])
+    if prod(sizes) <= limit or first.search != "fast":
         return limit
+    # Its cells are too many for joint rows: nothing but sweeps over a residual in memory.
+    check_memory(PROCESS + FLAT * prod(sizes), f"a level of {first.cells} cells", "fewer clusters, more levels", memory)
     return prod(sizes)
+
+
+def is_streamed(elements: int, limit: int) -> bool:
+    """Whether a tensor of so many elements is read from its source again and again rather than held."""
+    return elements > min(limit, WORKSET)
 
 
 def predicted_bytes(plan: Plan, sizes: Sequence[int]) -> int | None:

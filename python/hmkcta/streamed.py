@@ -24,12 +24,12 @@ from numpy.typing import NDArray
 from . import backends as kernels
 from .axes import Organisation, mode_sizes
 from .cells import Cells
+from .pieces import Piece, Rows, places_of, put, split
 from .scratch import Scratch
 from .slabs import slabs
 from .source import Source
 
 F32 = NDArray[np.float32]
-Rows = tuple[NDArray[np.intp], ...]
 S = TypeVar("S")
 T = TypeVar("T")
 
@@ -37,25 +37,6 @@ T = TypeVar("T")
 SLAB = 1 << 22
 #: Numbers turned to float64 at a time: they stay in the cache.
 _WIDE = 1 << 16
-
-
-@dataclass(eq=False)
-class Piece:
-    """A node's sub-tensor in the scratch file: its rows in every mode, where it starts, its squared norm."""
-
-    rows: Rows
-    start: int
-    energy: float = 0.0
-
-    @property
-    def sizes(self) -> tuple[int, ...]:
-        """Mode sizes."""
-        return tuple(len(rows) for rows in self.rows)
-
-    @property
-    def elements(self) -> int:
-        """How many elements it has."""
-        return prod(self.sizes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +168,7 @@ class Streamed:
     def cut(self, parts: Sequence[NDArray[np.intp]], counts: Sequence[int], folder: str | None = None) -> list[Piece]:
         """Write what `wholes` leave to a scratch file: a piece for each combination of parts of rows, in C order."""
         lists = [[np.flatnonzero(part == c) for c in range(count)] for part, count in zip(parts, counts, strict=True)]
-        places = [_places(rows) for rows in lists]
+        places = [places_of(rows) for rows in lists]
         pieces, start = list[Piece](), 0
         for rows in product(*lists):
             pieces.append(Piece(rows, start))
@@ -373,44 +354,3 @@ def _thinned(block: Block, steps: Sequence[int] | None) -> Block:
             kept = np.flatnonzero(rows[n] % step == 0)
             tensor, rows[n] = tensor.take(kept, axis=n), rows[n][kept] // step
     return Block(tuple(rows), np.ascontiguousarray(tensor))
-
-
-def _places(lists: Sequence[NDArray[np.intp]]) -> NDArray[np.intp]:
-    """For each row its position among the rows of its part."""
-    place = np.empty(sum(map(len, lists)), np.intp)
-    for rows in lists:
-        place[rows] = np.arange(len(rows))
-    return place
-
-
-def split(
-    tensor: F32, rows: Rows, parts: Sequence[NDArray[np.intp]], n: int = 0, done: tuple[int, ...] = ()
-) -> Iterator[tuple[tuple[int, ...], F32, Rows]]:
-    """The block's elements of every combination of parts, with their rows."""
-    if n == tensor.ndim:
-        yield done, tensor, rows
-        return
-    labels = parts[n][rows[n]]
-    for c in np.unique(labels):
-        at = np.flatnonzero(labels == c)
-        chosen = (*rows[:n], rows[n][at], *rows[n + 1 :])
-        sub = tensor if len(at) == len(labels) else tensor.take(at, axis=n)
-        yield from split(sub, chosen, parts, n + 1, (*done, int(c)))
-
-
-def put(scratch: Scratch, piece: Piece, places: Sequence[NDArray[np.intp]], values: F32) -> None:
-    """Write a block into a piece: in runs of elements that lie side by side in both."""
-    sizes, inner = piece.sizes, values.ndim - 1
-    while inner > 0 and len(places[inner]) == sizes[inner]:
-        inner -= 1
-    if len(places[inner]) == int(places[inner][-1] - places[inner][0]) + 1:  # neighbours of the first mode not whole
-        inner -= 1
-    outer = places[: inner + 1]
-    run = values.reshape(prod(len(p) for p in outer), -1)
-    strides = [prod(sizes[n + 1 :]) for n in range(len(sizes))]
-    first = sum(int(p[0]) * s for p, s in zip(places[inner + 1 :], strides[inner + 1 :], strict=True))
-    offsets = np.zeros((), np.intp)
-    for place, stride in zip(outer, strides, strict=False):
-        offsets = np.add.outer(offsets, place * stride)
-    for offset, numbers in zip(offsets.reshape(-1), run, strict=True):
-        scratch.write(piece.start + first + int(offset), numbers)

@@ -1,0 +1,75 @@
+"""Pieces of a scratch file: sub-tensors in the order in which their elements lie in it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import prod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .scratch import Scratch
+
+F32 = NDArray[np.float32]
+Rows = tuple[NDArray[np.intp], ...]
+
+
+@dataclass(eq=False)
+class Piece:
+    """A node's sub-tensor in the scratch file: its rows in every mode, where it starts, its squared norm."""
+
+    rows: Rows
+    start: int
+    energy: float = 0.0
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Mode sizes."""
+        return tuple(len(rows) for rows in self.rows)
+
+    @property
+    def elements(self) -> int:
+        """How many elements it has."""
+        return prod(self.sizes)
+
+
+def places_of(lists: Sequence[NDArray[np.intp]]) -> NDArray[np.intp]:
+    """For each row its position among the rows of its part."""
+    place = np.empty(sum(map(len, lists)), np.intp)
+    for rows in lists:
+        place[rows] = np.arange(len(rows))
+    return place
+
+
+def split(
+    tensor: F32, rows: Rows, parts: Sequence[NDArray[np.intp]], n: int = 0, done: tuple[int, ...] = ()
+) -> Iterator[tuple[tuple[int, ...], F32, Rows]]:
+    """The block's elements of every combination of parts, with their rows."""
+    if n == tensor.ndim:
+        yield done, tensor, rows
+        return
+    labels = parts[n][rows[n]]
+    for c in np.unique(labels):
+        at = np.flatnonzero(labels == c)
+        chosen = (*rows[:n], rows[n][at], *rows[n + 1 :])
+        sub = tensor if len(at) == len(labels) else tensor.take(at, axis=n)
+        yield from split(sub, chosen, parts, n + 1, (*done, int(c)))
+
+
+def put(scratch: Scratch, piece: Piece, places: Sequence[NDArray[np.intp]], values: F32) -> None:
+    """Write a block into a piece: in runs of elements that lie side by side in both."""
+    sizes, inner = piece.sizes, values.ndim - 1
+    while inner > 0 and len(places[inner]) == sizes[inner]:
+        inner -= 1
+    if len(places[inner]) == int(places[inner][-1] - places[inner][0]) + 1:  # neighbours of the first mode not whole
+        inner -= 1
+    outer = places[: inner + 1]
+    run = values.reshape(prod(len(p) for p in outer), -1)
+    strides = [prod(sizes[n + 1 :]) for n in range(len(sizes))]
+    first = sum(int(p[0]) * s for p, s in zip(places[inner + 1 :], strides[inner + 1 :], strict=True))
+    offsets = np.zeros((), np.intp)
+    for place, stride in zip(outer, strides, strict=False):
+        offsets = np.add.outer(offsets, place * stride)
+    for offset, numbers in zip(offsets.reshape(-1), run, strict=True):
+        scratch.write(piece.start + first + int(offset), numbers)
