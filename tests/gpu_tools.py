@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import subprocess
+import sys
 from base64 import b64decode, b64encode
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,6 +29,8 @@ ROOT = Path(__file__).parent.parent
 SWIFTSHADER = Path("/usr/lib/chromium/vk_swiftshader_icd.json")
 #: Dawn for Node, installed by the viewer's `npm install`.
 DAWN = ROOT / "viewer" / "node_modules" / "webgpu" / "index.js"
+#: The system's, or the one that the Makefile puts beside Python.
+NODE = shutil.which("node") or shutil.which("node", path=str(Path(sys.executable).parent))
 
 
 def absent(what: str) -> None:
@@ -48,11 +51,11 @@ def adapter() -> Device:
 
 def run_in_dawn(jobs: Sequence[dict[str, Any]], folder: Path) -> list[NDArray[np.uint32]]:
     """Compile and run shaders with Tint; for each job the words of its last buffer."""
-    if not (DAWN.exists() and SWIFTSHADER.exists() and shutil.which("node")):
+    if not (DAWN.exists() and SWIFTSHADER.exists() and NODE):
         absent("Dawn for Node (npm install in viewer/) with the software Vulkan of the package chromium")
     listed = folder / "jobs.json"
     listed.write_text(json.dumps(jobs), encoding="utf-8")
-    done = subprocess.run(["node", str(Path(__file__).parent / "run_in_dawn.mjs"), DAWN.as_uri(), str(listed)],
+    done = subprocess.run([str(NODE), str(Path(__file__).parent / "run_in_dawn.mjs"), DAWN.as_uri(), str(listed)],
                           env={**os.environ, "VK_DRIVER_FILES": str(SWIFTSHADER)}, capture_output=True, text=True,
                           timeout=170, check=False)
     assert done.returncode == 0, done.stderr
