@@ -19,7 +19,7 @@ _MEASURING, _MEASURED = 36, 1 << 22
 #: Bytes of the interpreter with everything loaded.
 _BASE = 90 * 2**20
 #: Copies of a slab that are made while it is read and worked on.
-_SLAB_COPIES = 6
+_SLAB_COPIES = 4
 #: How much larger than the average the largest sub-tensors get.
 _UNEVEN = 8
 #: Nanoseconds of one core for each element: to read, hash, look at and measure the source; for each cell an element
@@ -62,7 +62,7 @@ def forecast(plan: Plan, sizes: Sequence[int], effort: Effort, threads: int, mem
         held = max(held, min(limit, _UNEVEN * threads * elements // plan.levels[cut].cells))
     slabs = _SLAB_COPIES * 4 * SLAB * max(1, min(threads, limit // SLAB))
     scratch = 0 if cut is None else 4 * elements * (2 if own else 1)
-    working = max(WORKING * held, slabs) if cut is None else WORKING * held + slabs // 2  # which stays in the heaps
+    working = max(WORKING * held, slabs) if cut is None else WORKING * held + slabs  # which stay in the heaps
     return Forecast(_BASE + working, scratch, _seconds(plan, sizes, effort, threads, cut=cut))
 
 
