@@ -258,5 +258,5 @@ def test_demo(tmp_path: Path) -> None:
 
 
 def test_every_command_is_a_click_command() -> None:
-    assert set(main.commands) == {"compress", "plan", "info", "verify", "decompress", "view", "render", "demo"}
+    assert set(main.commands) == {"compress", "plan", "info", "verify", "decompress", "view", "render", "bench", "demo"}
     assert all(isinstance(command, click.Command) for command in main.commands.values())

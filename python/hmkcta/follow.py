@@ -33,13 +33,11 @@ from .model import Model
 from .pack import bounds, pack_levels
 from .packed import LevelQuality, Metadata, PackedLevel
 from .plan import SCHEMES, LevelSpec, Plan, check_plan
-from .predict import is_streamed, memory_limit
+from .predict import HEADER_SLACK, is_streamed, memory_limit
 from .source import Source
 from .streamed import Streamed
 
-#: Bytes kept free for the digits of the quality figures, which are not known while the file's size is counted.
-HEADER_SLACK = 160
-#: Stand-in for those figures: numbers with as many digits.
+#: Stand-in for the quality figures, not known while the file's size is counted: numbers with as many digits.
 _UNKNOWN = LevelQuality(100 / 3, 1 / 3, 1 / 3)
 
 

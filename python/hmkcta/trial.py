@@ -19,14 +19,13 @@ from .hierarchy import squared_norm
 from .hmkfile.metadata import axis_to_json, coords_array, coords_name
 from .memberships import uniform_blocks
 from .plan import LevelSpec
+from .predict import header_bytes
 from .source import Source
 from .tucker import core_energies
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-#: Bytes kept free for digits that are not known before the fit.
-HEADER_SLACK = 160
 #: Worse than any number of bytes, in octaves.
 OUT_OF_REACH = 1000.0
 #: Modes longer than this are never left undecomposed: their core would outgrow any basis.
@@ -35,15 +34,11 @@ LONGEST_UNDECOMPOSED = 128
 NEARLY_FULL = 0.25
 
 
-def header_bytes(axes: Sequence[Axis], order: int, levels: int) -> int:
-    """What the header of a file takes: names, shapes and checksums of every array, the axes with their coordinates.
-
-    Lengths of the arrays' records are measured ones of files with `order` modes, none of them undecomposed.
-    """
+def axes_bytes(axes: Sequence[Axis]) -> int:
+    """What the axes take in a file, with their coordinates."""
     described = json.dumps([axis_to_json(axis) for axis in axes], separators=(",", ":"))
     apart = sum(coords_array(axis).nbytes + 180 for axis in axes if coords_name(axis))
-    records = 1320 + 800 * order + (levels - 1) * (940 + 1130 * order)
-    return len(described) + described.count('"') + apart + records + HEADER_SLACK
+    return len(described) + described.count('"') + apart
 
 
 @dataclass(frozen=True)
@@ -118,11 +113,12 @@ class Trial:
     def _judged(self, cut: _Cut, choice: tuple[int, ...]) -> tuple[list[tuple[float, Candidate]], F64]:
         """Candidates that leave the chosen modes undecomposed, and the share R_n / I_n that each mode keeps."""
         order, tables = len(cut.sizes), list(self._tables(cut, choice))
+        about = axes_bytes(self.source.axes)
         flags = [n in choice for n in range(order)]
         energy = sum(energy for _, energy, _ in cut.tensors) / cut.share
         table = summed(tables) / cut.share
         whole = spectrum(table, energy, cut.sizes, flags, self.decode_cost, cut.clusters, hull=False)
-        worth, chosen = self._worth([whole], 1.0, header_bytes(self.source.axes, order, 1))
+        worth, chosen = self._worth([whole], 1.0, header_bytes(order, 1) + about)
         found = [(worth, Candidate(cut.organisation, cut.grid, choice, carried=False))]
         kept = whole.ranks[chosen.choice[0]] / np.array(cut.sizes)
         if prod(cut.clusters) > 1 and self.decode_cost > 1:
@@ -130,7 +126,7 @@ class Trial:
                 spectrum(table, energy, sizes, flags, self.decode_cost - 1)
                 for table, (_, energy, sizes) in zip(tables, cut.tensors, strict=True)
             ]
-            fixed = header_bytes(self.source.axes, order, 2) + carrier_bytes(cut.sizes, cut.clusters, choice)
+            fixed = header_bytes(order, 2) + about + carrier_bytes(cut.sizes, cut.clusters, choice)
             found.append((self._worth(nodes, cut.share, fixed)[0], Candidate(cut.organisation, cut.grid, choice)))
         return found, kept
 
