@@ -22,15 +22,20 @@ from hmkcta.readers import open_array
 SIDE = 72
 MODES = tuple((f"axis{n}",) for n in range(4))
 
-#: Fits a file in a process of its own, as peak memory never falls, and says what it took.
+#: Fits a file in a process of its own, as peak memory never falls, and says what it took. Linux counts the peak of the
+#: process that started it into its `ru_maxrss`, but not into VmHWM.
 PROGRAM = """
-import json, resource, sys
+import json, re, resource, sys
+from pathlib import Path
 from hmkcta import compress
 from hmkcta.readers import open_array
 path, plan, memory = sys.argv[1:]
 model = compress(open_array(path), plan, quality="fast", scheme="most", threads=2, max_memory=int(memory) or None)
-unit = 1 if sys.platform == "darwin" else 1024
-print(json.dumps({"peak": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit, "snr": model.snr}))
+if sys.platform == "linux":
+    peak = 1024 * int(re.search(r"VmHWM:\\s+([0-9]+) kB", Path("/proc/self/status").read_text())[1])
+else:
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+print(json.dumps({"peak": peak, "snr": model.snr}))
 """
 
 

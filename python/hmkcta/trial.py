@@ -84,11 +84,15 @@ class _Cut:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """The data and the goal: bytes (`size`) or `snr` in dB, within a decode cost; `energy` is the squared norm."""
+    """The data and the goal: bytes (`size`) or `snr` in dB, within a decode cost; `energy` is the squared norm.
+
+    Bytes are not spent beyond a `ceiling` in dB: what reaches it is worth the more, the fewer bytes it takes.
+    """
 
     source: Source
     snr: float | None
     size: int | None
+    ceiling: float | None
     decode_cost: int
     seed: int
     threads: int
@@ -147,10 +151,11 @@ class Trial:
         energy = sum(float(s.error[0]) for s in spectra)
         if self.size is not None:
             chosen = allocate(spectra, nbytes=max(self.size - fixed, 0) * share)
-            if not chosen.choice.any():  # candidates that store nothing come last, those first that need least to
-                first = min((float(s.nbytes[1] - s.nbytes[0]) for s in spectra if len(s.nbytes) > 1), default=0.0)
-                return -OUT_OF_REACH - fixed - (chosen.nbytes + first) / share, chosen
-            return decibels(energy, chosen.error), chosen
+            worth = decibels(energy, chosen.error)
+            if self.ceiling is None or worth <= self.ceiling:
+                return worth, chosen
+            chosen = allocate(spectra, error=energy * 10 ** (-self.ceiling / 10))
+            return self.ceiling + log2(self.size / (chosen.nbytes / share + fixed)), chosen
         assert self.snr is not None
         error = self.energy * 10 ** (-self.snr / 10) * share
         chosen = allocate(spectra, error=error)

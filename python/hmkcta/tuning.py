@@ -64,7 +64,7 @@ def tune(
     slabs = (source.values((slice(i, i + 1),)) for i in range(source.shape[0]))
     energy = sum(float(np.square(slab, dtype=np.float64).sum()) for slab in slabs)
     choices = list(organisations(source.axes)) if organisation is None else [organisation]
-    search = Search(Trial(source, snr, size, decode_cost, run.seed, run.threads, energy), choices[0])
+    search = Search(Trial(source, snr, size, ceiling, decode_cost, run.seed, run.threads, energy), choices[0])
     finalists = _finalists(search, choices, run.progress)
     best = _settled(search, [candidate for _, candidate in finalists], run.progress)
     if ceiling is not None and finalists[0][0] > ceiling:

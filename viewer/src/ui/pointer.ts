@@ -155,6 +155,9 @@ export class Pointer {
       state.tone.stops = clamped(state.tone.stops + step, -6, 6);
     });
     const compare = set(() => {
+      if (app.original === null && app.metadata.levels.length === 1) {
+        return; // The panel offers nothing to compare with either.
+      }
       const modes = ["none", "split", "heat"] as const;
       state.compare.mode = modes[(modes.indexOf(state.compare.mode) + 1) % 3]!;
     });
@@ -163,7 +166,12 @@ export class Pointer {
       "+": () => this.zoom(1.2), "=": () => this.zoom(1.2), "-": () => this.zoom(1 / 1.2), "[": level(-1), "]": level(1),
       ",": frame(-1), ".": frame(1), " ": () => this.player.toggle(), c: compare, C: compare, e: exposure(0.5),
       E: exposure(-0.5), r: reset, R: reset, s: savePicture, S: savePicture,
-      "?": () => document.getElementById("keys")?.toggleAttribute("open"),
+      "?": () => {
+        const keys = document.getElementById("keys");
+        if (keys?.toggleAttribute("open") === true) {
+          keys.scrollIntoView(); // It is the last of the panel, mostly below what is seen.
+        }
+      },
     };
   }
 }
