@@ -133,6 +133,12 @@ def test_the_default_goal_is_a_hundredth_of_the_bytes() -> None:
     assert 0.9 * data.nbytes / 100 <= model.nbytes <= data.nbytes // 100
 
 
+@pytest.mark.parametrize(("shape", "organisation"), [((5000,), None), ((2, 6000), None), ((60, 100), "axis0+axis1")])
+def test_the_default_goal_leaves_room_for_long_modes(shape: tuple[int, ...], organisation: str | None) -> None:
+    array = np.sin(np.arange(np.prod(shape)) / 50).reshape(shape)
+    assert compress(array, organisation=organisation, quality="fast").snr > 10
+
+
 def test_the_default_goal_spends_no_bytes_beyond_50_db() -> None:
     ramp = np.add.outer(np.arange(200.0), np.arange(300.0)) + 40.0 * np.outer(np.sin(np.arange(200)), np.ones(300))
     model = compress(ramp, threads=1)

@@ -10,7 +10,7 @@ from math import isfinite, prod
 from typing import Any
 
 from . import backends as kernels
-from .axes import Axis
+from .axes import Axis, mode_sizes
 from .errors import invalid
 from .fit import EFFORTS
 from .follow import Task, follow
@@ -27,8 +27,9 @@ from .tuning import tune
 DEFAULT_RATIO, DEFAULT_SNR = 100, 50.0
 #: Elements of the sample that a plan is chosen on at most, and bytes of memory for each.
 TRIAL_ELEMENTS, TRIAL_BYTES = 1 << 24, 20
-#: A default goal is never below this: header and tables alone take several KiB.
-SMALLEST_DEFAULT = 16384
+#: A default goal is never below these: header and tables alone take several KiB, and a row of a mode, with the least
+#: that can be stored of it (R = 1), up to five bytes. Few long modes leave nothing else to save.
+SMALLEST_DEFAULT, ROW_BYTES = 16384, 5
 
 
 def _silent(stage: str, fraction: float) -> None:
@@ -187,7 +188,9 @@ def _chosen(
     sampled = TRIAL_BYTES * min(prod(source.shape), TRIAL_ELEMENTS)
     check_memory(sampled, "choosing a plan", "give the levels by --plan, or raise --max-memory", max_memory)
     ceiling = None
-    if snr is None and size is None:
-        size, ceiling = max(4 * prod(source.shape) // DEFAULT_RATIO, SMALLEST_DEFAULT), DEFAULT_SNR
     fixed = None if organisation is None else source.organisation(organisation)
+    if snr is None and size is None:
+        rows = sum(source.shape if fixed is None else mode_sizes(source.axes, fixed))
+        size = max(4 * prod(source.shape) // DEFAULT_RATIO, SMALLEST_DEFAULT, ROW_BYTES * rows)
+        ceiling = DEFAULT_SNR
     return tune(source, run, snr=snr, size=size, ceiling=ceiling, decode_cost=decode_cost, organisation=fixed)
