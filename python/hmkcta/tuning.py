@@ -27,7 +27,7 @@ SMALLEST_EDGE = 4
 #: Most blocks, and the gain in dB (or octaves of bytes) that a change of the grid must bring.
 MOST_BLOCKS, WORTHWHILE = 4096, 0.01
 #: How many organisations and candidates are looked at closer, and from how many the search climbs on.
-ORGANISATIONS, FINALISTS, CLIMBS = (12, 4), 4, 2
+ORGANISATIONS, FINALISTS, MATRICES, CLIMBS = (12, 4), 4, 2, 2
 
 Ranked = list[tuple[float, Candidate]]
 
@@ -48,6 +48,15 @@ class Search:
         if key not in self.seen:
             self.seen[key] = self.trial.worths(*key)
         return max(self.seen[key], key=_worth, default=(0.0, Candidate(organisation, grid)))
+
+    def matrices(self) -> list[Organisation]:
+        """The best organisations in two modes, those of matrix PCA, by the survey."""
+        found = {
+            modes: max(worth for worth, _ in ranked)
+            for (modes, grid, _), ranked in self.seen.items()
+            if len(modes) == 2 and set(grid) == {1} and ranked
+        }
+        return sorted(found, key=lambda modes: -found[modes])[:MATRICES]
 
 
 def tune(
@@ -96,11 +105,14 @@ def _finalists(search: Search, choices: Sequence[Organisation], progress: Progre
 def _settled(search: Search, finalists: Sequence[Candidate], progress: Progress) -> Candidate:
     """On a large sample, climb on from the best of the finalists.
 
-    Large blocks were thinned so far, which says little about modes left undecomposed: they get another chance.
+    Large blocks were thinned so far, which says little about modes left undecomposed and flatters high ranks: few
+    axes merged, and matrix PCA, get another chance.
     """
     shape = search.trial.source.shape
+    whole = (1,) * len(shape)
     judged = [search.best(c.organisation, c.grid, REFINE) for c in finalists]
     judged += [search.best(search.plain, grid, REFINE) for grid in _few_grids(shape)]
+    judged += [search.best(modes, whole, REFINE) for modes in search.matrices()]
     starts = sorted(dict(zip([(c.organisation, c.grid) for _, c in judged], judged, strict=True)).values(), key=_worth)
     climbed: Ranked = []
     for number, (_, candidate) in enumerate(starts[-CLIMBS:]):

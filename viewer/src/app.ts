@@ -287,7 +287,7 @@ export class App {
     this.pending = !complete;
     if (!this.warm) {
       this.warm = true;
-      this.dirty = this.fixedSize === null || decoded > 0;
+      this.dirty ||= this.fixedSize === null || decoded > 0; // a change during the first frame stays to be drawn
     } else if (decoded === 0) {
       this.cost = measured(this.cost, width * height, milliseconds);
     } else {
