@@ -1,42 +1,139 @@
-"""The few data-sized kernels: native (Rust) where they are installed, or the readable NumPy reference.
+"""The few data-sized kernels, where a run wants them: on the CPU or, inside of `use`, on a GPU.
 
-The environment variable ``HMKCTA_BACKEND`` (``native`` or ``reference``) chooses; both compute the same up to rounding.
+On the CPU they are native (Rust) where they are installed, or the readable NumPy reference; the environment variable
+``HMKCTA_BACKEND`` (``native`` or ``reference``) chooses. All compute the same up to rounding.
 """
 
 from __future__ import annotations
 
 import os
+from collections.abc import Generator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import cache
+from types import ModuleType
+from typing import TYPE_CHECKING, cast
 from warnings import warn
 
+from ..cells import F32, Cells
 from ..errors import invalid
 from . import reference
+from .device import Device, Kernels
+from .reference import F64
+
+__all__ = ["Device", "Kernels", "accumulate", "dictionary_gram", "find_device", "fit_cells", "name", "project_cells",
+           "set_threads", "use"]  # fmt: skip
+
+#: Where the kernels of the work at hand run; None: on the CPU.
+_device: ContextVar[Kernels | None] = ContextVar("device", default=None)
+
+if TYPE_CHECKING:
+    #: The CPU's backend: ``native`` or ``reference``.
+    name: str
 
 
-def _choose():  # the type is one of the two modules, which pyright infers and annotations cannot express
+def __getattr__(attribute: str) -> object:
+    """`name` is known when it is first asked for, so that a wrong HMKCTA_BACKEND is an error then, not of an import."""
+    if attribute == "name":
+        return on_cpu().name
+    raise AttributeError(f"module {__name__!r} has no attribute {attribute!r}")
+
+
+@cache
+def on_cpu() -> Kernels:
+    """The CPU's kernels.
+
+    Raises:
+        HmkctaError: HMKCTA_BACKEND names no backend (``unknown-backend``) or a missing one (``missing-backend``).
+    """
     wanted = os.environ.get("HMKCTA_BACKEND", "")
     if wanted not in ("", "native", "reference"):
-        raise invalid("unknown-backend", "HMKCTA_BACKEND", repr(wanted), "native or reference")
+        raise invalid("unknown-backend", "HMKCTA_BACKEND", repr(wanted), "native or reference", "correct or unset it")
     if wanted == "reference":
-        return reference
+        return _checked(reference)
     try:
         from . import native
     except ImportError as error:
         if wanted == "native":
-            raise
+            advice = "install hmkcta from a wheel or with a Rust compiler"
+            raise invalid("missing-backend", "HMKCTA_BACKEND", f"'native', which is missing ({error})", "reference",
+                          advice) from error
         warn(
             f"The native kernels are missing ({error}); the NumPy reference takes their place, 10 to 100 times slower. "
             "Install hmkcta from a wheel or with a Rust compiler, or set HMKCTA_BACKEND=reference if this is meant.",
             stacklevel=2,
         )
-        return reference
-    return native
+        return _checked(reference)
+    return _checked(native)
 
 
-_backend = _choose()
+def _checked(module: ModuleType) -> Kernels:
+    return cast("Kernels", module)
 
-name = _backend.name
-fit_cells = _backend.fit_cells
-accumulate = _backend.accumulate
-project_cells = _backend.project_cells
-dictionary_gram = _backend.dictionary_gram
-set_threads = _backend.set_threads
+
+def find_device(wanted: str) -> Device:
+    """The device of that name, or the CPU with a sentence on what is missing.
+
+    Raises:
+        HmkctaError: the name is none of ``cpu`` and ``cuda``.
+
+    >>> find_device("cpu").described
+    'cpu'
+    """
+    if wanted not in ("cpu", "cuda"):
+        raise invalid("unknown-device", "device", repr(wanted), "cpu or cuda")
+    if wanted == "cpu":
+        return Device()
+    from .cuda import found  # which alone looks for CuPy
+
+    return found()
+
+
+@contextmanager
+def use(device: Device) -> Generator[None]:
+    """Kernels called inside, and in the threads of `executors.Pool` begun inside, work on the device.
+
+    >>> with use(find_device("cpu")):
+    ...     pass
+    """
+    if device.name == "cpu":
+        yield
+        return
+    from .cuda import Cuda
+
+    kernels = Cuda(device, on_cpu())
+    before = _device.set(kernels)
+    try:
+        yield
+    finally:
+        _device.reset(before)
+        kernels.free()
+
+
+def _kernels() -> Kernels:
+    return _device.get() or on_cpu()
+
+
+def fit_cells(cells: Cells, residual: F32, sweeps: int, iterations: int) -> None:
+    """Gauss-Seidel sweeps of HOOI over the cells, in place; see `reference.fit_cells`."""
+    _kernels().fit_cells(cells, residual, sweeps, iterations)
+
+
+def accumulate(cells: Cells, tensor: F32, weight: float) -> None:
+    """`tensor += weight * model`, in place."""
+    _kernels().accumulate(cells, tensor, weight)
+
+
+def project_cells(cells: Cells, tensor: F32, n: int) -> F32:
+    """`Y_n[c] = T x_{m != n} U_{m,c}^T`; see `reference.project_cells`."""
+    return _kernels().project_cells(cells, tensor, n)
+
+
+def dictionary_gram(cells: Cells, n: int) -> F64:
+    """Inner products of all dictionary columns of mode n; see `reference.dictionary_gram`."""
+    return _kernels().dictionary_gram(cells, n)
+
+
+def set_threads(count: int) -> None:
+    """How many threads of the CPU work on large nodes from now on; 0: all cores."""
+    on_cpu().set_threads(count)

@@ -1,0 +1,189 @@
+"""Which cells may be fitted at once, and where their rows lie: tables for kernels that work on many cells together.
+
+Cells that share an element must come one after another, so that each sees what the ones before it left
+(`reference.fit_cells`). All else may go together. So every cell waits for the cells before it that it shares elements
+with, and for no others: where K = 1 in every mode none waits, where K > 1 in one of two modes those of the other go
+together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import prod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..cells import Cells
+
+Index = NDArray[np.integer]
+
+#: Padding may take as many elements as the cells themselves.
+MOST_PADDED = 2.0
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Cells with their rows, all padded to the longest: B cells of m_1 x .. x m_N elements.
+
+    Attributes:
+        numbers: flat(c) `[B]`; of a batch of projections `[B, C_n]`, cells that differ in mode n only.
+        shape: m_n of every mode.
+        rows: for each mode `[B, m_n]`, the row times the mode's stride in the tensor; sums with padding are `end` or
+            more.
+        places: for each mode where the basis rows lie among the `I_n K_n PC_-n` of the mode, `[B, m_n]` or
+            `[B, C_n, m_n]`; padding: behind the last. None for an undecomposed mode, and for the one not projected.
+        end: the elements of the tensor.
+        padded: whether there is padding.
+        whole: it is one cell that owns all elements.
+    """
+
+    numbers: Index
+    shape: tuple[int, ...]
+    rows: list[Index]
+    places: list[Index | None]
+    end: int
+    padded: bool
+    whole: bool
+
+
+def sweep_batches(cells: Cells, budget: int) -> list[Batch]:
+    """All cells that own elements, in batches of up to `budget` elements whose cells share none.
+
+    Two cells that share elements are in different batches, the one with the smaller number first.
+    """
+    tables = Tables(cells)
+    owners = tables.owners()
+    ranks = _waits(cells, owners)
+    batches: list[Batch] = []
+    for rank in range(1, int(ranks.max(initial=0)) + 1):
+        together = np.argwhere(ranks == rank)
+        batches += [tables.batch(part) for part in _parts(tables.extents(together), together, budget)]
+    return batches
+
+
+def projection_batches(cells: Cells, n: int, budget: int) -> list[Batch]:
+    """Cells that own elements if mode n is taken whole; those that differ in mode n only are one of a batch."""
+    tables = Tables(cells, whole=n)
+    owners = np.take(tables.owners(), [0], axis=n)
+    together = np.argwhere(owners)
+    return [tables.batch(part) for part in _parts(tables.extents(together), together, budget)]
+
+
+class Tables:
+    """For each mode and cluster subset its rows, padded to the longest; of mode `whole` every row.
+
+    Args:
+        cells: the node's.
+        whole: None for a sweep.
+    """
+
+    def __init__(self, cells: Cells, whole: int | None = None) -> None:
+        self.cells, self.whole = cells, whole
+        self.end = prod(cells.sizes)
+        small = (cells.order + 1) * self.end < 2**31 and max(basis.size for basis in cells.bases) < 2**30
+        self.dtype = np.int32 if small else np.int64
+        self.counts: list[Index] = []
+        self.rows: list[Index] = []
+        self.places: list[Index] = []
+        for n, members in enumerate(cells.members):
+            stride, others = prod(cells.sizes[n + 1 :]), cells.spec.cells // cells.spec.clusters[n]
+            subsets = range(cells.spec.clusters[n])
+            found = [np.nonzero(members == k) for k in subsets]
+            if n == whole:
+                found = [(np.arange(cells.sizes[n]), np.zeros(cells.sizes[n], np.intp))] * len(subsets)
+            self.counts.append(np.array([len(rows) for rows, _ in found]))
+            self.rows.append(_padded([rows * stride for rows, _ in found], self.end, self.dtype))
+            places = [(rows * members.shape[1] + slots) * others for rows, slots in found]
+            self.places.append(_padded(places, members.size * others, self.dtype))
+
+    def owners(self) -> NDArray[np.bool_]:
+        """Which cells own elements: `[C_1, .., C_N]`."""
+        owning = np.ones((), np.bool_)
+        for counts in self.counts:
+            owning = np.logical_and.outer(owning, counts > 0)
+        return owning
+
+    def extents(self, chosen: Index) -> Index:
+        """Rows of every mode of the cells `[B, N]`."""
+        return np.stack([counts[chosen[:, n]] for n, counts in enumerate(self.counts)], axis=1)
+
+    def batch(self, chosen: Index) -> Batch:
+        """The batch of the cells `[B, N]`."""
+        cells, extents = self.cells, self.extents(chosen)
+        shape = tuple(int(longest) for longest in extents.max(axis=0))
+        rows = [np.ascontiguousarray(own[chosen[:, n], : shape[n]]) for n, own in enumerate(self.rows)]
+        numbers, along = np.asarray(np.ravel_multi_index(tuple(chosen.T), cells.spec.clusters)), chosen
+        if self.whole is not None:
+            count = cells.spec.clusters[self.whole]
+            along = np.repeat(chosen[:, None], count, axis=1)
+            along[:, :, self.whole] = np.arange(count)
+            numbers = np.asarray(np.ravel_multi_index(tuple(np.moveaxis(along, -1, 0)), cells.spec.clusters))
+        places = [
+            None if skip or n == self.whole else self._places(n, chosen, along, shape[n])
+            for n, skip in enumerate(cells.undecomposed)
+        ]
+        padded = bool((extents != extents[0]).any())
+        return Batch(numbers, shape, rows, places, self.end, padded, len(chosen) == 1 and shape == cells.sizes)
+
+    def _places(self, n: int, chosen: Index, along: Index, longest: int) -> Index:
+        """Basis rows are stored by row, slot, flat(c_-n), the last of which `along` (`[.., N]`) says."""
+        own = self.places[n][chosen[:, n], :longest]
+        modes = [m for m in range(self.cells.order) if m != n]
+        clusters = tuple(self.cells.spec.clusters[m] for m in modes)
+        other = np.zeros(along.shape[:-1], self.dtype)
+        if modes:
+            other += np.ravel_multi_index(tuple(along[..., m] for m in modes), clusters)
+        own = own.reshape(len(own), *[1] * (other.ndim - 1), longest)
+        behind = self.cells.members[n].size * (self.cells.spec.cells // self.cells.spec.clusters[n])
+        return np.minimum(own + other[..., None], behind).astype(self.dtype)
+
+
+def _padded(lists: Sequence[Index], filling: int, dtype: type[np.integer]) -> Index:
+    """Lists of numbers as one table, `[lists, longest]`."""
+    table = np.full((len(lists), max(map(len, lists), default=0)), filling, dtype)
+    for row, numbers in zip(table, lists, strict=True):
+        row[: len(numbers)] = numbers
+    return table
+
+
+def _waits(cells: Cells, owners: NDArray[np.bool_]) -> Index:
+    """When each cell's turn comes, `[C_1, .., C_N]`, from 1: after those before it that it shares elements with.
+
+    0 for cells without elements.
+    """
+    if all(members.shape[1] == 1 for members in cells.members):
+        return owners.astype(np.intp)
+    meeting = [_meeting(members, count) for members, count in zip(cells.members, cells.spec.clusters, strict=True)]
+    turns = np.zeros(cells.spec.clusters, np.intp)
+    for c in np.argwhere(owners):
+        sharing = np.ix_(*(np.flatnonzero(meets[k]) for meets, k in zip(meeting, c, strict=True)))
+        turns[tuple(c)] = 1 + turns[sharing].max()
+    return turns
+
+
+def _meeting(members: NDArray[np.uint16], count: int) -> NDArray[np.bool_]:
+    """Whether two subsets of a mode have rows in common: `[C_n, C_n]`."""
+    meets = np.zeros((count, count), np.bool_)
+    for slot in range(members.shape[1]):
+        for other in range(members.shape[1]):
+            meets[members[:, slot], members[:, other]] = True
+    return meets
+
+
+def _parts(extents: Index, chosen: Index, budget: int) -> Iterator[Index]:
+    """Cut cells into batches within the budget, of cells that are about as large; never less than one cell."""
+    order = np.argsort(-extents.prod(axis=1, dtype=np.int64), kind="stable")
+    first = 0
+    while first < len(order):
+        last, longest, owned = first, np.zeros(extents.shape[1], np.int64), 0
+        while last < len(order):
+            longer = np.maximum(longest, extents[order[last]])
+            more = owned + int(extents[order[last]].prod(dtype=np.int64))
+            padded = (last + 1 - first) * int(longer.prod())
+            if last > first and (padded > budget or padded > MOST_PADDED * more):
+                break
+            last, longest, owned = last + 1, longer, more
+        yield chosen[order[first:last]]
+        first = last

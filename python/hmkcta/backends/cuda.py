@@ -1,0 +1,203 @@
+"""The kernels on an NVIDIA GPU: `batched.py` with CuPy's arrays.
+
+A call takes its node to the device, does all its sweeps there and brings back what changed. One call at a time works on
+the device, whichever threads ask: more would share its memory and wait for one another's launches anyway, while the
+other threads search for memberships and gather nodes on the CPU.
+
+CuPy is imported by `found` and `Cuda` only, so that nobody needs it for anything else.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from functools import cache
+from itertools import pairwise
+from math import prod
+from threading import Lock
+from typing import Any, TypeVar
+
+import numpy as np
+
+from ..cells import F32, Cells, empty_cells
+from ..errors import HmkctaError, Kind
+from ..plan import LevelSpec
+from . import batched, reference
+from .batched import Arrays
+from .device import Device, Kernels
+from .reference import F64
+
+T = TypeVar("T")
+
+INSTALL = 'pip install "hmkcta[cuda]"'
+#: Fewer elements a batch stay on the CPU. A batch takes some hundred launches, that is milliseconds whatever its size,
+#: and in a millisecond one core's kernels do about half a million elements of a cell.
+LEAST = 1 << 20
+#: Most elements of a batch: at first, and after the device's memory ran out.
+BUDGETS = (1 << 25, 1 << 21, 1 << 17)
+
+_turn = Lock()
+
+
+def found() -> Device:
+    """The GPU, or the CPU with what is missing."""
+    described, missing = _looked_for()
+    if missing:
+        return Device(missing=f"{missing}; the CPU is used instead.")
+    return Device("cuda", described)
+
+
+class Cuda:
+    """The kernels on the GPU; too small ones on the CPU.
+
+    Args:
+        device: keeps count of the calls.
+        cpu: the kernels for small calls.
+    """
+
+    name = "cuda"
+
+    def __init__(self, device: Device, cpu: Kernels) -> None:
+        self._device, self._cpu, self._cupy = device, cpu, _cupy()
+
+    def fit_cells(self, cells: Cells, residual: F32, sweeps: int, iterations: int) -> None:
+        """Gauss-Seidel sweeps of HOOI over the cells, in place."""
+        if self._worthwhile(_batch_size(cells)):
+            self._run(cells, lambda on: batched.fit_cells(on, cells, residual, sweeps, iterations))
+        else:
+            self._cpu.fit_cells(cells, residual, sweeps, iterations)
+
+    def accumulate(self, cells: Cells, tensor: F32, weight: float) -> None:
+        """`tensor += weight * model`, in place."""
+        if self._worthwhile(_batch_size(cells)):
+            self._run(cells, lambda on: batched.accumulate(on, cells, tensor, weight))
+        else:
+            self._cpu.accumulate(cells, tensor, weight)
+
+    def project_cells(self, cells: Cells, tensor: F32, n: int) -> F32:
+        """The tensor projected on the cells' bases of all modes but n."""
+        if self._worthwhile(tensor.size * prod(cells.spec.mixture) // cells.spec.mixture[n]):
+            return self._run(cells, lambda on: batched.project_cells(on, cells, tensor, n))
+        return self._cpu.project_cells(cells, tensor, n)
+
+    def dictionary_gram(self, cells: Cells, n: int) -> F64:
+        """Inner products of all dictionary columns of mode n."""
+        if self._worthwhile(cells.spec.cells**2 * prod(cells.ranks)):
+            return self._run(cells, lambda on: batched.dictionary_gram(on, cells, n))
+        return self._cpu.dictionary_gram(cells, n)
+
+    def set_threads(self, count: int) -> None:
+        """How many threads of the CPU work on large nodes."""
+        self._cpu.set_threads(count)
+
+    def free(self) -> None:
+        """Give the device's memory back to it."""
+        self._cupy.get_default_memory_pool().free_all_blocks()
+        self._cupy.get_default_pinned_memory_pool().free_all_blocks()
+
+    def _worthwhile(self, elements: int) -> bool:
+        large = elements >= LEAST
+        with _turn:
+            self._device.calls += large
+            self._device.calls_on_cpu += not large
+        return large
+
+    def _run(self, cells: Cells, work: Callable[[Arrays], T]) -> T:
+        """Do it in batches as large as the device has memory for; what it works on changes only when it succeeds."""
+        with _turn:
+            for budget in BUDGETS:
+                try:
+                    return work(Arrays(self._cupy, self._cupy.asnumpy, budget))
+                except self._cupy.cuda.memory.OutOfMemoryError:
+                    pass  # outside of this clause, where the failed call's arrays are gone
+                except Exception as error:
+                    if not _of_cupy(error):
+                        raise
+                    raise _failed(error) from error
+                self.free()
+        raise self._too_large(cells)
+
+    def _too_large(self, cells: Cells) -> HmkctaError:
+        free, total = self._cupy.cuda.runtime.memGetInfo()
+        shape = " x ".join(map(str, cells.sizes))
+        return HmkctaError(
+            Kind.RESOURCE_LIMIT, "device-memory", "--device cuda", found=f"a node of {shape} elements",
+            allowed=f"what fits into its memory ({free / 2**30:.1f} GiB of {total / 2**30:.1f} GiB are free)",
+            hint="use --device cpu, or give --max-memory so that the tensor is streamed")  # fmt: skip
+
+
+def _batch_size(cells: Cells) -> int:
+    """About how many elements a batch of a sweep has: cells that differ in a mode of K = 1 go together."""
+    apart = prod(c for c, k in zip(cells.spec.clusters, cells.spec.mixture, strict=True) if k > 1)
+    return prod(cells.sizes) * prod(cells.spec.mixture) // apart
+
+
+def _cupy() -> Any:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about parts that are not used; what is used is tried
+        import cupy  # pyright: ignore[reportMissingImports] (optional, and not to be had on every system)
+    return cupy  # pyright: ignore[reportUnknownVariableType]
+
+
+@cache
+def _looked_for() -> tuple[str, str]:
+    """What the GPU is called with all that its rounding depends on, and what is missing if there is none to work on."""
+    try:
+        cupy = _cupy()
+    except ModuleNotFoundError as error:
+        if error.name == "cupy":
+            return "", f"--device cuda needs CuPy, which is not installed (next: {INSTALL})"
+        return "", f"CuPy is installed but cannot be loaded: {_gist(error)} (next: {INSTALL})"
+    except ImportError as error:
+        return "", f"CuPy is installed but cannot be loaded: {_gist(error)} (next: {INSTALL})"
+    try:
+        if not cupy.cuda.runtime.getDeviceCount():
+            return "", "CuPy is installed but finds no NVIDIA GPU"
+        _try(Arrays(cupy, cupy.asnumpy))
+        about = cupy.cuda.runtime.getDeviceProperties(0)
+        runtime = cupy.cuda.runtime.runtimeGetVersion()
+    except Exception as error:
+        if not (_of_cupy(error) or isinstance(error, (ImportError, OSError, RuntimeError))):
+            raise
+        advice = f"next: a driver for CUDA 12 from nvidia.com, and {INSTALL}"
+        return "", f"CuPy is installed but there is no NVIDIA GPU that works: {_gist(error)} ({advice})"
+    capability = f"compute capability {about['major']}.{about['minor']}"
+    versions = f"CuPy {cupy.__version__}, CUDA {runtime // 1000}.{runtime % 1000 // 10}"
+    return f"cuda: {about['name'].decode()}, {capability}, {versions}", ""
+
+
+def _try(on: Arrays) -> None:
+    """Fit a small node as the reference does, or fail."""
+    rng = np.random.default_rng(0)
+    spec = LevelSpec((1, 2, None), (2, 2, 1), (1, 2, 1))
+    members = [np.array([[0], [0], [1]], np.uint16), np.tile(np.array([0, 1], np.uint16), (4, 1)),
+               np.zeros((5, 1), np.uint16)]  # fmt: skip
+    data = rng.standard_normal((3, 4, 5), np.float32)
+    fits: list[Callable[[Cells, F32], None]] = [
+        lambda cells, residual: reference.fit_cells(cells, residual, 2, 2),
+        lambda cells, residual: batched.fit_cells(on, cells, residual, 2, 2),
+    ]
+    left: list[float] = []
+    for fit in fits:
+        residual = data.copy()
+        fit(empty_cells(data.shape, spec, members, np.random.default_rng(1)), residual)
+        left.append(float(np.vdot(residual, residual)))
+    if abs(left[0] - left[1]) > 1e-3 * left[0]:
+        raise RuntimeError(f"it computes {left[1]:g} where {left[0]:g} is right")
+
+
+def _of_cupy(error: Exception) -> bool:
+    """Whether it is the device, its driver or its libraries that failed, and not this program."""
+    return type(error).__module__.partition(".")[0] in ("cupy", "cupy_backends", "cupyx", "cuda")
+
+
+def _failed(error: Exception) -> HmkctaError:
+    return HmkctaError(Kind.RESOURCE_LIMIT, "device-failed", "--device cuda", found=_gist(error),
+                       hint="use --device cpu, or try again")  # fmt: skip
+
+
+def _gist(error: Exception) -> str:
+    """The line that says it: of CuPy's banners that after "Original error", else the first."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip(" =")]
+    original = [after for before, after in pairwise(lines) if before == "Original error:"]
+    return (original or lines or [type(error).__name__])[0].rstrip(".")

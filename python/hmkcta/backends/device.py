@@ -1,0 +1,57 @@
+"""What a device is to the rest: a name, and the kernels that every backend has."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from ..cells import F32, Cells
+from .reference import F64
+
+
+class Kernels(Protocol):
+    """A backend: `reference.py` says what each of its kernels computes."""
+
+    @property
+    def name(self) -> str:
+        """The backend's."""
+        ...
+
+    def fit_cells(self, cells: Cells, residual: F32, sweeps: int, iterations: int) -> None:
+        """Gauss-Seidel sweeps of HOOI over the cells, in place."""
+        ...
+
+    def accumulate(self, cells: Cells, tensor: F32, weight: float) -> None:
+        """`tensor += weight * model`, in place."""
+        ...
+
+    def project_cells(self, cells: Cells, tensor: F32, n: int) -> F32:
+        """The tensor projected on the cells' bases of all modes but n."""
+        ...
+
+    def dictionary_gram(self, cells: Cells, n: int) -> F64:
+        """Inner products of all dictionary columns of mode n."""
+        ...
+
+    def set_threads(self, count: int) -> None:
+        """How many threads of the CPU work on large nodes."""
+        ...
+
+
+@dataclass(eq=False)
+class Device:
+    """Where the kernels of a run work, and how often they did.
+
+    Attributes:
+        name: ``cpu`` or ``cuda``.
+        described: the name and, for a GPU, all that its rounding depends on.
+        missing: why it is the CPU although another was asked for, a sentence; else empty.
+        calls: kernel calls on the GPU so far.
+        calls_on_cpu: calls that were too small for the GPU.
+    """
+
+    name: str = "cpu"
+    described: str = "cpu"
+    missing: str = ""
+    calls: int = 0
+    calls_on_cpu: int = 0
