@@ -2,9 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from contextvars import copy_context
 from threading import Condition
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+
+
+class Pool(ThreadPoolExecutor):
+    """Threads whose work sees the context variables of whoever hands it in, among them the device of the run.
+
+    >>> from contextvars import ContextVar
+    >>> device = ContextVar("device", default="cpu")
+    >>> token = device.set("cuda")
+    >>> with Pool(1) as pool:
+    ...     pool.submit(device.get).result()
+    'cuda'
+    """
+
+    def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
+        """Have it done in a copy of the context at hand."""
+        return super().submit(copy_context().run, fn, *args, **kwargs)
 
 
 class Gate:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from itertools import groupby, product
@@ -16,7 +15,7 @@ from . import backends as kernels
 from .axes import Axis, Organisation
 from .cells import Cells
 from .errors import invalid
-from .executors import Gate
+from .executors import Gate, Pool
 from .fit import WARM, Effort, Labels, fit_level
 from .journal import NoJournal
 from .memberships import uniform_blocks
@@ -37,13 +36,15 @@ SAMPLED = 1 << 23
 
 @dataclass(frozen=True)
 class Run:
-    """What every step of a fit shares: how long to try, where chance starts, threads, whom to tell, what is done."""
+    """What every step of a fit shares: how long to try, where chance starts, threads, whom to tell, what is done, and
+    the device (``cpu`` or ``cuda``) on which the kernels work."""
 
     effort: Effort
     seed: int
     threads: int
     progress: Progress
     journal: NoJournal = field(default_factory=NoJournal)
+    device: str = "cpu"
 
 
 @dataclass(eq=False)
@@ -158,7 +159,7 @@ def in_parallel(
     order = sorted(range(len(groups)), key=lambda g: -sizes[g])
     total, done = max(1, sum(sizes)), 0
     run.progress(stage, 0.0)
-    with ThreadPoolExecutor(max_workers=run.threads) as pool:
+    with Pool(max_workers=run.threads) as pool:
         futures = [(g, pool.submit(together, groups[g], sizes[g])) for g in order]
         try:
             for g, future in futures:

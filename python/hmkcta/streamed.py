@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from . import backends as kernels
 from .axes import Organisation, mode_sizes
 from .cells import Cells
+from .executors import Pool
 from .pieces import Piece, Rows, places_of, put, split
 from .scratch import Scratch
 from .slabs import slabs
@@ -333,7 +334,7 @@ def in_order(work: Callable[[S], T], items: Sequence[S], workers: int) -> Iterat
         yield from map(work, items)
         return
     waiting: deque[Future[T]] = deque()
-    with ThreadPoolExecutor(workers) as pool:
+    with Pool(workers) as pool:
         try:
             for item in items:
                 waiting.append(pool.submit(work, item))
