@@ -6,6 +6,7 @@ Run as ``python tests/make_prelude_corpus.py`` when the prelude or the image cha
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict
 from math import ceil, log2
 from pathlib import Path
@@ -13,9 +14,12 @@ from typing import Any
 from zlib import crc32
 
 from hmkcta.hmkfile import load
+from hmkcta.model import Model
+from hmkcta.packed import Metadata, PackedLevel
+from hmkcta.render.contract import contractable, contraction_constants, core_starts, fixed_rows, parent_table
 from hmkcta.render.contraction import uniform_levels
-from hmkcta.render.image import pack_image
-from hmkcta.render.prelude import Options, decoder_uniform, image_pages, prelude
+from hmkcta.render.image import Image, pack_image
+from hmkcta.render.prelude import Options, axis_places, decoder_uniform, image_pages, prelude
 
 HERE = Path(__file__).parent
 CORPUS = HERE / "corpus-render" / "prelude.json"
@@ -28,6 +32,8 @@ CASES = (
     ("v1.0-merged.hmk", Options(picks=(3, 2, 2, 3), channels=3)),
     ("v1.0-merged.hmk", Options(picks=(1, 2, 2, 1), contracted=(2,))),
     ("v1.0-merged.hmk", Options(page_shift=0)),
+    ("v1.0-small.hmk", Options(picks=(1, 2), contracted=(1,))),
+    ("v1.0-merged.hmk", Options(picks=(2, 1, 1, 2), contracted=(0, 1))),
 )
 
 
@@ -43,7 +49,21 @@ def case(file: str, options: Options) -> dict[str, Any]:
             "text": prelude(metadata, pages, options, uniform),
             "words": image.words.size, "crc32": crc32(image.words.astype("<u4").tobytes()), "rows": image.rows,
             "scales": image.scales, "coefficients": image.coefficients,
-            "uniform": decoder_uniform(metadata, len(levels)).hex()}
+            "uniform": decoder_uniform(metadata, len(levels)).hex(),
+            "contraction": contraction(metadata, levels, image, options) if options.contracted else None}
+
+
+def contraction(metadata: Metadata, levels: Sequence[PackedLevel], image: Image, options: Options) -> dict[str, Any]:
+    """What the contraction of a frame needs: for each axis of the modes its first indices stand still."""
+    assert options.picks is not None
+    modes, _ = axis_places(metadata)
+    still = [axis for axis, mode in enumerate(modes) if mode in options.contracted]
+    assert contractable(Model(metadata, levels), still) == options.contracted
+    picks = {axis: (list(range(options.picks[axis])), [0.5 ** (1 + k) for k in range(options.picks[axis])])
+             for axis in still}
+    return {"still": still, "constants": contraction_constants(metadata, levels, image, options),
+            "starts": core_starts(levels, options.contracted).tolist(), "parents": parent_table(levels).reshape(-1).tolist(),
+            "fixed": crc32(fixed_rows(metadata, options.contracted, picks).astype("<u4").tobytes())}
 
 
 def corpus() -> str:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli_tools import PYTHON, finish, refused, saved, start
+from cli_tools import PYTHON, finish, saved, start
 from hmkcta import Model, compress
 from hmkcta.errors import HmkctaError
 from hmkcta.hmkfile import encode, loads
@@ -179,9 +179,37 @@ def test_originals_that_do_not_fit(file: Path) -> None:
         assert caught.value.reason == reason
 
 
-def test_missing_files_and_options_are_sentences(tmp_path: Path) -> None:
-    assert "no such file" in refused("view", tmp_path / "none.hmk", "--no-browser", code=3)
-    assert "no such file" in refused("view", tmp_path, "--no-browser", code=3)
+def damaged(whole: bytes) -> dict[str, bytes]:
+    """What a user may take for a file: cut short, damaged, of another kind, nothing at all."""
+    flipped = bytearray(whole)
+    flipped[-5] ^= 16
+    return {"short": whole[:-3], "damaged": bytes(flipped), "picture": b"\x89PNG\r\n\x1a\n" + bytes(40), "empty": b""}
+
+
+def test_it_refuses_what_info_refuses(file: Path, tmp_path: Path) -> None:
+    """The same sentence and exit code, before anything is served."""
+    paths = [tmp_path / "none.hmk", tmp_path]
+    for name, content in damaged(file.read_bytes()).items():
+        paths.append(tmp_path / f"{name}.hmk")
+        paths[-1].write_bytes(content)
+    for path in paths:
+        seen = [finish(start(*command)) for command in (("info", path), ("view", path, "--no-browser"))]
+        assert seen[0] == seen[1]
+        assert seen[0][0] in range(3, 7)
+        assert seen[0][2].startswith("hmkcta: ")
+
+
+def test_other_files_as_originals(model: Model, file: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.hmk"
+    model.at_level(1).save(other)
+    with serve(file, original=other, page=PAGE) as running:
+        assert ask(running, "/original/original.hmk")[1] == other.read_bytes()
+    compress(np.ones((5, 6), np.float32), "R=1,1", axes=["a", "y"]).save(other, overwrite=True)
+    with pytest.raises(HmkctaError, match="original-shape"):
+        serve(file, original=other, page=PAGE)
+    other.write_bytes(b"nothing")
+    with pytest.raises(HmkctaError, match="truncated"):
+        serve(file, original=other, page=PAGE)
 
 
 def test_a_clone_without_a_page_says_so(monkeypatch: pytest.MonkeyPatch) -> None:

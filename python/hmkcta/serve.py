@@ -24,9 +24,10 @@ from urllib.parse import quote, unquote, urlsplit
 
 from numpy.typing import NDArray
 
-from .errors import HmkctaError, Kind
+from .errors import HmkctaError, Kind, invalid
 from .hmkfile import encode
 from .model import open as open_model
+from .packed import Metadata
 from .readers import open_array
 from .verbatim import verbatim
 
@@ -110,21 +111,23 @@ def serve(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | ND
     """Serve the viewer and a file on 127.0.0.1.
 
     Args:
-        path: the `.hmk` file. It is not read here: the page reads it anew at each reload, and says what is wrong.
+        path: the `.hmk` file. It is checked here as `hmkcta.open` does, and again by the page, which reads it anew at each
+            reload.
         original: what to compare with: an array of the model's shape, its `.npy` file, or another `.hmk` file.
         port: 0 takes a free one.
         page: the page's files by path; by default the one that is installed.
 
     Raises:
-        HmkctaError: the file cannot be read, the original does not fit, the port is taken, or the page was not built.
+        HmkctaError: the file cannot be read or is no `.hmk` file, as `hmkcta.open` has it; the original does not fit, the
+            port is taken, or the page was not built.
     """
     file = Path(path)
-    _check_readable(file)
+    metadata = open_model(file).metadata
     table = dict(page if page is not None else installed_page())
     table[f"/files/{file.name}"] = Resource("application/octet-stream", file)
     query = f"?file=files/{quote(file.name)}"
     if original is not None:
-        table["/original/original.hmk"] = _original(file, original)
+        table["/original/original.hmk"] = _original(metadata, original)
         query += "&original=original/original.hmk"
     return Server(table, query, port)
 
@@ -173,23 +176,16 @@ def _files(folder: Traversable, prefix: str) -> list[tuple[str, Traversable]]:
     return found
 
 
-def _check_readable(file: Path) -> None:
-    try:
-        if not file.is_file():
-            raise HmkctaError(Kind.IO, "unreadable", str(file), found="no such file", allowed="an .hmk file")
-        file.open("rb").close()
-    except OSError as error:
-        raise HmkctaError(Kind.IO, "unreadable", str(file), found=error.strerror, allowed="a readable file") from error
-
-
-def _original(file: Path, original: str | os.PathLike[str] | NDArray[Any]) -> Resource:
+def _original(like: Metadata, original: str | os.PathLike[str] | NDArray[Any]) -> Resource:
     """The original as a file that the page's decoder reads."""
     if isinstance(original, str | os.PathLike):
         if os.fspath(original).endswith(".hmk"):
-            _check_readable(Path(original))
+            shape, wanted = open_model(original).shape, tuple(axis.size for axis in like.axes)
+            if shape != wanted:
+                raise invalid("original-shape", "original", shape, f"{wanted}, the model's")
             return Resource("application/octet-stream", Path(original))
         original = open_array(os.fspath(original))
-    metadata, level = verbatim(original, open_model(file).metadata)
+    metadata, level = verbatim(original, like)
     return Resource("application/octet-stream", data=b"".join(encode(metadata, (level,))))
 
 

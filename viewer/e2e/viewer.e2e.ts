@@ -183,7 +183,7 @@ describe.runIf(there)("viewer in Chromium", () => {
     await drop("short.hmk", good.subarray(0, 900));
     await sentence.getByText("The file is not complete").waitFor();
     await drop("picture.png", Buffer.from("89504e470d0a1a0a0000000d49484452", "hex"));
-    await sentence.getByText("The file asks for more than this page allows").waitFor();
+    await sentence.getByText("This is no .hmk file").waitFor();
     await drop("good.hmk", good);
     await reached(page, "ready");
     expect(await sentence.isVisible()).toBe(false);

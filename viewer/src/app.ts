@@ -72,6 +72,7 @@ export class App {
   private changed = 0;
   private cost: Cost | null = null;
   private pending = false; // something is still to be decoded
+  private whole = false; // a picture with nothing missing has been shown
   private warm = false; // the first frame of a shader waits for the driver to compile it, and says nothing of its cost
   private budget = 1 << 11; // elements decoded a frame
   private fixedSize: [number, number] | null = null;
@@ -99,6 +100,11 @@ export class App {
   /** Levels that can be shown. */
   get arrived(): number {
     return this.decoder.arrived;
+  }
+
+  /** Whether the picture still lacks elements. */
+  get decoding(): boolean {
+    return this.pending;
   }
 
   /** Bytes of the model on the GPU. */
@@ -167,6 +173,7 @@ export class App {
     before?.destroy();
     this.cost = null;
     this.warm = false;
+    this.whole = false;
     this.watcher.onNotes([...notes, ...this.renderer.notes]);
     this.resetView();
     this.redraw();
@@ -248,8 +255,10 @@ export class App {
         await this.drawFrame();
       }
     } catch (error) {
-      this.closed = true;
-      this.watcher.onProblem(asProblem(error));
+      if (!this.closed) { // else a frame was under way when another file took its place
+        this.closed = true;
+        this.watcher.onProblem(asProblem(error));
+      }
     }
     this.drawing = false;
     this.canvas.setAttribute("aria-busy", "false");
@@ -273,15 +282,18 @@ export class App {
     const start = performance.now();
     const { complete, decoded } = await guarded(this.gpu.device, "drawing", async () => {
       this.screen.resize(width, height);
+      await this.renderer!.prepare?.(this.state);
       const sides = this.sides();
       const parts = sides.map((side, n) =>
         this.renderer!.draw(side, n as 0 | 1, this.state, this.screen.pictures[n]!, this.budget / sides.length));
-      this.screen.present(this.state, {
-        white: this.kind === "svbrdf" || this.kind === "lightfield" ? this.white : 1, srgb: this.kind === "svbrdf",
-        premultiplied: this.kind === "volume",
-      });
+      const complete = parts.every((part) => part.complete);
+      // What is half decoded is shown only while there is nothing else, and never compared with.
+      if (complete || (sides.length === 1 && !this.whole)) {
+        this.present();
+      }
+      this.whole ||= complete;
       await this.gpu.device.queue.onSubmittedWorkDone();
-      return { complete: parts.every((part) => part.complete), decoded: parts.reduce((sum, part) => sum + part.decoded, 0) };
+      return { complete, decoded: parts.reduce((sum, part) => sum + part.decoded, 0) };
     });
     const milliseconds = performance.now() - start;
     this.pending = !complete;
@@ -301,6 +313,13 @@ export class App {
       await this.refine(width);
     }
     await new Promise((resolve) => requestAnimationFrame(resolve));
+  }
+
+  private present(): void {
+    this.screen.present(this.state, {
+      white: this.kind === "svbrdf" || this.kind === "lightfield" ? this.white : 1, srgb: this.kind === "svbrdf",
+      premultiplied: this.kind === "volume",
+    });
   }
 
   /** Once nothing has moved for a while, draw again in full. */

@@ -86,7 +86,6 @@ class Page {
         onTables: () => undefined, onLevel: () => undefined,
       }));
       this.panel?.build();
-      byId("loading").textContent = "";
       mark("ready");
     }
   }
@@ -229,7 +228,7 @@ class Page {
     if (player.playing && frames > 1) {
       this.timer = window.setInterval(() => {
         const { app } = this;
-        if (app !== null) {
+        if (app !== null && !app.decoding) { // a step that is not decoded yet would never be seen
           app.state.time = (Math.floor(app.state.time) + 1) % frames;
           app.redraw();
           this.panel?.refresh();

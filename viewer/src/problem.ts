@@ -1,6 +1,6 @@
 /** What went wrong, as the page says it: a sentence, perhaps details, and what to do next. */
 
-import { HmkError, type Kind } from "./reader/reasons";
+import { HmkError, type Kind, type Reason } from "./reader/reasons";
 
 export class Problem extends Error {
   constructor(readonly sentence: string, readonly detail = "", readonly next = "") {
@@ -18,6 +18,19 @@ const LEADS: Record<Kind, string> = {
   Io: "The file cannot be read.",
 };
 
+const NO_HMK = "This is no .hmk file";
+const NEWER = "The file is newer than this page.";
+
+/** The first sentence. The kind alone would lead astray where another kind of file, a picture say, was taken for this one. */
+function headline({ kind, reason, where, sentence }: HmkError): string {
+  const other = where === "header" && ["header-bytes", "json-syntax", "json-encoding"].includes(reason);
+  const leads: Partial<Record<Reason, string>> = {
+    "header-too-large": `${NO_HMK}, or one whose header is larger than the limit.`,
+    "not-hmk": `${NO_HMK}. ${sentence}`, "version-unknown": `${NEWER} ${sentence}`, "transform-unknown": `${NEWER} ${sentence}`,
+  };
+  return other ? `${NO_HMK}, or its header is damaged.` : leads[reason] ?? `${LEADS[kind]} ${sentence}`;
+}
+
 /** The problem behind anything thrown. */
 export function asProblem(error: unknown): Problem {
   if (error instanceof Problem) {
@@ -26,7 +39,7 @@ export function asProblem(error: unknown): Problem {
   if (error instanceof HmkError) {
     const next = error.hint === "" ? "" : `${error.hint[0]?.toUpperCase() ?? ""}${error.hint.slice(1)}.`;
     const detail = error.message.replace(` Next: ${error.hint}.`, ""); // said in `next`
-    return new Problem(`${LEADS[error.kind]} ${error.sentence}`, detail, next);
+    return new Problem(headline(error), detail, next);
   }
   const message = error instanceof Error ? error.message : String(error);
   return new Problem("Something unforeseen went wrong on this page.", message, "Reload the page to try again.");

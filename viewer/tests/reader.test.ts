@@ -5,6 +5,7 @@ import { join } from "node:path";
 import { describe, expect, it } from "vitest";
 import { DEFAULT_LIMITS } from "../src/reader/limits";
 import { Reading, loads } from "../src/reader/read";
+import { asProblem } from "../src/problem";
 import { HmkError, REASONS } from "../src/reader/reasons";
 import { build, fixture, readCorpus } from "./corpus";
 
@@ -101,5 +102,27 @@ describe("reading in parts", () => {
     reading.readTables(arrived(reading.tablesEnd));
     const error = verdict(() => reading.readLevel(1, arrived(reading.levelEnd(1) - 1)));
     expect(error?.reason).toBe("array-crc");
+  });
+});
+
+describe("headlines", () => {
+  const sentence = (name: string): string => {
+    const found = CASES.find((each) => each.name === name)!;
+    return asProblem(verdict(() => loads(build(found)!, { ...DEFAULT_LIMITS, ...found.limits }))).sentence;
+  };
+
+  it.each([
+    ["version 2.0", "The file is newer than this page."], ["seven bytes", "The file is not complete."],
+    ["metadata is a list", "This is no .hmk file."], ["last bit flipped", "The file is damaged."],
+  ])("fit the problem: %s", (name, start) => {
+    expect(sentence(name)).toMatch(start);
+  });
+
+  it("take a picture for what it is", () => {
+    const png = Uint8Array.from([0x89, 0x50, 0x4e, 0x47, 13, 10, 26, 10, ...new Array<number>(40).fill(0)]);
+    expect(asProblem(verdict(() => loads(png))).sentence).toMatch("This is no .hmk file");
+    const text = new Uint8Array(40);
+    text[0] = 20;
+    expect(asProblem(verdict(() => loads(text))).sentence).toMatch("This is no .hmk file");
   });
 });

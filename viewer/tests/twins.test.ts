@@ -4,6 +4,7 @@ import { readFileSync } from "node:fs";
 import { join } from "node:path";
 import { describe, expect, it } from "vitest";
 import { decodeElement, decodeRows, sourceValue, valueRange } from "../src/decode/element";
+import { contractable, contractionConstants, coreStarts, fixedRows, parentTable } from "../src/gpu/contract";
 import { uniformLevels } from "../src/gpu/contraction";
 import { eachCoefficients, layOutImage, packTables } from "../src/gpu/image";
 import { decoderUniform, prelude } from "../src/gpu/prelude";
@@ -26,6 +27,7 @@ interface HeadCase {
   scales: number;
   coefficients: number[];
   uniform: string;
+  contraction: { still: number[]; constants: Record<string, number>; starts: number[]; parents: number[]; fixed: number } | null;
 }
 
 const HEADS = JSON.parse(readFileSync(join(TESTS, "corpus-render", "prelude.json"), "utf-8")) as HeadCase[];
@@ -49,6 +51,25 @@ describe("shader heads and images", () => {
     levels.forEach((level, l) => eachCoefficients(level, l, layout, (at, part) => halves.set(part, 2 * at)));
     expect(crc32(new Uint8Array(words.buffer))).toBe(each.crc32);
     expect(Buffer.from(decoderUniform(metadata, levels.length)).toString("hex")).toBe(each.uniform);
+  });
+});
+
+describe("frame contraction", () => {
+  it.each(HEADS.filter((each) => each.contraction !== null))("$file $options.contracted", (each) => {
+    const { metadata, levels } = model(each.file);
+    const { still, constants, starts, parents, fixed } = each.contraction!;
+    const { contracted } = each.options;
+    const picks = each.options.picks!;
+    expect(contractable(metadata, levels, still)).toEqual(contracted);
+    expect(contractable(metadata, levels, still.slice(1))).not.toEqual(contracted);
+    expect(contractionConstants(metadata, levels, [each.scales, each.coefficients[0]!], { picks, contracted })).toEqual(constants);
+    expect(Array.from(coreStarts(levels, contracted))).toEqual(starts);
+    expect(Array.from(parentTable(levels))).toEqual(parents);
+    const stands = new Map(still.map((axis) => {
+      const index = Array.from({ length: picks[axis]! }, (_, k) => k);
+      return [axis, { index, weight: index.map((k) => 0.5 ** (1 + k)) }];
+    }));
+    expect(crc32(new Uint8Array(fixedRows(metadata, contracted, stands).buffer))).toBe(fixed);
   });
 });
 

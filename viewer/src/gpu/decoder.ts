@@ -7,6 +7,7 @@ import { type ImageLayout, eachCoefficients, layOutImage, packTables } from "./i
 import { PAGE_SHIFT, decoderUniform, imagePages } from "./prelude";
 
 const PAGE_WORDS = 2 ** PAGE_SHIFT;
+const FRAME_BINDING = 8; // as in the prelude
 
 export class Decoder {
   /** Levels whose numbers are on the GPU: none above is ever read. */
@@ -18,11 +19,13 @@ export class Decoder {
   readonly uniform: number[];
   private readonly image: ImageLayout;
   private readonly buffers: GPUBuffer[];
-  private readonly groups = new Map<number, GPUBindGroup>();
-  private readonly uniforms: GPUBuffer[] = [];
+  /** As `layout`, with contracted cores behind all pages that there can be. */
+  readonly framed: GPUBindGroupLayout;
+  private readonly groups = new Map<GPUBuffer | null, GPUBindGroup[]>();
+  private readonly uniforms = new Map<number, GPUBuffer>();
 
   /** `levels` have their tables; their numbers may still be missing. */
-  constructor(private readonly device: GPUDevice, readonly metadata: Metadata, private readonly levels: PackedLevel[]) {
+  constructor(private readonly device: GPUDevice, readonly metadata: Metadata, readonly levels: PackedLevel[]) {
     this.image = layOutImage(levels);
     this.uniform = uniformLevels(metadata, levels);
     const words = this.image.coefficients[levels.length]!;
@@ -34,9 +37,9 @@ export class Decoder {
     }));
     const entry = (binding: number, type: GPUBufferBindingType): GPUBindGroupLayoutEntry =>
       ({ binding, visibility: GPUShaderStage.COMPUTE, buffer: { type } });
-    this.layout = device.createBindGroupLayout({
-      entries: [entry(0, "uniform"), ...this.buffers.map((_, page) => entry(page + 1, "read-only-storage"))],
-    });
+    const entries = [entry(0, "uniform"), ...this.buffers.map((_, page) => entry(page + 1, "read-only-storage"))];
+    this.layout = device.createBindGroupLayout({ entries });
+    this.framed = device.createBindGroupLayout({ entries: [...entries, entry(FRAME_BINDING, "read-only-storage")] });
     this.write(0, packTables(levels, this.image));
   }
 
@@ -49,24 +52,41 @@ export class Decoder {
     this.arrived = l + 1;
   }
 
-  /** The bindings with which a shader adds up so many levels. */
-  group(levels: number): GPUBindGroup {
-    let group = this.groups.get(levels);
-    if (group === undefined) {
-      const buffer = this.device.createBuffer({ size: 16, usage: GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST });
+  /** Where the scales of all cells begin and end in the image, in words. */
+  get scales(): [number, number] {
+    return [this.image.scales[0]!, this.image.coefficients[0]!];
+  }
+
+  /** The bindings with which a shader adds up so many levels, of the model or of the contracted cores of its frame. */
+  group(levels: number, cores: GPUBuffer | null = null): GPUBindGroup {
+    const groups = this.groups.get(cores) ?? [];
+    this.groups.set(cores, groups);
+    return groups[levels] ??= this.device.createBindGroup({
+      layout: cores === null ? this.layout : this.framed,
+      entries: [
+        ...[this.uniformOf(levels), ...this.buffers].map((buffer, binding) => ({ binding, resource: { buffer } })),
+        ...(cores === null ? [] : [{ binding: FRAME_BINDING, resource: { buffer: cores } }]),
+      ],
+    });
+  }
+
+  /** Contracted cores are no longer used. */
+  forget(cores: GPUBuffer): void {
+    this.groups.delete(cores);
+  }
+
+  private uniformOf(levels: number): GPUBuffer {
+    let buffer = this.uniforms.get(levels);
+    if (buffer === undefined) {
+      buffer = this.device.createBuffer({ size: 16, usage: GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST });
       this.device.queue.writeBuffer(buffer, 0, decoderUniform(this.metadata, levels));
-      this.uniforms.push(buffer);
-      group = this.device.createBindGroup({
-        layout: this.layout,
-        entries: [buffer, ...this.buffers].map((each, binding) => ({ binding, resource: { buffer: each } })),
-      });
-      this.groups.set(levels, group);
+      this.uniforms.set(levels, buffer);
     }
-    return group;
+    return buffer;
   }
 
   destroy(): void {
-    [...this.buffers, ...this.uniforms].forEach((buffer) => buffer.destroy());
+    [...this.buffers, ...this.uniforms.values()].forEach((buffer) => buffer.destroy());
   }
 
   /** Words from `start` on, over the bounds of pages. */

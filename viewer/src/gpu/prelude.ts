@@ -14,7 +14,7 @@ export const PAGE_SHIFT = 25;
 /** Of the 8 storage buffers that WebGPU guarantees a stage, those an image may take. */
 const MOST_PAGES = 5;
 /** Rows of a mode are kept in a mask of one word. */
-const MOST_ROWS = 32;
+export const MOST_ROWS = 32;
 
 export interface Options {
   picks?: number[]; // for each source axis, how many weighted indices it can have; 1 each by default
@@ -25,7 +25,7 @@ export interface Options {
 }
 
 /** Rows that each mode can have at once: the product of its axes' picks. */
-function rooms(metadata: Metadata, picks: number[]): number[] {
+export function rooms(metadata: Metadata, picks: number[]): number[] {
   const result = metadata.modeSizes.map(() => 1);
   axisPlaces(metadata).forEach(({ mode }, axis) => {
     result[mode]! *= picks[axis]!;

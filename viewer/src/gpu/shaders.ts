@@ -1,5 +1,6 @@
 /** The shaders of the Python package, unchanged, and the viewer's own. */
 
+import contract from "../../../python/hmkcta/shaders/contract.wgsl?raw";
 import decode from "../../../python/hmkcta/shaders/decode.wgsl?raw";
 import display from "../../../python/hmkcta/shaders/display.wgsl?raw";
 import gbuffer from "../../../python/hmkcta/shaders/gbuffer.wgsl?raw";
@@ -11,7 +12,7 @@ import volume from "../../../python/hmkcta/shaders/volume.wgsl?raw";
 import weighted from "../../../python/hmkcta/shaders/weighted.wgsl?raw";
 import slice from "./slice.wgsl?raw";
 
-export const SHADERS = { decode, display, gbuffer, grid, image, lightfield, slice, svbrdf, volume, weighted } as const;
+export const SHADERS = { contract, decode, display, gbuffer, grid, image, lightfield, slice, svbrdf, volume, weighted } as const;
 
 /** One shader: the prelude, further generated lines, and files, in this order. */
 export function compose(head: string, ...names: (keyof typeof SHADERS)[]): string {

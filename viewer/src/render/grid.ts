@@ -3,6 +3,7 @@
  * kept for as long as level, time and axes stay; a large request is decoded over several frames.
  */
 
+import { FrameContraction, type Still, contractable } from "../gpu/contract";
 import type { Decoder } from "../gpu/decoder";
 import { Pass } from "../gpu/pass";
 import { prelude } from "../gpu/prelude";
@@ -21,14 +22,31 @@ export interface GridRequest {
   groups: number[][][];
 }
 
-/** The shader that decodes a model's grids. */
-export function gridPass(device: GPUDevice, decoder: Decoder): Promise<Pass> {
-  const picks = decoder.metadata.axes.map((axis) => (axis.role === "time" ? 2 : 1));
-  return Pass.make(device, {
-    entry: "decode_grid", struct: "GridFrame", decoder: decoder.layout,
-    head: prelude(decoder.metadata, decoder.pages, { picks, uniform: decoder.uniform }), shaders: ["image", "decode", "weighted", "grid"],
-    bindings: ["storage", "store-3d"],
-  });
+/** How a model's grids are decoded: the shader, and the modes that it finds contracted, if any. */
+export interface GridShader {
+  pass: Pass;
+  frame: FrameContraction | null;
+  still: number[]; // axes that stand still in all requests, time aside
+}
+
+/** The shader that decodes grids along some axes; modes of which none moves are contracted for each frame. */
+export async function gridShader(device: GPUDevice, decoder: Decoder, moving: (number | null)[]): Promise<GridShader> {
+  const { metadata, levels } = decoder;
+  const picks = metadata.axes.map((axis) => (axis.role === "time" ? 2 : 1));
+  const still = metadata.axes.flatMap((_, axis) => (moving.includes(axis) ? [] : [axis]));
+  // An array that is no more than packed has one core, of which a frame takes a part anyway.
+  const verbatim = metadata.undecomposed.length === metadata.modeSizes.length;
+  const contracted = verbatim ? [] : contractable(metadata, levels, still);
+  const options = { picks, contracted, uniform: decoder.uniform };
+  const [frame, pass] = await Promise.all([
+    contracted.length > 0 ? FrameContraction.make(device, decoder, options) : null,
+    Pass.make(device, {
+      entry: "decode_grid", struct: "GridFrame", decoder: contracted.length > 0 ? decoder.framed : decoder.layout,
+      head: prelude(metadata, decoder.pages, options), shaders: ["image", "decode", "weighted", "grid"],
+      bindings: ["storage", "store-3d"],
+    }),
+  ]);
+  return { pass, frame, still };
 }
 
 export class GridCache {
@@ -37,7 +55,7 @@ export class GridCache {
   private key = "";
   private held: (string | null)[] = []; // what each slot has decoded
 
-  constructor(private readonly device: GPUDevice, private readonly decoder: Decoder, private readonly pass: Pass) {}
+  constructor(private readonly device: GPUDevice, private readonly decoder: Decoder, private readonly shader: GridShader) {}
 
   /**
    * Decode up to `budget` missing elements of a request (at least one group). Returns the first slice of each group,
@@ -130,9 +148,50 @@ export class GridCache {
     this.device.queue.writeBuffer(this.slots!, 32 * first, table);
     const count = request.time === null ? 1 : this.decoder.metadata.axes[request.time.axis]!.size;
     const { frames, weight } = timeSteps(request.time?.at ?? 0, count);
-    this.pass.run({
+    const { pass, frame } = this.shader;
+    frame?.run(this.standing(group[0]!, request.time?.axis, frames, weight));
+    pass.run({
       width, height, depth: first + group.length, first, x_axis: request.x, y_axis: request.y,
       time_axis: request.time?.axis ?? NO_AXIS, time: frames, time_weight: [1 - weight, weight],
-    }, [this.slots!, this.texture!], [width, height, group.length], this.decoder.group(request.level));
+    }, [this.slots!, this.texture!], [width, height, group.length], this.decoder.group(request.level, frame?.cores));
+  }
+
+  /** Where the axes stand that do not move, time between two frames. */
+  private standing(place: number[], time: number | undefined, frames: [number, number], weight: number): Still {
+    return new Map(this.shader.still.map((axis) => {
+      const between = axis === time && weight > 0;
+      return [axis, between ? { index: frames, weight: [1 - weight, weight] }
+        : { index: [axis === time ? frames[0] : place[axis]!], weight: [1] }];
+    }));
+  }
+}
+
+/** For each model the caches of both sides of a comparison, and the shader that they share. */
+export class Grids {
+  private constructor(private readonly grids: Map<Decoder, { shader: GridShader; caches: [GridCache, GridCache] }>) {}
+
+  /** Of grids along some axes. */
+  static async make(device: GPUDevice, decoders: Decoder[], moving: (number | null)[]): Promise<Grids> {
+    const entries = decoders.map(async (decoder) => {
+      const shader = await gridShader(device, decoder, moving);
+      const cache = (): GridCache => new GridCache(device, decoder, shader);
+      return [decoder, { shader, caches: [cache(), cache()] as [GridCache, GridCache] }] as const;
+    });
+    return new Grids(new Map(await Promise.all(entries)));
+  }
+
+  cache(decoder: Decoder, slot: 0 | 1): GridCache {
+    return this.grids.get(decoder)!.caches[slot];
+  }
+
+  destroy(): void {
+    this.grids.forEach(({ shader: { pass, frame }, caches }, decoder) => {
+      caches.forEach((cache) => cache.destroy());
+      pass.destroy();
+      if (frame !== null) {
+        decoder.forget(frame.cores);
+        frame.destroy();
+      }
+    });
   }
 }

@@ -4,10 +4,10 @@ import type { Decoder } from "../gpu/decoder";
 import { Pass } from "../gpu/pass";
 import type { Axis, Metadata } from "../reader/metadata";
 import type { State } from "../state";
-import type { GridCache } from "./grid";
+import { Grids } from "./grid";
 import { type Layout, layOut } from "./layout";
 import type { Progress, Renderer, Side } from "./renderer";
-import { destroyCaches, fitted, makeCaches } from "./slices";
+import { fitted } from "./slices";
 
 const MOST_CAMERAS = 256;
 
@@ -82,7 +82,7 @@ export class LightfieldRenderer implements Renderer {
 
   private constructor(
     private readonly device: GPUDevice, private readonly pass: Pass, private readonly layout: Layout,
-    private readonly cameras: Cameras, private readonly caches: Map<Decoder, [GridCache, GridCache]>,
+    private readonly cameras: Cameras, private readonly grids: Grids,
   ) {
     this.table = device.createBuffer({
       size: 16 * MOST_CAMERAS, usage: GPUBufferUsage.STORAGE | GPUBufferUsage.COPY_DST,
@@ -96,7 +96,7 @@ export class LightfieldRenderer implements Renderer {
       entry: "shade_lightfield", struct: "LightfieldFrame", shaders: ["lightfield"],
       bindings: ["storage", "texture-3d", "store-2d"],
     });
-    return new LightfieldRenderer(device, pass, layout, cameras, await makeCaches(device, decoders));
+    return new LightfieldRenderer(device, pass, layout, cameras, await Grids.make(device, decoders, [...layout.views, ...layout.space, layout.channel]));
   }
 
   draw(side: Side, slot: 0 | 1, state: State, target: GPUTexture, budget: number): Progress {
@@ -114,7 +114,7 @@ export class LightfieldRenderer implements Renderer {
       }
       return index;
     }));
-    const cache = this.caches.get(side.decoder)![slot];
+    const cache = this.grids.cache(side.decoder, slot);
     const time = layout.time === null ? null : { axis: layout.time, at: state.time };
     const { first, progress } = cache.fill({ level: side.level, x, y, time, groups }, budget);
     const total = aimed.reduce((sum, { weight }) => sum + weight, 0);
@@ -132,6 +132,6 @@ export class LightfieldRenderer implements Renderer {
   destroy(): void {
     this.pass.destroy();
     this.table.destroy();
-    destroyCaches(this.caches);
+    this.grids.destroy();
   }
 }

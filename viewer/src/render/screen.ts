@@ -51,8 +51,6 @@ export class Screen {
     this.shown = this.device.createTexture({
       size: [width, height], format: "rgba8unorm", usage: GPUTextureUsage.STORAGE_BINDING | GPUTextureUsage.COPY_SRC,
     });
-    this.canvas.width = width;
-    this.canvas.height = height;
   }
 
   /** Show the pictures. */
@@ -60,6 +58,9 @@ export class Screen {
     const { width, height } = this.shown!;
     const { mode, position, gain } = state.compare;
     const [first, second] = this.pictures as [GPUTexture, GPUTexture];
+    if (this.canvas.width !== width || this.canvas.height !== height) { // which empties it: not before there is a picture
+      Object.assign(this.canvas, { width, height });
+    }
     this.pass.run({
       width, height, mode: MODES.indexOf(mode), flags: (tone.srgb ? FLAG_SRGB : 0) + (tone.premultiplied ? FLAG_PREMULTIPLIED : 0),
       exposure: 2 ** state.tone.stops / tone.white, split: position * width, gain, curve: CURVES.indexOf(state.tone.curve),

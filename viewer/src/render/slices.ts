@@ -5,7 +5,7 @@ import { Pass } from "../gpu/pass";
 import type { Metadata } from "../reader/metadata";
 import type { State } from "../state";
 import { colourTable } from "./colours";
-import { GridCache, gridPass } from "./grid";
+import { Grids } from "./grid";
 import { shownChannels } from "./layout";
 import { type Progress, type Renderer, type Side, filledBuffer } from "./renderer";
 
@@ -31,9 +31,11 @@ export class SliceRenderer implements Renderer {
   readonly notes: string[] = [];
   private readonly colours: GPUBuffer;
   private colourName = "";
+  private grids: Grids | null = null;
+  private moving = ""; // the axes that they are along
 
   private constructor(
-    private readonly device: GPUDevice, private readonly pass: Pass, private readonly caches: Map<Decoder, [GridCache, GridCache]>,
+    private readonly device: GPUDevice, private readonly pass: Pass, private readonly decoders: Decoder[],
   ) {
     this.colours = filledBuffer(device, colourTable("grey"), GPUBufferUsage.STORAGE);
   }
@@ -42,7 +44,18 @@ export class SliceRenderer implements Renderer {
     const pass = await Pass.make(device, {
       entry: "shade_slice", struct: "SliceFrame", shaders: ["slice"], bindings: ["storage", "texture-3d", "store-2d"],
     });
-    return new SliceRenderer(device, pass, await makeCaches(device, decoders));
+    return new SliceRenderer(device, pass, decoders);
+  }
+
+  /** Have the shader for the axes of the picture: the modes of all others are contracted. */
+  async prepare(state: State): Promise<void> {
+    const wanted = (): (number | null)[] => [state.slice.x, state.slice.y, colourAxis(this.decoders[0]!.metadata, state)];
+    for (let moving = wanted(); moving.join() !== this.moving; moving = wanted()) { // they may change meanwhile
+      const made = await Grids.make(this.device, this.decoders, moving);
+      this.grids?.destroy();
+      this.grids = made;
+      this.moving = moving.join();
+    }
   }
 
   draw(side: Side, slot: 0 | 1, state: State, target: GPUTexture, budget: number): Progress {
@@ -51,7 +64,7 @@ export class SliceRenderer implements Renderer {
     const channel = colourAxis(metadata, state);
     const shown = channel === null ? [state.position] : shownChannels(metadata.axes[channel]!.size).map((index) =>
       state.position.map((place, n) => (n === channel ? index : place)));
-    const cache = this.caches.get(side.decoder)![slot];
+    const cache = this.grids!.cache(side.decoder, slot);
     const group = shown.map((index) => index.map((place, n) => (n === x || n === y ? 0 : place)));
     const { progress } = cache.fill({ level: side.level, x, y, time: null, groups: [group] }, budget);
     if (colours !== this.colourName) {
@@ -70,21 +83,6 @@ export class SliceRenderer implements Renderer {
   destroy(): void {
     this.pass.destroy();
     this.colours.destroy();
-    destroyCaches(this.caches);
-  }
-}
-
-/** For each model two caches, one a side of a comparison. */
-export async function makeCaches(device: GPUDevice, decoders: Decoder[]): Promise<Map<Decoder, [GridCache, GridCache]>> {
-  const entries = decoders.map(async (decoder): Promise<[Decoder, [GridCache, GridCache]]> => {
-    const pass = await gridPass(device, decoder);
-    return [decoder, [new GridCache(device, decoder, pass), new GridCache(device, decoder, pass)]];
-  });
-  return new Map(await Promise.all(entries));
-}
-
-export function destroyCaches(caches: Map<Decoder, [GridCache, GridCache]>): void {
-  for (const pair of caches.values()) {
-    pair.forEach((cache) => cache.destroy());
+    this.grids?.destroy();
   }
 }

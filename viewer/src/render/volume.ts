@@ -5,10 +5,9 @@ import { Pass } from "../gpu/pass";
 import type { Axis, Metadata } from "../reader/metadata";
 import { BACKGROUND, type State, VOLUME_MODES } from "../state";
 import { colourTable } from "./colours";
-import type { GridCache } from "./grid";
+import { Grids } from "./grid";
 import { type Layout, layOut } from "./layout";
 import { type Progress, type Renderer, type Side, filledBuffer } from "./renderer";
-import { destroyCaches, makeCaches } from "./slices";
 import { type Vector, cameraRays, direction } from "./vector";
 
 const AMBIENT = 0.35;
@@ -32,7 +31,7 @@ export class VolumeRenderer implements Renderer {
 
   private constructor(
     private readonly device: GPUDevice, private readonly pass: Pass, private readonly layout: Layout,
-    private readonly caches: Map<Decoder, [GridCache, GridCache]>,
+    private readonly grids: Grids,
   ) {
     this.transfer = filledBuffer(device, colourTable("grey"), GPUBufferUsage.STORAGE);
   }
@@ -42,7 +41,7 @@ export class VolumeRenderer implements Renderer {
     const pass = await Pass.make(device, {
       entry: "shade_volume", struct: "VolumeFrame", shaders: ["volume"], bindings: ["storage", "texture-3d", "store-2d"],
     });
-    return new VolumeRenderer(device, pass, layout, await makeCaches(device, decoders));
+    return new VolumeRenderer(device, pass, layout, await Grids.make(device, decoders, [...layout.views, ...layout.space, layout.channel]));
   }
 
   draw(side: Side, slot: 0 | 1, state: State, target: GPUTexture, budget: number): Progress {
@@ -51,7 +50,7 @@ export class VolumeRenderer implements Renderer {
     const groups = Array.from({ length: axes[z]!.size }, (_, k) => [state.position.map((place, n) => (
       n === z ? k : n === x || n === y || n === this.layout.time ? 0 : place))]);
     const time = this.layout.time === null ? null : { axis: this.layout.time, at: state.time };
-    const cache = this.caches.get(side.decoder)![slot];
+    const cache = this.grids.cache(side.decoder, slot);
     const { progress } = cache.fill({ level: side.level, x, y, time, groups }, budget);
     this.updateTransfer(state);
     this.pass.run(this.frame(state, axes, target), [this.transfer, cache.texture!, target],
@@ -62,7 +61,7 @@ export class VolumeRenderer implements Renderer {
   destroy(): void {
     this.pass.destroy();
     this.transfer.destroy();
-    destroyCaches(this.caches);
+    this.grids.destroy();
   }
 
   private updateTransfer({ volume: { colours, opacity } }: State): void {
