@@ -8,9 +8,11 @@ from contextlib import contextmanager
 from dataclasses import replace
 from math import isfinite, prod
 from typing import Any
+from warnings import warn
 
 from . import backends as kernels
 from .axes import Axis, mode_sizes
+from .backends import Device
 from .errors import invalid
 from .fit import EFFORTS
 from .follow import Task, follow
@@ -81,6 +83,7 @@ def compress(
     seed: int = 0,
     threads: int | None = None,
     max_memory: int | None = None,
+    device: str | Device = "cpu",
     progress: Progress | None = None,
     journal: Journal | None = None,
 ) -> Model:
@@ -103,6 +106,9 @@ def compress(
         threads: how many; None: all cores.
         max_memory: bytes to work in; None: half of what is free. A tensor too large for it is streamed, by way of
             scratch files in the folder for temporary files (``TMPDIR``).
+        device: ``cpu``; or ``cuda``, by which the kernels work on an NVIDIA GPU, through CuPy. Where there is none
+            that works it is the CPU, with a warning that says what is missing. Files of another device differ, by
+            rounding. Or what `backends.find_device` found, which then keeps count of kernel calls.
         progress: called with a stage's name and the fraction of it done.
         journal: keeps what is finished, so that an interrupted call can go on.
 
@@ -119,7 +125,8 @@ def compress(
     >>> model.shape, model.snr > 60
     ((32, 24), True)
     """
-    run = _run(quality, scheme, decode_cost, seed, threads, progress)
+    device = _found(device)
+    run = replace(_run(quality, scheme, decode_cost, seed, threads, progress), device=device.name)
     _check_goal(snr, size)
     if kind is not None and kind not in KINDS:
         raise invalid("unknown-kind", "kind", kind, ", ".join(KINDS))
@@ -132,9 +139,10 @@ def compress(
             run = replace(run, journal=journal)
             journal.begin(decisive(source, plan, organisation=organisation, snr=snr, size=size, kind=kind,
                                    decode_cost=decode_cost, quality=quality, scheme=scheme, seed=seed,
-                                   max_memory=max_memory))
+                                   max_memory=max_memory, device=device.described))
         plan = plan or run.journal.plan(lambda: _chosen(source, run, organisation, snr, size, decode_cost, max_memory))
-        return follow(Task(source, plan, scheme, decode_cost, kind or source.kind, run, max_memory))
+        with kernels.use(device):
+            return follow(Task(source, plan, scheme, decode_cost, kind or source.kind, run, max_memory))
 
 
 @contextmanager
@@ -151,6 +159,16 @@ def _threads(count: int) -> Generator[None]:
             yield
     finally:
         kernels.set_threads(0)
+
+
+def _found(wanted: str | Device) -> Device:
+    """The device, or the CPU with a warning."""
+    if isinstance(wanted, Device):
+        return wanted
+    device = kernels.find_device(wanted)
+    if device.missing:
+        warn(device.missing, stacklevel=3)  # where `compress` was called
+    return device
 
 
 def _run(quality: str, scheme: str, decode_cost: int, seed: int, threads: int | None, progress: Progress | None) -> Run:

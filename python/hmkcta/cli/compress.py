@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 import click
 from numpy.typing import NDArray
 
+from ..backends import Device, find_device
 from ..encode import compress
 from ..hmkfile import check_output
 from ..model import Model
@@ -17,6 +19,7 @@ from .options import (
     File,
     OutputFile,
     apart,
+    device_option,
     json_option,
     overwrite_option,
     quiet_option,
@@ -43,9 +46,9 @@ SNR_SLACK = 0.005
 @goal_options
 @click.option("--kind", type=click.Choice(KINDS), metavar="NAME",
               help="What it shows: svbrdf, lightfield, volume, generic.")
-@together(resume_option, overwrite_option, json_option, quiet_option, verbose_option)
-def compress_command(source: str, output: str, plan: str | None, kind: str | None, resume: bool, overwrite: bool,
-                     as_json: bool, quiet: bool, verbose: bool, **options: Any) -> None:
+@together(device_option, resume_option, overwrite_option, json_option, quiet_option, verbose_option)
+def compress_command(source: str, output: str, plan: str | None, kind: str | None, device: str, resume: bool,
+                     overwrite: bool, as_json: bool, quiet: bool, verbose: bool, **options: Any) -> None:
     """Compress the array SRC (.npy, .npz or raw binary).
 
     Exit code 7: the goal was not reached, the file is the best found.
@@ -53,19 +56,24 @@ def compress_command(source: str, output: str, plan: str | None, kind: str | Non
     goal = goal_from(options)
     check_output(output, overwrite)
     apart(source, output)
+    where = find_device(device)
+    if where.missing:
+        click.echo(f"hmkcta: {where.missing}", err=True)
     with Progress(quiet or as_json) as progress, journal_beside(output, resume, overwrite) as journal:
         if resume and not journal.holds_work:
             click.echo(f"hmkcta: there is nothing in {journal.folder} to go on with: it begins anew.", err=True)
         array = goal.open(source)
-        model = compress(array, plan, snr=goal.snr, size=goal.size, kind=kind, progress=progress, journal=journal,
-                         **goal.settings)
+        model = compress(array, plan, snr=goal.snr, size=goal.size, kind=kind, device=where, progress=progress,
+                         journal=journal, **goal.settings)
         model.save(output, overwrite=overwrite)
-    report = {**describe(model, array, progress), "nodes_resumed": journal.found}
+    report = {**describe(model, array, progress), "device": asdict(where), "nodes_resumed": journal.found}
     missed = missed_goal(model, goal)
     if as_json:
         emit({"output": output, **report, "reached": missed is None})
     elif not quiet:
         click.echo(as_text(report))
+        if where.name != "cpu":
+            click.echo(on_device(where))
         click.echo(f"{output}: {model!r}")
         if verbose:
             click.echo("\n".join(f"  {stage}: {seconds(time)}" for stage, time in progress.stages.items()), err=True)
@@ -97,6 +105,12 @@ def as_text(report: dict[str, Any]) -> str:
     whole = table(["level", "SNR dB", "MiB", "ratio", "decode cost", "seconds"], rows)
     resumed = f" {report['nodes_resumed']} nodes were finished before." if report["nodes_resumed"] else ""
     return f"{whole}\nAll of it took {seconds(report['seconds'])}.{resumed}"
+
+
+def on_device(device: Device) -> str:
+    """What the GPU did."""
+    calls = device.calls + device.calls_on_cpu
+    return f"{device.described}: {device.calls} of {calls} kernel calls; smaller ones are faster on the CPU."
 
 
 def missed_goal(model: Model, goal: Goal) -> str | None:
