@@ -139,6 +139,17 @@ def test_the_default_goal_leaves_room_for_long_modes(shape: tuple[int, ...], org
     assert compress(array, organisation=organisation, quality="fast").snr > 10
 
 
+def test_what_has_one_long_mode_takes_two_bytes_a_row_at_rank_one() -> None:
+    """The long mode has no basis: its rows lie in the core, without cluster numbers, and cost no second factor."""
+    signal = np.sin(np.arange(20_000) / 50)
+    one, two = compress(signal), compress(np.stack([signal, np.cos(np.arange(20_000) / 50)]), snr=60.0)
+    assert [one.metadata.undecomposed, two.metadata.undecomposed] == [(0,), (1,)]
+    assert one.snr > 60
+    assert one.nbytes < 2 * 20_000 + 2048
+    assert two.nbytes < 4 * 20_000 + 3072
+    assert two.decode_cost == 2
+
+
 def test_the_default_goal_spends_no_bytes_beyond_50_db() -> None:
     ramp = np.add.outer(np.arange(200.0), np.arange(300.0)) + 40.0 * np.outer(np.sin(np.arange(200)), np.ones(300))
     model = compress(ramp, threads=1)
@@ -214,11 +225,13 @@ def test_own_ranks_with_clusters_need_a_grid() -> None:
 
 @pytest.mark.parametrize("plan", [None, "R<=8", "R=1 grid=y:2,x:2 / R<=8"])
 def test_a_size_below_the_tables_names_the_least(plan: str | None) -> None:
+    """What is named as the least is enough, and a byte less is not."""
     error = refused(plan=plan, size=700, quality="fast", axes=dataset("light_field").axes)
     assert error.reason == "size-too-small"
     least = int("".join(filter(str.isdigit, str(error.allowed).split("bytes")[0])))
-    if plan is not None:  # what is named as the least is enough
-        assert fitted("light_field", plan=plan, size=least, quality="fast").nbytes <= least
+    assert fitted("light_field", plan=plan, size=least, quality="fast").nbytes <= least
+    again = refused(plan=plan, size=least - 1, quality="fast", axes=dataset("light_field").axes)
+    assert again.allowed == error.allowed
 
 
 def test_an_snr_out_of_reach_is_tried_and_reported() -> None:

@@ -10,14 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hmkcta import compress
+from hmkcta import Axis, compress
 from hmkcta.errors import HmkctaError
+from hmkcta.filesize import predicted_bytes
 from hmkcta.fit import EFFORTS
 from hmkcta.forecast import forecast
 from hmkcta.memory import drop_pages
 from hmkcta.plan import parse_plan
-from hmkcta.predict import predicted_bytes
 from hmkcta.readers import open_array
+from hmkcta.source import described
 
 SIDE = 72
 MODES = tuple((f"axis{n}",) for n in range(4))
@@ -27,7 +28,7 @@ MODES = tuple((f"axis{n}",) for n in range(4))
 PROGRAM = """
 import json, re, resource, sys
 from pathlib import Path
-from hmkcta import compress
+from hmkcta import Axis, compress
 from hmkcta.readers import open_array
 path, plan, memory = sys.argv[1:]
 model = compress(open_array(path), plan, quality="fast", scheme="most", threads=2, max_memory=int(memory) or None)
@@ -89,12 +90,35 @@ def test_a_plan_costs_more_time_the_more_it_does() -> None:
     assert seconds == sorted(set(seconds))
 
 
-@pytest.mark.parametrize("plan", ["R=3", "R=2 C=2 K=2", "R=2 C=2 K=1 / R=1 C=2 K=1", "R=2 / R=2 C=2 K=1 / R=1"])
-def test_bytes_are_what_was_said(plan: str) -> None:
-    """Where no node is empty: of random numbers none is. All but digits of numbers in the header is counted exactly."""
+BYTES = [
+    "R=3",
+    "R=2 C=2 K=2",
+    "R=2,2,2,*",
+    "R=2 C=2 K=1 / R=1 C=2 K=1",
+    "R=2 / R=2 C=2 K=1 / R=1",
+    "R=2,3,*,* C=2,2,1,1 K=2 / R=1,1,*,* C=3,2,1,1",
+    "R=1 grid=axis0:3,axis1:2 / R=6",
+]
+
+
+@pytest.mark.parametrize("plan", BYTES)
+@pytest.mark.parametrize("scheme", ["uniform", "auto"])
+def test_bytes_are_what_was_said(plan: str, scheme: str, tmp_path: Path) -> None:
+    """To the byte, where no node is empty: of random numbers none is."""
     values = np.random.default_rng(0).standard_normal((16, 16, 16, 16), np.float32)
-    model = compress(values, plan, quality="fast", scheme="uniform")
-    assert predicted_bytes(parse_plan(plan, MODES), values.shape) == pytest.approx(model.nbytes, abs=120)
+    model = compress(values, plan, quality="fast", scheme=scheme, seed=123456)
+    model.save(tmp_path / "a.hmk")
+    said = predicted_bytes(parse_plan(plan, MODES), described(values), seed=123456)
+    assert said == model.nbytes == (tmp_path / "a.hmk").stat().st_size
+
+
+def test_bytes_are_what_was_said_of_coordinates_transforms_and_merged_axes() -> None:
+    values = np.random.default_rng(0).random((5, 80, 30), np.float32)
+    axes = [Axis("light", 5, coords=np.arange(5) / 3), Axis("x", 80, coords=np.arange(80.0)), Axis("y", 30)]
+    source = described(values, axes, "log1p")
+    plan = parse_plan("R=3 grid=x:3,y:4", source.organisation("light, y+x"))
+    model = compress(values, plan, axes=axes, transform="log1p")
+    assert predicted_bytes(plan, source) == model.nbytes
 
 
 def test_less_memory_than_anything_needs_is_refused(waves: Path) -> None:

@@ -17,7 +17,7 @@ from .errors import invalid
 from .fit import EFFORTS
 from .follow import Task, follow
 from .hierarchy import Progress, Run
-from .hmkfile.metadata import KINDS
+from .hmkfile import KINDS
 from .journal import Journal, decisive
 from .memory import check_memory
 from .model import Model

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import inf, isinf, log10, prod
+from math import prod
 
 import numpy as np
 
-from ._version import __version__
 from .adaptive import Goal, fit_to_goal
 from .axes import mode_sizes
 from .errors import invalid
+from .filesize import metadata_of, undecomposed_in
 from .fit import EFFORTS
 from .hierarchy import (
     Hierarchy,
@@ -29,16 +29,14 @@ from .hierarchy import (
 from .hmkfile import encoded_size
 from .measure import measure_both
 from .measure_streamed import measure_streamed
+from .metrics import snr_db
 from .model import Model
 from .pack import bounds, pack_levels
 from .packed import LevelQuality, Metadata, PackedLevel
 from .plan import SCHEMES, LevelSpec, Plan, check_plan
-from .predict import HEADER_SLACK, is_streamed, memory_limit
+from .predict import is_streamed, memory_limit
 from .source import Source
 from .streamed import Streamed
-
-#: Stand-in for the quality figures, not known while the file's size is counted: numbers with as many digits.
-_UNKNOWN = LevelQuality(100 / 3, 1 / 3, 1 / 3)
 
 
 @dataclass(frozen=True)
@@ -97,7 +95,7 @@ def _begun(task: Task) -> tuple[Hierarchy, Goal]:
     energy = 0.0 if task.plan.snr is None and task.plan.size is None else tree.error
 
     def file_bytes(tree: Hierarchy) -> int:
-        return encoded_size(*_described(task, tree)) + HEADER_SLACK
+        return encoded_size(*_described(task, tree))
 
     return tree, Goal(task.plan.size, task.plan.snr, energy, file_bytes, lambda tree: _snr(task, tree, energy))
 
@@ -131,7 +129,7 @@ def _snr(task: Task, tree: Hierarchy, energy: float) -> float:
     """SNR in dB, in the domain of the source values."""
     transform = task.source.value_transform
     if transform.name == "identity":
-        return _decibels(energy, tree.error)
+        return snr_db(energy, tree.error)
     if isinstance(tree.residual, Streamed):
         return measure_streamed(tree, tree.residual, task.run.progress)[0][-1].snr_db
     error = energy = 0.0
@@ -140,33 +138,19 @@ def _snr(task: Task, tree: Hierarchy, energy: float) -> float:
         original = transform.inverse(unit * values)
         energy += float(np.square(original).sum())
         error += float(np.square(original - transform.inverse(unit * (values - left))).sum())
-    return _decibels(energy, error)
-
-
-def _decibels(energy: float, error: float) -> float:
-    return inf if error == 0 else -inf if energy == 0 else 10 * log10(energy / error)
+    return snr_db(energy, error)
 
 
 def _described(
-    task: Task, tree: Hierarchy, quality: Sequence[LevelQuality] | None = None
+    task: Task,
+    tree: Hierarchy,
+    quality: Sequence[LevelQuality] | None = None,
+    transformed: Sequence[LevelQuality] | None = None,
 ) -> tuple[Metadata, tuple[PackedLevel, ...]]:
-    undecomposed = tuple(n for n, rank in enumerate(task.plan.levels[0].ranks) if rank is None)
-    levels = pack_levels(tree.levels, undecomposed, task.source.unit)
+    levels = pack_levels(tree.levels, undecomposed_in(task.plan), task.source.unit)
     schemes = [tree.schemes[number] if number < len(tree.schemes) else "most" for number in range(len(levels))]
-    metadata = Metadata(
-        source_dtype=task.source.dtype,
-        axes=task.source.axes,
-        organisation=task.plan.organisation,
-        levels=tuple(bounds(level, scheme) for level, scheme in zip(levels, schemes, strict=True)),
-        undecomposed=undecomposed,
-        kind=task.kind,
-        transform=task.source.transform,
-        quality=tuple(quality or [_UNKNOWN] * len(levels)),
-        source=task.source.fingerprint,
-        writer=f"hmkcta {__version__}",
-        seed=task.run.seed,
-    )
-    return metadata, levels
+    tops = [bounds(level, scheme) for level, scheme in zip(levels, schemes, strict=True)]
+    return metadata_of(task.source, task.plan, tops, task.kind, task.run.seed, quality, transformed), levels
 
 
 def _measured(task: Task, tree: Hierarchy) -> Model:
@@ -177,10 +161,7 @@ def _measured(task: Task, tree: Hierarchy) -> Model:
         quality, transformed = measure_streamed(tree, tree.residual, task.run.progress)
     else:
         quality, transformed = measure_both(model, source.array, nan=source.nan, progress=task.run.progress)
-    if source.value_transform.name != "identity":
-        in_its_domain = [None if isinf(level.snr_db) else round(level.snr_db, 6) for level in transformed]
-        metadata = replace(metadata, source={**metadata.source, "transformed_snr_db": in_its_domain})
-    measured = Model(replace(metadata, quality=quality), levels)
+    measured = Model(_described(task, tree, quality, transformed)[0], levels)
     if task.plan.size is not None and measured.nbytes > task.plan.size:
         found, allowed = f"{task.plan.size} bytes", f"at least {measured.nbytes} bytes for this plan"
         raise invalid("size-too-small", "size", found, allowed, "end the plan with a level R<=.. that fills the size")

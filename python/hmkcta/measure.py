@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from math import inf, log10
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from .axes import mode_rows, organise
 from .decode import add_level
 from .errors import invalid
+from .metrics import snr_db
 from .model import Model
 from .packed import LevelQuality
 from .slabs import slabs
@@ -62,10 +62,8 @@ class Sums:
 
     def quality(self) -> tuple[LevelQuality, ...]:
         """An exact reconstruction has an infinite SNR, whatever its signal."""
-        snr = [inf if noise == 0 else 10 * log10(self.signal / noise) if self.signal > 0 else -inf
-               for noise in self.noise]
-        return tuple(LevelQuality(db, (noise / self.count) ** 0.5, most)
-                     for db, noise, most in zip(snr, self.noise, self.largest, strict=True))
+        return tuple(LevelQuality(snr_db(self.signal, noise), (noise / self.count) ** 0.5, most)
+                     for noise, most in zip(self.noise, self.largest, strict=True))
 
 
 def measure(model: Model, source: Any, *, nan: float | None = None, progress: Progress | None = None,

@@ -20,7 +20,7 @@ from .hmkfile import encoded_size, load, save
 from .indexing import Index, Selection, select
 from .memory import available_memory, check_memory, format_bytes
 from .packed import LevelBounds, LevelQuality, Metadata, PackedLevel
-from .plan import LevelSpec, Plan
+from .plan import LevelSpec, Plan, multiply_adds
 from .slabs import slabs
 from .transform import from_json
 
@@ -137,7 +137,7 @@ class Model:
         axes = " ".join(f"{axis.name}={axis.size}" for axis in self.metadata.axes)
         levels = "1 level" if len(self.levels) == 1 else f"{len(self.levels)} levels"
         return (f"<hmkcta.Model {axes}: {levels}, {self.snr:.2f} dB, {format_bytes(self.nbytes)}, "
-                f"{self.decode_cost} multiply-adds an element>")
+                f"{multiply_adds(self.decode_cost)} an element>")
 
     def save(self, path: str | os.PathLike[str], overwrite: bool = False) -> None:
         """Write the file, atomically.

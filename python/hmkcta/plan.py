@@ -123,6 +123,15 @@ class LevelSpec:
         return text
 
 
+def multiply_adds(cost: int) -> str:
+    """A decode cost for people.
+
+    >>> multiply_adds(1), multiply_adds(576)
+    ('1 multiply-add', '576 multiply-adds')
+    """
+    return f"{cost} multiply-add{'' if cost == 1 else 's'}"
+
+
 def parse_level(text: str, organisation: Organisation, scheme: str = "most") -> LevelSpec:
     """Read one level, e.g. ``R=2,2,3,* C=4,3,4,1 K=2``, ``R=1 grid=y:4,x:6`` or ``R<=8,8,8,*``.
 

@@ -138,27 +138,33 @@ class Source:
         return next(number for number, axis in enumerate(self.axes) if axis.name == name)
 
 
-def prepare(array: Any, axes: Sequence[Axis] | Sequence[str] | None, transform: str, nan: float | None) -> Source:
-    """Check an array and describe it.
+def described(array: Any, axes: Sequence[Axis] | Sequence[str] | None = None, transform: str = "identity") -> Source:
+    """An array with its description; its values are not looked at, so its fingerprint is a stand-in.
 
     Raises:
-        HmkctaError: not an array of 1 to 8 axes of real numbers, empty, not finite with `nan` None, beyond float32's
-            range, names that do not fit, or values outside the transform's domain.
+        HmkctaError: not an array of 1 to 8 axes of real numbers, empty, names that do not fit, or no such transform.
     """
     array = cast(NDArray[Any], np.asanyarray(array))
     if array.dtype.kind not in "fiu":
         raise invalid("dtype", "array", f"dtype {array.dtype}", "floating point or integers")
     if not 1 <= array.ndim <= 8 or array.size == 0:
         raise invalid("array-shape", "array", f"shape {array.shape}", "1 to 8 axes, none of them empty")
-    named = _named(array.shape, axes)
+    named, dtype = _named(array.shape, axes), array.dtype.newbyteorder("=").name
+    return Source(array, named, dtype, None, parse(transform), {"sha256": "0" * 64})
+
+
+def prepare(array: Any, axes: Sequence[Axis] | Sequence[str] | None, transform: str, nan: float | None) -> Source:
+    """Describe an array and check its values.
+
+    Raises:
+        HmkctaError: what `described` raises; values that are not finite with `nan` None, beyond float32's range, or
+            outside the transform's domain.
+    """
+    source = described(array, axes, transform)
     if nan is not None and not abs(nan) <= _LARGEST:
         raise invalid("nan-fill", "nan", nan, f"a number, its magnitude up to {_LARGEST:.0e}")
-    digest, bad = _scan(array, nan)
-    value_transform = parse(transform)
-    fingerprint = {"sha256": digest}
-    source = Source(
-        array, named, array.dtype.newbyteorder("=").name, nan if bad else None, value_transform, fingerprint
-    )
+    digest, bad = _scan(source.array, nan)
+    source = replace(source, nan=nan if bad else None, fingerprint={"sha256": digest})
     with ThreadPoolExecutor() as pool:
         peak = max(pool.map(source.peak, source.parts(_SLAB)))
     return replace(source, unit=2.0 ** float(np.floor(np.log2(peak))) if peak > 0 else 1.0)

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import combinations
-from math import inf, log2, log10, prod
+from math import inf, log2, prod
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .adaptive import summed, table_limits
-from .allocation import Allocation, Spectrum, allocate, spectrum
+from .allocation import Allocation, Spectrum, allocate, empty_node_bytes, node_bytes, spectrum
 from .axes import Axis, Organisation, mode_sizes, organise
+from .filesize import planned_bytes
 from .hierarchy import squared_norm
-from .hmkfile.metadata import axis_to_json, coords_array, coords_name
 from .memberships import uniform_blocks
-from .plan import LevelSpec
-from .predict import header_bytes
+from .metrics import snr_db
+from .plan import LevelSpec, Plan
 from .source import Source
 from .tucker import core_energies
 
@@ -28,17 +27,8 @@ F64 = NDArray[np.float64]
 
 #: Worse than any number of bytes, in octaves.
 OUT_OF_REACH = 1000.0
-#: Modes longer than this are never left undecomposed: their core would outgrow any basis.
-LONGEST_UNDECOMPOSED = 128
-#: Share of its rows that a mode's rank must take before leaving it undecomposed is tried.
-NEARLY_FULL = 0.25
-
-
-def axes_bytes(axes: Sequence[Axis]) -> int:
-    """What the axes take in a file, with their coordinates."""
-    described = json.dumps([axis_to_json(axis) for axis in axes], separators=(",", ":"))
-    apart = sum(coords_array(axis).nbytes + 180 for axis in axes if coords_name(axis))
-    return len(described) + described.count('"') + apart
+#: Modes up to this length are left undecomposed on trial if their rank takes this share of their rows.
+LONGEST_UNDECOMPOSED, NEARLY_FULL = 128, 0.25
 
 
 @dataclass(frozen=True)
@@ -103,9 +93,9 @@ class Trial:
         cut = _cut(self, organisation, grid, sample)
         if not cut.tensors:
             return []
-        found, kept = self._judged(cut, ())
+        found, ranks = self._judged(cut, ())
         best, helpful = _best(found), list[int]()
-        for n in _nearly_full(cut, kept):
+        for n in _promising(cut, ranks):
             alone = self._judged(cut, (n,))[0]
             helpful += [n] if _best(alone) > best else []
             found += alone
@@ -114,25 +104,37 @@ class Trial:
                 found += self._judged(cut, pair)[0]
         return found
 
-    def _judged(self, cut: _Cut, choice: tuple[int, ...]) -> tuple[list[tuple[float, Candidate]], F64]:
-        """Candidates that leave the chosen modes undecomposed, and the share R_n / I_n that each mode keeps."""
+    def _judged(self, cut: _Cut, choice: tuple[int, ...]) -> tuple[list[tuple[float, Candidate]], list[int]]:
+        """Candidates that leave the chosen modes undecomposed, and the ranks of the one without blocks."""
         order, tables = len(cut.sizes), list(self._tables(cut, choice))
-        about = axes_bytes(self.source.axes)
         flags = [n in choice for n in range(order)]
         energy = sum(energy for _, energy, _ in cut.tensors) / cut.share
         table = summed(tables) / cut.share
         whole = spectrum(table, energy, cut.sizes, flags, self.decode_cost, cut.clusters, hull=False)
-        worth, chosen = self._worth([whole], 1.0, header_bytes(order, 1) + about)
-        found = [(worth, Candidate(cut.organisation, cut.grid, choice, carried=False))]
-        kept = whole.ranks[chosen.choice[0]] / np.array(cut.sizes)
+        one = Candidate(cut.organisation, cut.grid, choice, carried=False)
+        worth, chosen = self._worth([whole], 1.0, self._beside(one, cut), single=True)
+        found = [(worth, one)]
+        ranks = [int(rank) for rank in whole.ranks[chosen.choice[0]]]
         if prod(cut.clusters) > 1 and self.decode_cost > 1:
             nodes = [
                 spectrum(table, energy, sizes, flags, self.decode_cost - 1)
                 for table, (_, energy, sizes) in zip(tables, cut.tensors, strict=True)
             ]
-            fixed = header_bytes(order, 2) + about + carrier_bytes(cut.sizes, cut.clusters, choice)
-            found.append((self._worth(nodes, cut.share, fixed)[0], Candidate(cut.organisation, cut.grid, choice)))
-        return found, kept
+            many = Candidate(cut.organisation, cut.grid, choice)
+            found.append((self._worth(nodes, cut.share, self._beside(many, cut))[0], many))
+        return found, ranks
+
+    def _beside(self, candidate: Candidate, cut: _Cut) -> float:
+        """Bytes of the candidate's file besides what `spectrum` counts of its nodes: exactly, but for digits."""
+        whole = planned_bytes(plan_of(self.source, candidate, None, None, 1), self.source, seed=self.seed)
+        flags = [n in candidate.undecomposed for n in range(len(cut.sizes))]
+        ranks = np.where(flags, cut.sizes, 1).astype(np.int32)
+        if not candidate.carried:
+            return whole - float(node_bytes(cut.sizes, ranks, flags, cut.clusters))
+        nodes, stored = prod(cut.clusters), [n for n, flag in enumerate(flags) if not flag]
+        rows = sum(cut.sizes[n] * nodes // cut.clusters[n] for n in stored)
+        each = 2.0 * float(np.prod(ranks, dtype=np.float64)) + 4 + empty_node_bytes(len(ranks), len(stored))
+        return whole - nodes * each - 4 * rows
 
     def _tables(self, cut: _Cut, choice: tuple[int, ...]) -> Iterator[F64]:
         """Energies of the HOSVD cores of the cut's tensors; a mode left undecomposed takes no room in them."""
@@ -147,10 +149,15 @@ class Trial:
         with ThreadPoolExecutor(self.threads) as pool:
             yield from pool.map(table, cut.tensors)
 
-    def _worth(self, spectra: Sequence[Spectrum], share: float, fixed: float) -> tuple[float, Allocation]:
+    def _worth(
+        self, spectra: Sequence[Spectrum], share: float, fixed: float, *, single: bool = False
+    ) -> tuple[float, Allocation]:
         energy = sum(float(s.error[0]) for s in spectra)
         if self.size is not None:
             chosen = allocate(spectra, nbytes=max(self.size - fixed, 0) * share)
+            least = fixed + sum(float(s.nbytes[int(single)]) for s in spectra) / share
+            if least > self.size:  # after all that fit, the smallest first
+                return -OUT_OF_REACH - log2(least), chosen
             worth = decibels(energy, chosen.error)
             if self.ceiling is None or worth <= self.ceiling:
                 return worth, chosen
@@ -165,17 +172,8 @@ class Trial:
 
 
 def decibels(signal: float, error: float) -> float:
-    """10 log10(signal / error), bounded by what float32 can tell."""
-    return 10 * log10(max(signal, 1e-300) / max(error, 1e-14 * signal, 1e-300))
-
-
-def carrier_bytes(sizes: Sequence[int], clusters: Sequence[int], undecomposed: Sequence[int]) -> float:
-    """What the first level costs that cuts the tensor into the grid's blocks: rank one everywhere."""
-    cells = prod(clusters)
-    stored = [n for n in range(len(sizes)) if n not in undecomposed]
-    core = cells * prod(sizes[n] for n in undecomposed)
-    basis = sum(sizes[n] * cells / clusters[n] for n in stored)
-    return 2 * (core + basis) + 4 * cells + 8 * sum(sizes[n] for n in stored)
+    """SNR, bounded by what float32 can tell."""
+    return snr_db(max(signal, 1e-300), max(error, 1e-14 * signal, 1e-300))
 
 
 def _cut(trial: Trial, organisation: Organisation, grid: tuple[int, ...], sample: int) -> _Cut:
@@ -200,15 +198,20 @@ def _best(found: Sequence[tuple[float, Candidate]]) -> float:
     return max(worth for worth, _ in found)
 
 
-def _nearly_full(cut: _Cut, kept: F64) -> Iterator[int]:
-    """Short modes without blocks that keep much of their rank: leaving them undecomposed may save their basis.
+def _promising(cut: _Cut, ranks: Sequence[int]) -> Iterator[int]:
+    """Modes without blocks that may be better left undecomposed than given the ranks of an HOSVD.
 
-    Thinned blocks would make that look far better than it is: few numbers are left for each of the mode's rows.
+    Short ones that keep much of their rank, which frees multiply-adds for other modes; and those whose rows times the
+    other ranks are hardly more numbers than their basis takes: one mode of every matrix.
     """
-    if cut.thinned:
-        return
-    for n, (size, clusters) in enumerate(zip(cut.sizes, cut.clusters, strict=True)):
-        if 1 < size <= LONGEST_UNDECOMPOSED and clusters == 1 and kept[n] >= NEARLY_FULL and len(cut.sizes) > 1:
+    others = prod(ranks)
+    for n, (size, clusters, rank) in enumerate(zip(cut.sizes, cut.clusters, ranks, strict=True)):
+        if clusters > 1 or rank == 0 or (size == 1 and len(cut.sizes) > 1):
+            continue
+        core, basis = size * (others // rank), size * (rank + 1)
+        # Thinned blocks flatter it: few numbers are left for each of the mode's rows.
+        short = not cut.thinned and size <= LONGEST_UNDECOMPOSED and rank >= NEARLY_FULL * size
+        if (short and len(cut.sizes) > 1) or core <= basis + others:
             yield n
 
 
@@ -250,3 +253,19 @@ def _thinning(lengths: Sequence[int], limit: int) -> list[int]:
 
 def _resized(axes: Sequence[Axis], sizes: Sequence[int]) -> tuple[Axis, ...]:
     return tuple(Axis(axis.name, int(size), axis.role) for axis, size in zip(axes, sizes, strict=True))
+
+
+def plan_of(source: Source, best: Candidate, snr: float | None, size: int | None, decode_cost: int) -> Plan:
+    """The candidate as a plan: blocks are cells of one level, or nodes below a first level of rank one."""
+    sizes = mode_sizes(source.axes, best.organisation)
+    ones = (1,) * len(sizes)
+    grid = tuple((axis.name, count) for axis, count in zip(source.axes, best.grid, strict=True) if count > 1)
+    counts = dict(grid)
+    clusters = tuple(prod(counts.get(name, 1) for name in mode) for mode in best.organisation)
+    most = tuple(None if n in best.undecomposed else min(i, decode_cost, 1024) for n, i in enumerate(sizes))
+    if not grid:
+        return Plan(best.organisation, (LevelSpec(most, ones, ones, own=True),), snr, size)
+    if not best.carried:
+        return Plan(best.organisation, (LevelSpec(most, clusters, ones, "most", grid, own=True),), snr, size)
+    carrier = LevelSpec(tuple(None if rank is None else 1 for rank in most), clusters, ones, "most", grid)
+    return Plan(best.organisation, (carrier, LevelSpec(most, ones, ones, own=True)), snr, size)

@@ -14,11 +14,13 @@ from math import prod
 
 import numpy as np
 
-from .axes import Axis, Organisation, mode_sizes
+from .axes import Axis, Organisation
+from .errors import invalid
+from .filesize import planned_bytes
 from .hierarchy import Progress, Run
-from .plan import LevelSpec, Plan
+from .plan import Plan
 from .source import Source
-from .trial import Candidate, Trial
+from .trial import OUT_OF_REACH, Candidate, Trial, plan_of
 
 #: Elements looked at for a candidate: to rank organisations, to rank grids, and to settle the blocks.
 SURVEY, COMPARE, REFINE = (1 << 17, 1 << 19), 1 << 20, 1 << 23
@@ -75,7 +77,13 @@ def tune(
     choices = list(organisations(source.axes)) if organisation is None else [organisation]
     search = Search(Trial(source, snr, size, ceiling, decode_cost, run.seed, run.threads, energy), choices[0])
     finalists = _finalists(search, choices, run.progress)
-    best = _settled(search, [candidate for _, candidate in finalists], run.progress)
+    worth, best = _settled(search, [candidate for _, candidate in finalists], run.progress)
+    if size is not None and worth <= -OUT_OF_REACH:
+        least = planned_bytes(plan_of(source, best, None, None, 1), source, seed=run.seed)
+        if ceiling is None:
+            allowed = f"at least {least} bytes for an array of {prod(source.shape)} elements"
+            raise invalid("size-too-small", "size", f"{size} bytes", allowed, "ask for more, or merge axes")
+        size = least
     if ceiling is not None and finalists[0][0] > ceiling:
         snr, size = ceiling, None  # what fills the bytes beyond the ceiling reaches it with fewer
     return plan_of(source, best, snr, size, decode_cost)
@@ -102,7 +110,7 @@ def _finalists(search: Search, choices: Sequence[Organisation], progress: Progre
     return ranked[:FINALISTS]
 
 
-def _settled(search: Search, finalists: Sequence[Candidate], progress: Progress) -> Candidate:
+def _settled(search: Search, finalists: Sequence[Candidate], progress: Progress) -> tuple[float, Candidate]:
     """On a large sample, climb on from the best of the finalists.
 
     Large blocks were thinned so far, which says little about modes left undecomposed and flatters high ranks: few
@@ -119,7 +127,7 @@ def _settled(search: Search, finalists: Sequence[Candidate], progress: Progress)
         progress("finer choice of blocks", (number + 0.5) / CLIMBS)
         climbed.append(_climbed(search, candidate, REFINE))
     progress("finer choice of blocks", 1.0)
-    return max(climbed, key=_worth)[1]
+    return max(climbed, key=_worth)
 
 
 def _worth(item: tuple[float, Candidate]) -> float:
@@ -196,19 +204,3 @@ def _partitions(names: list[str]) -> Iterator[list[list[str]]]:
         yield [[names[0]], *rest]
         for n, mode in enumerate(rest):
             yield [*rest[:n], [names[0], *mode], *rest[n + 1 :]]
-
-
-def plan_of(source: Source, best: Candidate, snr: float | None, size: int | None, decode_cost: int) -> Plan:
-    """The candidate as a plan: blocks are cells of one level, or nodes below a first level of rank one."""
-    sizes = mode_sizes(source.axes, best.organisation)
-    ones = (1,) * len(sizes)
-    grid = tuple((axis.name, count) for axis, count in zip(source.axes, best.grid, strict=True) if count > 1)
-    counts = dict(grid)
-    clusters = tuple(prod(counts.get(name, 1) for name in mode) for mode in best.organisation)
-    most = tuple(None if n in best.undecomposed else min(i, decode_cost, 1024) for n, i in enumerate(sizes))
-    if not grid:
-        return Plan(best.organisation, (LevelSpec(most, ones, ones, own=True),), snr, size)
-    if not best.carried:
-        return Plan(best.organisation, (LevelSpec(most, clusters, ones, "most", grid, own=True),), snr, size)
-    carrier = LevelSpec(tuple(None if rank is None else 1 for rank in most), clusters, ones, "most", grid)
-    return Plan(best.organisation, (carrier, LevelSpec(most, ones, ones, own=True)), snr, size)

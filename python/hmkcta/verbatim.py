@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from .axes import deorganise, organise
 from .errors import HmkctaError, Kind, invalid
+from .metrics import snr_db
 from .packed import LevelBounds, LevelQuality, Metadata, PackedLevel
 
 #: What the viewer's GPU image may take, less than the 640 MiB of its five pages.
@@ -77,5 +78,4 @@ def _quality(values: NDArray[np.float32], difference: NDArray[np.float32]) -> Le
     """Of what float16 makes of the values."""
     error = float(np.square(difference, dtype=np.float64).sum())
     power = float(np.square(values, dtype=np.float64).sum())
-    snr = float("inf") if error == 0 else float(10 * np.log10(power / error))
-    return LevelQuality(snr, (error / values.size) ** 0.5, float(np.abs(difference).max(initial=0)))
+    return LevelQuality(snr_db(power, error), (error / values.size) ** 0.5, float(np.abs(difference).max(initial=0)))

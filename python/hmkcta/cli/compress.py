@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from ..backends import Device, find_device
 from ..encode import compress
-from ..hmkfile import check_output
+from ..hmkfile import KINDS, check_output
 from ..model import Model
 from .failure import Exit
-from .goal import KINDS, Goal, goal_from, goal_options
+from .goal import Goal, goal_from, goal_options
 from .options import (
     Command,
     File,

@@ -11,24 +11,21 @@ import click
 from numpy.typing import NDArray
 
 from ..axes import format_organisation
-from ..plan import Plan
+from ..fit import EFFORTS
+from ..plan import SCHEMES, Plan
 from ..readers import open_array
 from .options import ByteSize, Count, Names, memory_option, nan_option, source_options, together
-
-QUALITIES = ("fast", "medium", "thorough")
-SCHEMES = ("auto", "most", "least", "uniform")
-KINDS = ("svbrdf", "lightfield", "volume", "generic")
 
 goal_options = together(
     click.option("--snr", type=float, metavar="DB", help="Goal: this signal-to-noise ratio, few bytes."),
     click.option("--size", type=ByteSize(), metavar="SIZE", help="Goal: the best in this size: 20MiB, 500KB."),
     click.option("--decode-cost", type=Count(1), default=4096, metavar="N",
                  help="Multiply-adds for an element, at most (4096)."),
-    click.option("--quality", type=click.Choice(QUALITIES), default="medium", metavar="NAME",
+    click.option("--quality", type=click.Choice(list(EFFORTS)), default="medium", metavar="NAME",
                  help="Effort: fast, medium (default) or thorough."),
     click.option("--plan", "plan", metavar="TEXT", help="Levels to fit: R=.. C=.. K=.. / R=.. C=.. K=.."),
     click.option("--organisation", metavar="TEXT", help='Axes into modes: "light+rgb, view, y+x".'),
-    click.option("--scheme", type=click.Choice(SCHEMES), default="auto", metavar="NAME",
+    click.option("--scheme", type=click.Choice(["auto", *SCHEMES]), default="auto", metavar="NAME",
                  help="Subdivision: auto, most, least or uniform."),
     click.option("--axes", type=Names(), metavar="A,B,..", help="Names of the axes: light,view,y,x,rgb."),
     click.option("--transform", default="identity", metavar="NAME",

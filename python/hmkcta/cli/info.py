@@ -14,6 +14,7 @@ from ..memory import format_bytes
 from ..model import Model
 from ..model import open as open_model
 from ..packed import PackedLevel
+from ..plan import multiply_adds
 from .options import Command, file_argument, json_option, verbose_option
 from .output import decibels, emit, table
 
@@ -110,7 +111,7 @@ def as_text(report: dict[str, Any], verbose: bool) -> str:
         f"  axes          {axes}",
         f"  organisation  {report['organisation']}",
         f"  transform     {transform}",
-        f"  decode cost   {report['decode_cost']} multiply-adds an element",
+        f"  decode cost   {multiply_adds(report['decode_cost'])} an element",
         f"  size          {format_bytes(parts['file'])}, {_share(report['ratio'])} the source: numbers "
         f"{format_bytes(parts['numbers'])}, tables {format_bytes(parts['tables'])}, "
         f"header {format_bytes(parts['header'])}",

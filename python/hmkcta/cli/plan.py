@@ -9,14 +9,16 @@ from typing import Any
 
 import click
 
-from ..axes import Axis, format_organisation, mode_sizes, name_axes, parse_organisation, separate
+from ..axes import format_organisation, mode_sizes
 from ..encode import choose_plan
+from ..filesize import predicted_bytes
 from ..fit import EFFORTS
 from ..forecast import Forecast, forecast
 from ..memory import format_bytes
-from ..plan import Plan, check_plan, parse_plan
-from ..predict import predicted_bytes
+from ..plan import Plan, check_plan, multiply_adds, parse_plan
 from ..scratch import scratch_folder
+from ..source import Source
+from ..source import described as describe_source
 from .goal import Goal, command_for, goal_from, goal_options
 from .options import Command, File, json_option, quiet_option, together, verbose_option
 from .output import emit, seconds, table
@@ -38,14 +40,13 @@ def plan_command(source: str, plan: str | None, as_json: bool, quiet: bool, verb
     del verbose
     goal = goal_from(options)
     array = goal.open(source)
-    axes = name_axes(array.shape, goal.settings["axes"])
+    described = describe_source(array, goal.settings["axes"], goal.settings["transform"])
     with Progress(quiet or as_json) as progress:
         if plan is not None:
-            chosen = given_plan(plan, axes, goal)
+            chosen = given_plan(plan, described, goal)
         else:
             chosen = choose_plan(array, snr=goal.snr, size=goal.size, progress=progress, **goal.settings)
-    cost = expected(chosen, axes, goal)
-    report = describe(chosen, axes, goal.settings["decode_cost"], cost)
+    report = describe(chosen, described, goal)
     report["command"] = command_for(source, "OUT.hmk", chosen, goal)
     report["seconds"] = round(progress.elapsed, 3)
     if as_json:
@@ -54,35 +55,35 @@ def plan_command(source: str, plan: str | None, as_json: bool, quiet: bool, verb
         click.echo(as_text(report))
 
 
-def given_plan(text: str, axes: tuple[Axis, ...], goal: Goal) -> Plan:
+def given_plan(text: str, source: Source, goal: Goal) -> Plan:
     """The plan of --plan, as `compress` reads it."""
-    written, scheme = goal.settings["organisation"], goal.settings["scheme"]
-    organisation = separate(axes) if written is None else parse_organisation(written, axes)
+    organisation, scheme = source.organisation(goal.settings["organisation"]), goal.settings["scheme"]
     plan = parse_plan(text, organisation, "most" if scheme == "auto" else scheme)
     plan = replace(plan, snr=goal.snr, size=goal.size)
-    check_plan(plan, mode_sizes(axes, organisation))
+    check_plan(plan, mode_sizes(source.axes, organisation))
     return plan
 
 
-def expected(plan: Plan, axes: tuple[Axis, ...], goal: Goal) -> Forecast:
+def expected(plan: Plan, source: Source, goal: Goal) -> Forecast:
     """What following the plan will take, with the options given."""
     options = goal.settings
     threads = options["threads"] or os.cpu_count() or 1
     effort = EFFORTS[options["quality"]]
-    return forecast(plan, mode_sizes(axes, plan.organisation), effort, threads, options["max_memory"])
+    return forecast(plan, mode_sizes(source.axes, plan.organisation), effort, threads, options["max_memory"])
 
 
-def describe(plan: Plan, axes: tuple[Axis, ...], allowed_cost: int, cost: Forecast) -> dict[str, Any]:
-    """What the plan does and costs; `allowed_cost` bounds the levels whose nodes choose their ranks."""
-    sizes = mode_sizes(axes, plan.organisation)
-    costs: list[int] = []
+def describe(plan: Plan, source: Source, goal: Goal) -> dict[str, Any]:
+    """What the plan does and costs; --decode-cost bounds the levels whose nodes choose their ranks."""
+    sizes, cost = mode_sizes(source.axes, plan.organisation), expected(plan, source, goal)
+    allowed_cost, costs = goal.settings["decode_cost"], list[int]()
     for level in plan.levels:
         costs.append(min(level.decode_cost(), max(1, allowed_cost - sum(costs))) if level.own else level.decode_cost())
     return {
         "organisation": format_organisation(plan.organisation), "mode_sizes": list(sizes), "plan": str(plan),
         "levels": [{"level": number, "text": str(level), "search": level.search, "decode_cost": cost}
                    for number, (level, cost) in enumerate(zip(plan.levels, costs, strict=True), start=1)],
-        "snr": plan.snr, "size": plan.size, "predicted_bytes": predicted_bytes(plan, sizes),
+        "snr": plan.snr, "size": plan.size,
+        "predicted_bytes": predicted_bytes(plan, source, seed=goal.settings["seed"]),
         "decode_cost": sum(costs), "memory": cost.memory, "scratch": cost.scratch,
         "fitting_seconds": round(cost.seconds, 1), "source_bytes_float32": 4 * prod(sizes),
     }
@@ -101,7 +102,7 @@ def as_text(report: dict[str, Any]) -> str:
         f"organisation  {report['organisation']}  ({modes})",
         *([f"goal          {', '.join(goals)}"] if goals else []),
         f"bytes         {size}",
-        f"decode cost   up to {report['decode_cost']} multiply-adds an element",
+        f"decode cost   up to {multiply_adds(report['decode_cost'])} an element",
         f"memory        {format_bytes(report['memory'])}",
         *([f"scratch       {format_bytes(report['scratch'])} in {scratch_folder()}, set by TMPDIR"]
           if report["scratch"] else []),

@@ -142,15 +142,20 @@ def _check_coverage(entries: dict[str, Entry], data_start: int, size: int) -> No
         raise fault("trailing-bytes", "data", f"a file of {size} bytes", f"{data_start + position} bytes")
 
 
-def format_header(arrays: Mapping[str, tuple[str, tuple[int, ...]]], text: str, text_hash: str) -> bytes:
-    """Length and JSON of a header for arrays laid one after another in the given order, padded to 8 bytes."""
+def format_header(
+    arrays: Mapping[str, tuple[str, tuple[int, ...]]], text: str, text_hash: str, least: int = 0
+) -> bytes:
+    """Length and JSON of a header for arrays laid one after another in the given order.
+
+    It is padded to a multiple of 8 bytes, and to `least` bytes with its length.
+    """
     entries: dict[str, object] = {"__metadata__": {TEXT_KEY: text, HASH_KEY: text_hash}}
     begin = 0
     for name, (dtype, shape) in arrays.items():
         end = begin + prod(shape) * ITEM_SIZES[dtype]
         entries[name] = {"dtype": dtype, "shape": list(shape), "data_offsets": [begin, end]}
         begin = end
-    raw = format_json(entries).encode()
+    raw = format_json(entries).encode().ljust(least - LENGTH_BYTES)
     raw += b" " * (-len(raw) % LENGTH_BYTES)
     return len(raw).to_bytes(LENGTH_BYTES, "little") + raw
 

@@ -22,7 +22,7 @@ from .fields import Json, as_integer, as_list, as_map, as_number, as_object, as_
 from .header import ITEM_SIZES, parse_shape
 from .limits import Limits, check_limit
 from .reasons import fault
-from .schema import MAX_COORD_DIMENSIONS
+from .schema import MAX_COORD_DIMENSIONS, TYPE_NAMES, ArrayInfo
 
 VERSION = "1.0"
 KINDS = ("svbrdf", "lightfield", "volume", "generic")
@@ -78,6 +78,12 @@ def coords_array(axis: Axis) -> NDArray[Any]:
     if coords.dtype.kind not in "iufb":
         raise fault("field-type", f"coords of axis {axis.name!r}", coords.dtype, "numbers")
     return np.ascontiguousarray(coords, "<f4" if coords.dtype == np.float32 else "<f8")
+
+
+def coords_info(axis: Axis) -> ArrayInfo:
+    """Number type and shape of the array that holds an axis's coordinates."""
+    coords = coords_array(axis)
+    return ArrayInfo(TYPE_NAMES[coords.dtype], coords.shape)
 
 
 def to_json(metadata: Metadata, arrays: Mapping[str, ArrayRecord]) -> dict[str, Any]:

@@ -42,6 +42,8 @@ def prefix(level: int) -> str:
 def level_schema(order: int, undecomposed: Sequence[int], nodes: int, last: bool) -> Iterator[tuple[str, ArrayInfo]]:
     """Names (without prefix) and infos of the arrays of a level with S = `nodes`; -1 for a ragged length.
 
+    Those of one number type come in the order of the file.
+
     >>> sum(1 for _ in level_schema(4, (), 12, last=False)), sum(1 for _ in level_schema(4, (3,), 12, last=True))
     (34, 21)
     """
@@ -50,7 +52,7 @@ def level_schema(order: int, undecomposed: Sequence[int], nodes: int, last: bool
     if not last:
         yield "child", offsets
     yield from (("core", ArrayInfo("F16", ragged)), ("core_offset", offsets))
-    yield from (("core_scale", ArrayInfo("F32", ragged)), ("cell_offset", offsets))
+    yield from (("cell_offset", offsets), ("core_scale", ArrayInfo("F32", ragged)))
     for n in range(order):
         yield f"row_offset/{n}", offsets
         if n in undecomposed:
@@ -122,6 +124,13 @@ def arrays_of(levels: Sequence[PackedLevel], coords: Mapping[str, NDArray[Any]])
     numbers = [(prefix(level) + name, array) for level, packed in enumerate(levels, 1)
                for name, array in packed.coefficients()]
     return dict(sorted([*coords.items(), *tables], key=lambda item: -item[1].dtype.itemsize) + numbers)
+
+
+def in_file_order(arrays: Mapping[str, ArrayInfo]) -> dict[str, ArrayInfo]:
+    """The order of `arrays_of`, for arrays of which only type and shape are known, level by level."""
+    sizes = {name: -1 if info.dtype == "F16" else np.dtype(NUMPY_TYPES[info.dtype]).itemsize
+             for name, info in arrays.items()}
+    return dict(sorted(arrays.items(), key=lambda item: -sizes[item[0]]))
 
 
 def level_of(arrays: Mapping[str, NDArray[Any]], level: int, order: int) -> PackedLevel:

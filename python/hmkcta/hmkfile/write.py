@@ -5,24 +5,29 @@ from __future__ import annotations
 import hashlib
 import os
 import zlib
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any, TypeAlias
+from math import prod
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import HmkctaError, Kind, invalid
 from ..packed import Metadata, PackedLevel
-from .header import TEXT_KEY, format_header, format_json
+from ..plan import SCHEMES
+from .header import ITEM_SIZES, TEXT_KEY, format_header, format_json
 from .limits import DEFAULT_LIMITS, Limits
 from .metadata import ArrayRecord, coords_array, coords_name, to_json
 from .publish import check_output, published
 from .read import loads
 from .reasons import fault
-from .schema import LEVEL_TYPES, NUMPY_TYPES, TYPE_NAMES, ArrayInfo, arrays_of
+from .schema import LEVEL_TYPES, NUMPY_TYPES, TYPE_NAMES, ArrayInfo, arrays_of, in_file_order
 
 Piece: TypeAlias = bytes | memoryview
+
+#: A checksum with the most digits, and a figure with as many characters as one of nine digits and an exponent.
+_WIDEST_CRC, _WIDEST_FIGURE = 2**32 - 1, -1.23456789e-100
 
 
 def encode(metadata: Metadata, levels: Sequence[PackedLevel]) -> list[Piece]:
@@ -39,13 +44,42 @@ def encode(metadata: Metadata, levels: Sequence[PackedLevel]) -> list[Piece]:
         records = {name: ArrayRecord(*infos[name], zlib.crc32(piece))
                    for name, piece in zip(arrays, pieces, strict=True)}
         text = _metadata_text(metadata, records)
-        header = format_header(infos, text, hashlib.sha256(text.encode()).hexdigest())
+        header = format_header(
+            infos, text, hashlib.sha256(text.encode()).hexdigest(), least=header_size(metadata, infos)
+        )
     return [header, *pieces]
 
 
 def encoded_size(metadata: Metadata, levels: Sequence[PackedLevel]) -> int:
-    """Exact number of bytes of the file that `save` writes."""
-    return sum(len(piece) for piece in encode(metadata, levels))
+    """Exact number of bytes of the file that `save` writes; neither checksums nor quality change it."""
+    with _as_invalid_argument():
+        coords = {name: coords_array(axis) for axis in metadata.axes if (name := coords_name(axis)) is not None}
+        return file_size(metadata, {name: _info(name, array) for name, array in arrays_of(levels, coords).items()})
+
+
+def file_size(metadata: Metadata, arrays: Mapping[str, ArrayInfo]) -> int:
+    """Bytes of a file with these arrays, known before their values and the figures of quality are."""
+    numbers = sum(prod(shape) * ITEM_SIZES[dtype] for dtype, shape in arrays.values())
+    return header_size(metadata, in_file_order(arrays)) + numbers
+
+
+def header_size(metadata: Metadata, arrays: Mapping[str, ArrayInfo]) -> int:
+    """Bytes of the header, where all that is known only after a fit (checksums, figures of quality, subdivision) takes
+    the most room it usually may."""
+    records = {name: ArrayRecord(*info, _WIDEST_CRC) for name, info in arrays.items()}
+    text = _metadata_text(metadata, records, widest=True)
+    return len(format_header(arrays, text, "0" * 64))
+
+
+def _widest(value: Any) -> Any:
+    """A JSON value, its measured figures (null is one) replaced by texts as wide as such figures come."""
+    if isinstance(value, Mapping):
+        return {key: _widest(item) for key, item in cast("Mapping[str, Any]", value).items()}
+    if isinstance(value, list | tuple):
+        return [_widest(item) for item in cast("Sequence[Any]", value)]
+    if value is None or isinstance(value, float):
+        return value if len(repr(value)) > len(repr(_WIDEST_FIGURE)) else _WIDEST_FIGURE
+    return value
 
 
 def save(path: str | os.PathLike[str], metadata: Metadata, levels: Sequence[PackedLevel], *, overwrite: bool = False,
@@ -77,9 +111,13 @@ def _as_invalid_argument() -> Generator[None]:
         raise invalid(error.reason, error.where, error.found, error.allowed, error.hint) from error
 
 
-def _metadata_text(metadata: Metadata, records: dict[str, ArrayRecord]) -> str:
+def _metadata_text(metadata: Metadata, records: dict[str, ArrayRecord], *, widest: bool = False) -> str:
     try:
-        text = format_json(to_json(metadata, records))
+        described = to_json(metadata, records)
+        if widest:
+            described |= {field: _widest(described[field]) for field in ("quality", "source")}
+            described["levels"] = [{**level, "scheme": max(SCHEMES, key=len)} for level in described["levels"]]
+        text = format_json(described)
         text.encode()
         return text
     except (TypeError, ValueError, RecursionError) as error:
