@@ -155,11 +155,17 @@ def _waits(cells: Cells, owners: NDArray[np.bool_]) -> Index:
     """
     if all(members.shape[1] == 1 for members in cells.members):
         return owners.astype(np.intp)
-    meeting = [_meeting(members, count) for members, count in zip(cells.members, cells.spec.clusters, strict=True)]
     turns = np.zeros(cells.spec.clusters, np.intp)
+    sharing: list[list[Index] | None] = []
+    for members, count in zip(cells.members, cells.spec.clusters, strict=True):
+        meets, used = _meeting(members, count), np.unique(members)
+        # Where all subsets meet only the last turn counts, whichever subset it was of.
+        sharing.append(None if meets[np.ix_(used, used)].all() else [np.flatnonzero(row) for row in meets])
+    latest = np.zeros([1 if met is None else len(met) for met in sharing], np.intp)
     for c in np.argwhere(owners):
-        sharing = np.ix_(*(np.flatnonzero(meets[k]) for meets, k in zip(meeting, c, strict=True)))
-        turns[tuple(c)] = 1 + turns[sharing].max()
+        own = tuple(0 if met is None else k for met, k in zip(sharing, c, strict=True))
+        before = [np.zeros(1, np.intp) if met is None else met[k] for met, k in zip(sharing, c, strict=True)]
+        turns[tuple(c)] = latest[own] = 1 + latest[np.ix_(*before)].max()
     return turns
 
 
