@@ -150,7 +150,10 @@ def _described(
     levels = pack_levels(tree.levels, undecomposed_in(task.plan), task.source.unit)
     schemes = [tree.schemes[number] if number < len(tree.schemes) else "most" for number in range(len(levels))]
     tops = [bounds(level, scheme) for level, scheme in zip(levels, schemes, strict=True)]
-    return metadata_of(task.source, task.plan, tops, task.kind, task.run.seed, quality, transformed), levels
+    metadata = metadata_of(task.source, task.plan, tops, task.kind, task.run.seed, quality, transformed)
+    if task.run.device != "cpu":  # which rounds in its own way
+        metadata = replace(metadata, writer=f"{metadata.writer}, {task.run.device}")
+    return metadata, levels
 
 
 def _measured(task: Task, tree: Hierarchy) -> Model:

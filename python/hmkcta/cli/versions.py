@@ -10,7 +10,7 @@ import click
 from .._version import __version__
 from ..hmkfile import VERSION
 
-LIBRARIES = ("numpy", "safetensors", "click", "rich", "pillow", "wgpu")
+LIBRARIES = ("numpy", "safetensors", "click", "rich", "pillow", "wgpu", "cupy-cuda12x")
 
 
 def versions() -> str:
