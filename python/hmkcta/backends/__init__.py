@@ -96,18 +96,18 @@ def use(device: Device) -> Generator[None]:
     >>> with use(find_device("cpu")):
     ...     pass
     """
-    if device.name == "cpu":
-        yield
-        return
-    from .cuda import Cuda
+    gpu = None
+    if device.name == "cuda":
+        from .cuda import Cuda
 
-    kernels = Cuda(device, on_cpu())
-    before = _device.set(kernels)
+        gpu = Cuda(device, on_cpu())
+    before = _device.set(gpu)
     try:
         yield
     finally:
         _device.reset(before)
-        kernels.free()
+        if gpu is not None:
+            gpu.free()
 
 
 def _kernels() -> Kernels:

@@ -261,8 +261,8 @@ def _subspace(on: Arrays, e: Array, u: Array, iterations: int) -> Array:
     """Towards the leading left subspaces of `e` `[B, m, q]` from `u` `[B, m, R]`, as in `reference`."""
     missing = u.shape[2] - e.shape[2]
     if missing >= 0 and iterations > 0:  # all of e is spanned
-        zeros = on.xp.zeros((*e.shape[:2], missing), np.float32)
-        return _orthonormal(on, on.xp.concatenate([e, zeros], axis=2))
+        zeros = [on.xp.zeros((*e.shape[:2], missing), np.float32)] if missing else []
+        return _orthonormal(on, on.xp.concatenate([e, *zeros], axis=2))
     across = e.transpose(0, 2, 1)
     for number in range(1, iterations + 1):
         v = _orthonormal(on, on.xp.matmul(across, u), passes=1)

@@ -11,13 +11,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import prod
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..cells import Cells
 
-Index = NDArray[np.integer]
+Index = NDArray[np.integer[Any]]
 
 #: Padding may take as many elements as the cells themselves.
 MOST_PADDED = 2.0
@@ -140,7 +141,7 @@ class Tables:
         return np.minimum(own + other[..., None], behind).astype(self.dtype)
 
 
-def _padded(lists: Sequence[Index], filling: int, dtype: type[np.integer]) -> Index:
+def _padded(lists: Sequence[Index], filling: int, dtype: type[np.integer[Any]]) -> Index:
     """Lists of numbers as one table, `[lists, longest]`."""
     table = np.full((len(lists), max(map(len, lists), default=0)), filling, dtype)
     for row, numbers in zip(table, lists, strict=True):
@@ -162,9 +163,10 @@ def _waits(cells: Cells, owners: NDArray[np.bool_]) -> Index:
         # Where all subsets meet only the last turn counts, whichever subset it was of.
         sharing.append(None if meets[np.ix_(used, used)].all() else [np.flatnonzero(row) for row in meets])
     latest = np.zeros([1 if met is None else len(met) for met in sharing], np.intp)
-    for c in np.argwhere(owners):
+    owning: list[list[int]] = np.argwhere(owners).tolist()
+    for c in owning:
         own = tuple(0 if met is None else k for met, k in zip(sharing, c, strict=True))
-        before = [np.zeros(1, np.intp) if met is None else met[k] for met, k in zip(sharing, c, strict=True)]
+        before = (np.zeros(1, np.intp) if met is None else met[k] for met, k in zip(sharing, c, strict=True))
         turns[tuple(c)] = latest[own] = 1 + latest[np.ix_(*before)].max()
     return turns
 

@@ -36,7 +36,7 @@ LEAST = 1 << 20
 #: Most elements of a batch: at first, and after the device's memory ran out.
 BUDGETS = (1 << 25, 1 << 21, 1 << 17)
 
-_turn = Lock()
+_turn, _counting = Lock(), Lock()
 
 
 def found() -> Device:
@@ -97,7 +97,7 @@ class Cuda:
 
     def _worthwhile(self, elements: int) -> bool:
         large = elements >= LEAST
-        with _turn:
+        with _counting:
             self._device.calls += large
             self._device.calls_on_cpu += not large
         return large
