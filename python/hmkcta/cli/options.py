@@ -211,7 +211,7 @@ verbose_option = click.option("-v", "--verbose", is_flag=True, is_eager=True, ca
 memory_option = click.option("--max-memory", type=ByteSize(), metavar="SIZE",
                              help="Memory to work in; what needs more is refused before it begins.")
 device_option = click.option("--device", type=click.Choice(("cpu", "cuda")), default="cpu", metavar="NAME",
-                             help='cpu (default), or cuda: an NVIDIA GPU, with "hmkcta[cuda]" installed.')
+                             help="cpu (default), or cuda for an NVIDIA GPU.")
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace an output that is there already.")
 nan_option = click.option("--nan", type=Fill(), metavar="fill=VALUE",
                           help="Put VALUE for NaN and infinity, else refused.")
