@@ -26,6 +26,9 @@ from .reference import DEPENDENT
 F64 = NDArray[np.float64]
 Array = Any  # of whichever library
 
+#: Elements copied at once, at least.
+LEAST_COPIED = 1 << 16
+
 
 @dataclass(frozen=True)
 class Arrays:
@@ -133,7 +136,11 @@ class _Tensor:
 
     def __init__(self, on: Arrays, tensor: F32) -> None:
         self._on, self._size = on, tensor.size
-        self._flat = on.xp.concatenate([on.xp.array(tensor.reshape(-1)), on.xp.zeros(1, np.float32)])
+        self._flat, values = on.xp.zeros(self._size + 1, np.float32), tensor.reshape(-1)
+        step = max(on.budget, LEAST_COPIED)
+        for first in range(0, self._size, step):  # never the whole tensor twice
+            part = on.xp.array(values[first : first + step])
+            self._flat[first : first + part.size] = part
 
     def take(self, batch: _Loaded) -> Array:
         """The cells' elements: `[B, m_1, .., m_N]`."""
