@@ -19,6 +19,8 @@ from benchmarks.compressing import SHEET, TVVD, VOLUME, WH2, WH4, WM1, Case
 from benchmarks.machine import limits
 from benchmarks.report import RESULTS, Row, write
 
+from hmkcta.backends import Device, find_device
+
 #: Peak memory that fits of the paper's sizes may take: under a quarter of the tensor.
 MEMORY = 1600 * 10**6
 
@@ -29,12 +31,14 @@ def main() -> None:
     if given.set == "profile":
         sys.stdout.write(_profile(given))
         return
+    device = _device(given.device)
     count = given.threads or os.cpu_count() or 1
     threads = sorted({1, count})
     machine = limits(threads)
     scratch = _scratch(given)
     sets: dict[str, Callable[[], Iterator[Row]]] = {
-        "kernels": lambda: kernels.rows(list(kernels.NODES), threads, readable=given.reference),
+        "kernels": lambda: kernels.rows(
+            list(kernels.NODES), threads[:1] if device else threads, readable=given.reference, device=device),
         "decode": lambda: decoding.rows(threads),
         "small": lambda: _small(scratch, given.data, threads),
         "paper": lambda: _paper(scratch, given.data, threads, given.only),
@@ -56,7 +60,19 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--output", type=Path, default=RESULTS, help="where the tables go")
     parser.add_argument("--only", nargs="*", default=[], help="paper: only cases whose names begin so")
     parser.add_argument("--reference", action="store_true", help="kernels: the NumPy reference (slow)")
+    parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu", help="kernels: on an NVIDIA GPU")
     return parser.parse_args()
+
+
+def _device(name: str) -> Device | None:
+    """The GPU; None: the CPU. There is nothing to measure where one is missing."""
+    device = find_device(name)
+    if device.missing:
+        raise SystemExit(device.missing)
+    if device.name == "cpu":
+        return None
+    sys.stderr.write(f"{device.described}\n")
+    return device
 
 
 def _scratch(given: argparse.Namespace) -> Path:

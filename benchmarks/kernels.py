@@ -1,4 +1,7 @@
-"""Speed of the data-sized kernels on typical nodes: ``python -m benchmarks kernels [--threads N ..] [--reference]``.
+"""Speed of the data-sized kernels on typical nodes.
+
+``python -m benchmarks kernels [--threads N ..] [--reference | --device cuda]``. On a GPU all calls go to it, also those
+that a fit leaves to the CPU, and copying to it and back counts.
 
 Memberships are random, the hardest case for memory. Times are the best of several runs; on a machine that others use
 too, processor seconds tell more than wall seconds.
@@ -15,7 +18,8 @@ from numpy.typing import NDArray
 from benchmarks.machine import best_of
 from benchmarks.report import Row
 from benchmarks.work import accumulate_flops, project_flops, sweep_flops
-from hmkcta.backends import native, reference
+from hmkcta.backends import Device, Kernels, native, reference
+from hmkcta.backends.cuda import Cuda
 from hmkcta.cells import Cells, empty_cells
 from hmkcta.plan import LevelSpec
 
@@ -50,9 +54,8 @@ def random_node(sizes: tuple[int, ...], spec: LevelSpec) -> tuple[Cells, NDArray
     return cells, waves
 
 
-def measure(name: str, threads: int, *, readable: bool = False) -> Iterator[Row]:
+def measure(name: str, threads: int, kernels: Kernels = native) -> Iterator[Row]:
     """All kernels on one node."""
-    kernels = reference if readable else native
     kernels.set_threads(threads)
     sizes, spec = NODES[name]
     cells, data = random_node(sizes, spec)
@@ -72,9 +75,12 @@ def measure(name: str, threads: int, *, readable: bool = False) -> Iterator[Row]
               sweep_flops(cells), 8.0 * visits)
 
 
-def rows(names: Sequence[str], threads: Sequence[int], *, readable: bool = False) -> Iterator[Row]:
-    """All kernels on several nodes, with each number of threads."""
+def rows(
+    names: Sequence[str], threads: Sequence[int], *, readable: bool = False, device: Device | None = None
+) -> Iterator[Row]:
+    """All kernels on several nodes, with each number of threads; of the reference, or on a GPU."""
+    kernels: Kernels = reference if readable else native if device is None else Cuda(device, native, least=0)
     for name in names:
         for count in threads:
-            yield from measure(name, count, readable=readable)
+            yield from measure(name, count, kernels)
     native.set_threads(0)

@@ -53,12 +53,14 @@ class Cuda:
     Args:
         device: keeps count of the calls.
         cpu: the kernels for small calls.
+        least: elements a batch below which a call is small; None: `LEAST`.
     """
 
     name = "cuda"
 
-    def __init__(self, device: Device, cpu: Kernels) -> None:
+    def __init__(self, device: Device, cpu: Kernels, least: int | None = None) -> None:
         self._device, self._cpu, self._cupy = device, cpu, _cupy()
+        self._least = LEAST if least is None else least
 
     def fit_cells(self, cells: Cells, residual: F32, sweeps: int, iterations: int) -> None:
         """Gauss-Seidel sweeps of HOOI over the cells, in place."""
@@ -96,7 +98,7 @@ class Cuda:
         self._cupy.get_default_pinned_memory_pool().free_all_blocks()
 
     def _worthwhile(self, elements: int) -> bool:
-        large = elements >= LEAST
+        large = elements >= self._least
         with _counting:
             self._device.calls += large
             self._device.calls_on_cpu += not large
