@@ -167,7 +167,7 @@ def _found(wanted: str | Device) -> Device:
         return wanted
     device = kernels.find_device(wanted)
     if device.missing:
-        warn(device.missing, stacklevel=3)  # where `compress` was called
+        warn(device.fallback, stacklevel=3)  # where `compress` was called
     return device
 
 

@@ -43,7 +43,7 @@ def found() -> Device:
     """The GPU, or the CPU with what is missing."""
     described, missing = _looked_for()
     if missing:
-        return Device(missing=f"{missing}; the CPU is used instead.")
+        return Device(missing=missing)
     return Device("cuda", described)
 
 

@@ -45,7 +45,7 @@ class Device:
     Attributes:
         name: ``cpu`` or ``cuda``.
         described: the name and, for a GPU, all that its rounding depends on.
-        missing: why it is the CPU although another was asked for, a sentence; else empty.
+        missing: why it is the CPU although another was asked for; else empty.
         calls: kernel calls on the GPU so far.
         calls_on_cpu: calls that were too small for the GPU.
     """
@@ -55,3 +55,8 @@ class Device:
     missing: str = ""
     calls: int = 0
     calls_on_cpu: int = 0
+
+    @property
+    def fallback(self) -> str:
+        """The sentence to say when the CPU takes over; empty if it does not."""
+        return f"{self.missing}; the CPU is used instead." if self.missing else ""

@@ -58,7 +58,7 @@ def compress_command(source: str, output: str, plan: str | None, kind: str | Non
     apart(source, output)
     where = find_device(device)
     if where.missing:
-        click.echo(f"hmkcta: {where.missing}", err=True)
+        click.echo(f"hmkcta: {where.fallback}", err=True)
     with Progress(quiet or as_json) as progress, journal_beside(output, resume, overwrite) as journal:
         if resume and not journal.holds_work:
             click.echo(f"hmkcta: there is nothing in {journal.folder} to go on with: it begins anew.", err=True)
