@@ -18,7 +18,6 @@ from benchmarks import compressing, data, decoding, kernels, stages
 from benchmarks.compressing import SHEET, TVVD, VOLUME, WH2, WH4, WM1, Case
 from benchmarks.machine import limits
 from benchmarks.report import RESULTS, Row, write
-
 from hmkcta.backends import Device, find_device
 
 #: Peak memory that fits of the paper's sizes may take: under a quarter of the tensor.
