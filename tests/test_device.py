@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks import kernels
 
 import hmkcta
 from cli_tools import PYTHON, finish, refused, report, run, saved, start
@@ -109,6 +110,17 @@ def test_the_same_bytes_each_time_whatever_the_threads(gpu: StandIn, tmp_path: P
     del gpu
     files = [file_of(fitted(TWO_LEVELS, "cuda", threads=threads), tmp_path) for threads in (1, 1, 4)]
     assert files[0] == files[1] == files[2]
+
+
+def test_kernels_are_measured_on_the_device(gpu: StandIn, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cuda, "LEAST", 1 << 40)
+    monkeypatch.setattr(kernels, "SECONDS", 0.0)
+    monkeypatch.setattr(kernels, "RUNS", 1)
+    device = find_device("cuda")
+    rows = list(kernels.rows(["level 2 node"], [1], device=device))
+    assert [row.what for row in rows][::5] == ["accumulate", "fit_cells, a sweep"]
+    assert device.calls >= len(rows) == 6
+    assert device.calls_on_cpu == gpu.memory.used == 0
 
 
 # Which device
