@@ -214,8 +214,8 @@ class StandIn(types.ModuleType):
         """A view of a larger shape."""
         return self._made(np.broadcast_to(_device(values), shape), values)
 
-    def moveaxis(self, values: Array, source: int, destination: int) -> Array:
-        """A view with an axis in another place."""
+    def moveaxis(self, values: Array, source: int | list[int], destination: int | list[int]) -> Array:
+        """A view with axes in other places."""
         return self._made(np.moveaxis(_device(values), source, destination), values)
 
     def get_default_memory_pool(self) -> Memory:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import pairwise, product
+from itertools import pairwise, permutations, product
 from math import prod
 from typing import Any
 
@@ -49,6 +49,8 @@ def check_same(on: Arrays, cells: Cells, data: reference.F32) -> None:
     for n in range(cells.order):
         close(batched.project_cells(on, cells, data, n), reference.project_cells(cells, data, n), 1e-4)
         close(batched.dictionary_gram(on, cells, n), reference.dictionary_gram(cells, n), 1e-12)
+    for pair in permutations([n for n, skip in enumerate(cells.undecomposed) if not skip], 2):
+        close(batched.project_pair(on, cells, data, pair), reference.project_pair(cells, data, pair), 1e-4)
     fits: list[tuple[Cells, reference.F32]] = []
     for number in range(2):
         fit, residual = copy_of(cells), data.copy()
@@ -192,7 +194,7 @@ def test_where_all_cells_meet_they_come_one_by_one_in_order() -> None:
 def test_projections_read_a_block_once_for_all_cells_that_share_it() -> None:
     cells = random_cells((20, 21, 22), LevelSpec((2, 2, 2), (2, 3, 4), (1, 1, 2)), 9)
     for n in range(3):
-        batches = projection_batches(cells, n, 1 << 25)
+        batches = projection_batches(cells, [n], 1 << 25)
         found = np.concatenate([batch.numbers.reshape(-1) for batch in batches])
         assert sorted(map(int, found)) == list(range(24))
         assert all(batch.numbers.shape[1] == cells.spec.clusters[n] for batch in batches)

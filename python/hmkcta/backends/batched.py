@@ -78,12 +78,31 @@ def project_cells(on: Arrays, cells: Cells, tensor: F32, n: int) -> F32:
     _check_shape(tensor, cells)
     y = np.zeros((cells.spec.cells, cells.sizes[n], prod(cells.ranks) // cells.ranks[n]), np.float32)
     data, model = _Tensor(on, tensor), _Model(on, cells)
-    for batch in projection_batches(cells, n, on.budget):
+    for batch in projection_batches(cells, [n], on.budget // 2):  # a batch grows before it shrinks
         loaded = _Loaded(on, batch)
         x, bases = _spread(on, data.take(loaded), model.take_bases(loaded), batch.numbers.shape[1])
-        e = _unfolded(on, _projected(on, x, bases), n)
-        y[batch.numbers.reshape(-1)] = on.to_host(e)
+        y[batch.numbers.reshape(-1)] = on.to_host(_unfolded(on, _projected(on, x, bases), n))
     return y
+
+
+def project_pair(on: Arrays, cells: Cells, tensor: F32, pair: tuple[int, int]) -> F32:
+    """The tensor projected on the bases of all cells in two modes: see `reference.project_pair`."""
+    _check_shape(tensor, cells)
+    kept = [m for m in range(cells.order) if m not in pair]
+    clusters, ranks = [cells.spec.clusters[m] for m in pair], [cells.ranks[m] for m in pair]
+    rows = [cells.sizes[m] for m in kept]
+    lanes = cells.spec.cells // prod(clusters)
+    p = np.zeros((prod(rows), *clusters, ranks[0], lanes, ranks[1]), np.float32)
+    data, model = _Tensor(on, tensor), _Model(on, cells)
+    for batch in projection_batches(cells, kept, on.budget // 2):
+        loaded = _Loaded(on, batch)
+        x, bases = _spread(on, data.take(loaded), model.take_bases(loaded), lanes)
+        x = on.xp.moveaxis(_projected(on, x, bases), [m + 1 for m in pair], [-2, -1])
+        x = x.reshape(loaded.count, lanes, prod(rows), *ranks).transpose(0, 2, 3, 1, 4)
+        subsets = np.unravel_index(batch.numbers[:, 0], cells.spec.clusters)
+        for block, a, b in zip(on.to_host(x), subsets[pair[0]], subsets[pair[1]], strict=True):
+            p[:, a, b] = block
+    return p.reshape(*rows, *clusters, ranks[0], *(cells.spec.clusters[m] for m in kept), ranks[1])
 
 
 def dictionary_gram(on: Arrays, cells: Cells, n: int) -> F64:

@@ -29,12 +29,12 @@ class Batch:
     """Cells with their rows, all padded to the longest: B cells of m_1 x .. x m_N elements.
 
     Attributes:
-        numbers: flat(c) `[B]`; of a batch of projections `[B, C_n]`, cells that differ in mode n only.
+        numbers: flat(c) `[B]`; of a batch of projections `[B, L]`, cells that differ in modes taken whole only.
         shape: m_n of every mode.
         rows: for each mode `[B, m_n]`, the row times the mode's stride in the tensor; sums with padding are `end` or
             more.
         places: for each mode where the basis rows lie among the `I_n K_n PC_-n` of the mode, `[B, m_n]` or
-            `[B, C_n, m_n]`; padding: behind the last. None for an undecomposed mode, and for the one not projected.
+            `[B, L, m_n]`; padding: behind the last. None for an undecomposed mode, and for one taken whole.
         end: the elements of the tensor.
         padded: whether there is padding.
         whole: it is one cell that owns all elements.
@@ -64,23 +64,25 @@ def sweep_batches(cells: Cells, budget: int) -> list[Batch]:
     return batches
 
 
-def projection_batches(cells: Cells, n: int, budget: int) -> list[Batch]:
-    """Cells that own elements if mode n is taken whole; those that differ in mode n only are one of a batch."""
-    tables = Tables(cells, whole=n)
-    owners = np.take(tables.owners(), [0], axis=n)
+def projection_batches(cells: Cells, whole: Sequence[int], budget: int) -> list[Batch]:
+    """Cells that own elements if some modes are taken whole; those that differ in these modes only go together."""
+    tables = Tables(cells, whole)
+    owners = tables.owners()
+    for n in whole:
+        owners = np.take(owners, [0], axis=n)
     together = np.argwhere(owners)
     return [tables.batch(part) for part in _parts(tables.extents(together), together, budget)]
 
 
 class Tables:
-    """For each mode and cluster subset its rows, padded to the longest; of mode `whole` every row.
+    """For each mode and cluster subset its rows, padded to the longest; of the modes `whole` every row.
 
     Args:
         cells: the node's.
         whole: None for a sweep.
     """
 
-    def __init__(self, cells: Cells, whole: int | None = None) -> None:
+    def __init__(self, cells: Cells, whole: Sequence[int] | None = None) -> None:
         self.cells, self.whole = cells, whole
         self.end = prod(cells.sizes)
         small = (cells.order + 1) * self.end < 2**31 and max(basis.size for basis in cells.bases) < 2**30
@@ -92,7 +94,7 @@ class Tables:
             stride, others = prod(cells.sizes[n + 1 :]), cells.spec.cells // cells.spec.clusters[n]
             subsets = range(cells.spec.clusters[n])
             found = [np.nonzero(members == k) for k in subsets]
-            if n == whole:
+            if n in (whole or ()):
                 found = [(np.arange(cells.sizes[n]), np.zeros(cells.sizes[n], np.intp))] * len(subsets)
             self.counts.append(np.array([len(rows) for rows, _ in found]))
             self.rows.append(_padded([rows * stride for rows, _ in found], self.end, self.dtype))
@@ -117,12 +119,13 @@ class Tables:
         rows = [np.ascontiguousarray(own[chosen[:, n], : shape[n]]) for n, own in enumerate(self.rows)]
         numbers, along = np.asarray(np.ravel_multi_index(tuple(chosen.T), cells.spec.clusters)), chosen
         if self.whole is not None:
-            count = cells.spec.clusters[self.whole]
-            along = np.repeat(chosen[:, None], count, axis=1)
-            along[:, :, self.whole] = np.arange(count)
+            clusters = [cells.spec.clusters[n] for n in self.whole]
+            bundle = np.indices(clusters).reshape(len(clusters), prod(clusters))
+            along = np.repeat(chosen[:, None], bundle.shape[1], axis=1)
+            along[:, :, self.whole] = bundle.T
             numbers = np.asarray(np.ravel_multi_index(tuple(np.moveaxis(along, -1, 0)), cells.spec.clusters))
         places = [
-            None if skip or n == self.whole else self._places(n, chosen, along, shape[n])
+            None if skip or n in (self.whole or ()) else self._places(n, chosen, along, shape[n])
             for n, skip in enumerate(cells.undecomposed)
         ]
         padded = bool((extents != extents[0]).any())
