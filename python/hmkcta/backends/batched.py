@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ..cells import F32, Cells, dense_basis
 from ..errors import invalid
-from .batches import Batch, projection_batches, sweep_batches
+from .batches import Batch, Index, projection_batches, sweep_batches
 from .reference import DEPENDENT
 
 F64 = NDArray[np.float64]
@@ -48,7 +48,7 @@ class Arrays:
 def fit_cells(on: Arrays, cells: Cells, residual: F32, sweeps: int, iterations: int) -> None:
     """Gauss-Seidel sweeps of HOOI over the cells; bases, cores and residual are replaced when all is done."""
     _check_shape(residual, cells)
-    batches = [_Loaded(on, batch) for batch in sweep_batches(cells, on.budget)]
+    batches = _loaded(on, sweep_batches(cells, on.budget))
     tensor, model = _Tensor(on, residual), _Model(on, cells)
     for sweep in range(sweeps):
         for batch in batches:
@@ -67,7 +67,7 @@ def accumulate(on: Arrays, cells: Cells, tensor: F32, weight: float) -> None:
     """`tensor += weight * model`."""
     _check_shape(tensor, cells)
     total, model = _Tensor(on, tensor), _Model(on, cells)
-    for batch in (_Loaded(on, batch) for batch in sweep_batches(cells, on.budget)):
+    for batch in _loaded(on, sweep_batches(cells, on.budget)):
         bases, core = model.take(batch)
         total.put(batch, total.take(batch) + weight * _reconstructed(on, core, bases))
     tensor[...] = total.on_host(tensor.shape)
@@ -78,10 +78,9 @@ def project_cells(on: Arrays, cells: Cells, tensor: F32, n: int) -> F32:
     _check_shape(tensor, cells)
     y = np.zeros((cells.spec.cells, cells.sizes[n], prod(cells.ranks) // cells.ranks[n]), np.float32)
     data, model = _Tensor(on, tensor), _Model(on, cells)
-    for batch in projection_batches(cells, [n], on.budget // 2):  # a batch grows before it shrinks
-        loaded = _Loaded(on, batch)
-        x, bases = _spread(on, data.take(loaded), model.take_bases(loaded), batch.numbers.shape[1])
-        y[batch.numbers.reshape(-1)] = on.to_host(_unfolded(on, _projected(on, x, bases), n))
+    for batch in _loaded(on, projection_batches(cells, [n], on.budget // 2)):  # a batch grows before it shrinks
+        x, bases = _spread(on, data.take(batch), model.take_bases(batch), batch.table.numbers.shape[1])
+        y[batch.table.numbers.reshape(-1)] = on.to_host(_unfolded(on, _projected(on, x, bases), n))
     return y
 
 
@@ -94,12 +93,11 @@ def project_pair(on: Arrays, cells: Cells, tensor: F32, pair: tuple[int, int]) -
     lanes = cells.spec.cells // prod(clusters)
     p = np.zeros((prod(rows), *clusters, ranks[0], lanes, ranks[1]), np.float32)
     data, model = _Tensor(on, tensor), _Model(on, cells)
-    for batch in projection_batches(cells, kept, on.budget // 2):
-        loaded = _Loaded(on, batch)
-        x, bases = _spread(on, data.take(loaded), model.take_bases(loaded), lanes)
+    for batch in _loaded(on, projection_batches(cells, kept, on.budget // 2)):
+        x, bases = _spread(on, data.take(batch), model.take_bases(batch), lanes)
         x = on.xp.moveaxis(_projected(on, x, bases), [m + 1 for m in pair], [-2, -1])
-        x = x.reshape(loaded.count, lanes, prod(rows), *ranks).transpose(0, 2, 3, 1, 4)
-        subsets = np.unravel_index(batch.numbers[:, 0], cells.spec.clusters)
+        x = x.reshape(batch.count, lanes, prod(rows), *ranks).transpose(0, 2, 3, 1, 4)
+        subsets = np.unravel_index(batch.table.numbers[:, 0], cells.spec.clusters)
         for block, a, b in zip(on.to_host(x), subsets[pair[0]], subsets[pair[1]], strict=True):
             p[:, a, b] = block
     return p.reshape(*rows, *clusters, ranks[0], *(cells.spec.clusters[m] for m in kept), ranks[1])
@@ -128,26 +126,40 @@ def dictionary_gram(on: Arrays, cells: Cells, n: int) -> F64:
 
 
 class _Loaded:
-    """A batch's tables where the kernels need them."""
+    """A batch whose tables are where the kernels need them; `next_table` gives them one after the other."""
 
-    def __init__(self, on: Arrays, batch: Batch) -> None:
-        self.batch = batch
-        self.numbers = on.xp.array(batch.numbers)
-        self.rows = [on.xp.array(rows) for rows in batch.rows]
-        self.places = [None if places is None else on.xp.array(places) for places in batch.places]
-        self._xp = on.xp
+    def __init__(self, on: Arrays, table: Batch, next_table: Callable[[Index], Array]) -> None:
+        self.table, self._xp = table, on.xp
+        self.numbers = next_table(table.numbers)
+        self.rows = [next_table(rows) for rows in table.rows]
+        self.places = [None if places is None else next_table(places) for places in table.places]
 
     @property
     def count(self) -> int:
         """Cells, or bundles of cells that differ in one mode."""
-        return len(self.batch.numbers)
+        return len(self.table.numbers)
 
     def elements(self) -> Array:
         """Where the elements lie in the tensor: `[B, prod m_n]`."""
         at = self.rows[0]
         for rows in self.rows[1:]:
             at = (at[:, :, None] + rows[:, None, :]).reshape(self.count, -1)
-        return self._xp.minimum(at, self.batch.end) if self.batch.padded else at
+        return self._xp.minimum(at, self.table.end) if self.table.padded else at
+
+
+def _loaded(on: Arrays, batches: Sequence[Batch]) -> list[_Loaded]:
+    """The batches with their tables, which go to the device in one piece: every small one would take as long."""
+    tables = [t for b in batches for t in (b.numbers, *b.rows, *(p for p in b.places if p is not None))]
+    dtype = batches[0].rows[0].dtype if batches else np.dtype(np.int32)
+    together = on.xp.array(np.concatenate([np.zeros(0, dtype), *(t.reshape(-1).astype(dtype) for t in tables)]))
+    first = 0
+
+    def next_table(table: Index) -> Array:
+        nonlocal first
+        first += table.size
+        return together[first - table.size : first].reshape(table.shape)
+
+    return [_Loaded(on, batch, next_table) for batch in batches]
 
 
 class _Tensor:
@@ -163,14 +175,14 @@ class _Tensor:
 
     def take(self, batch: _Loaded) -> Array:
         """The cells' elements: `[B, m_1, .., m_N]`."""
-        shape = (batch.count, *batch.batch.shape)
-        if batch.batch.whole:
+        shape = (batch.count, *batch.table.shape)
+        if batch.table.whole:
             return self._flat[: self._size].reshape(shape)
         return self._on.xp.take(self._flat, batch.elements()).reshape(shape)
 
     def put(self, batch: _Loaded, blocks: Array) -> None:
         """Replace them."""
-        if batch.batch.whole:
+        if batch.table.whole:
             self._flat[: self._size] = blocks.reshape(-1)
         else:
             self._flat[batch.elements()] = blocks.reshape(batch.count, -1)
