@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 import cupy_stand_in
 from cupy_stand_in import StandIn
-from hmkcta.backends import batched, reference
+from hmkcta.backends import batched, batches, reference
 from hmkcta.backends.batched import Arrays
 from hmkcta.backends.batches import MOST_PADDED, Batch, projection_batches, sweep_batches
 from hmkcta.cells import Cells, dense_basis
@@ -77,6 +77,15 @@ def test_batched_is_as_the_reference(library: Library, node: Node, budget: int) 
 @pytest.mark.parametrize(("sizes", "spec"), LARGE[2::3], ids=[str(sizes) for sizes, _ in LARGE[2::3]])
 def test_batched_is_as_the_reference_on_large_nodes(sizes: tuple[int, ...], spec: LevelSpec) -> None:
     check_same(on_stand_in(1 << 16), random_cells(sizes, spec, 1), smooth_data(sizes, 2))
+
+
+def test_places_may_need_many_digits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of tensors of more than 2^31 elements."""
+    monkeypatch.setattr(batches, "NARROW", 0)
+    spec = LevelSpec((2, 3, 2), (3, 4, 2), (1, 2, 1))
+    cells = random_cells((9, 14, 8), spec, 6)
+    assert sweep_batches(cells, 4000)[0].rows[0].dtype == np.int64
+    check_same(on_stand_in(4000), cells, smooth_data((9, 14, 8), 6))
 
 
 @settings(max_examples=50, deadline=None)
@@ -148,16 +157,16 @@ def shallow(cells: Cells, data: reference.F32) -> bool:
 @given(nodes().filter(lambda node: shallow(*node)), st.sampled_from(BUDGETS))
 def test_batches_keep_the_order_of_cells_that_share_elements(node: Node, budget: int) -> None:
     cells, _ = node
-    batches = sweep_batches(cells, budget)
-    elements = {c: found for c in range(cells.spec.cells) if (found := elements_of(cells, c))}
-    place = {int(c): number for number, batch in enumerate(batches) for c in batch.numbers}
+    found = sweep_batches(cells, budget)
+    elements = {c: own for c in range(cells.spec.cells) if (own := elements_of(cells, c))}
+    place = {int(c): number for number, batch in enumerate(found) for c in batch.numbers}
     assert sorted(place) == sorted(elements)
-    assert sum(len(batch.numbers) for batch in batches) == len(place)
+    assert sum(len(batch.numbers) for batch in found) == len(place)
     for first in place:
         for second in place:
             if first < second and elements[first] & elements[second]:
                 assert place[first] < place[second]
-    for batch in batches:
+    for batch in found:
         check_tables(cells, batch, elements)
         owned = sum(len(elements[int(c)]) for c in batch.numbers)
         padded = len(batch.numbers) * prod(batch.shape)
@@ -187,17 +196,17 @@ def test_cells_that_share_nothing_go_together(mixture: tuple[int, ...], count: i
 
 def test_where_all_cells_meet_they_come_one_by_one_in_order() -> None:
     spec = LevelSpec((1, 1, 1, 1), (6, 5, 8, 8), (2, 2, 2, 2))
-    batches = sweep_batches(random_cells((180, 90, 200, 200), spec, 8), 1 << 25)
-    assert [int(c) for batch in batches for c in batch.numbers] == list(range(spec.cells))
+    found = sweep_batches(random_cells((180, 90, 200, 200), spec, 8), 1 << 25)
+    assert [int(c) for batch in found for c in batch.numbers] == list(range(spec.cells))
 
 
 def test_projections_read_a_block_once_for_all_cells_that_share_it() -> None:
     cells = random_cells((20, 21, 22), LevelSpec((2, 2, 2), (2, 3, 4), (1, 1, 2)), 9)
     for n in range(3):
-        batches = projection_batches(cells, [n], 1 << 25)
-        found = np.concatenate([batch.numbers.reshape(-1) for batch in batches])
+        bundles = projection_batches(cells, [n], 1 << 25)
+        found = np.concatenate([batch.numbers.reshape(-1) for batch in bundles])
         assert sorted(map(int, found)) == list(range(24))
-        assert all(batch.numbers.shape[1] == cells.spec.clusters[n] for batch in batches)
+        assert all(batch.numbers.shape[1] == cells.spec.clusters[n] for batch in bundles)
 
 
 # Memory

@@ -22,6 +22,8 @@ Index = NDArray[np.integer[Any]]
 
 #: Padding may take as many elements as the cells themselves.
 MOST_PADDED = 2.0
+#: Numbers below this fit into int32, which takes half the memory.
+NARROW = 1 << 31
 
 
 @dataclass(frozen=True)
@@ -85,8 +87,9 @@ class Tables:
     def __init__(self, cells: Cells, whole: Sequence[int] | None = None) -> None:
         self.cells, self.whole = cells, whole
         self.end = prod(cells.sizes)
-        small = (cells.order + 1) * self.end < 2**31 and max(basis.size for basis in cells.bases) < 2**30
-        self.dtype = np.int32 if small else np.int64
+        # Sums with padding, and places behind the last, are larger than what they point to.
+        largest = max((cells.order + 1) * self.end, 2 * max(basis.size for basis in cells.bases))
+        self.dtype = np.int32 if largest < NARROW else np.int64
         self.counts: list[Index] = []
         self.rows: list[Index] = []
         self.places: list[Index] = []
