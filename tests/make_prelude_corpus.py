@@ -24,20 +24,24 @@ from hmkcta.render.prelude import Options, axis_places, decoder_uniform, image_p
 HERE = Path(__file__).parent
 CORPUS = HERE / "corpus-render" / "prelude.json"
 
-#: Fixture, options; a page shift of 0 stands for the one that makes four pages or fewer.
+#: Fixture, options (a page shift of 0 stands for the one that makes four pages or fewer), and levels to be taken for
+#: uniform, if not those that are.
 CASES = (
-    ("v1.0-small.hmk", Options()),
-    ("v1.0-small.hmk", Options(picks=(2, 2), page_shift=0)),
-    ("v1.0-merged.hmk", Options()),
-    ("v1.0-merged.hmk", Options(picks=(3, 2, 2, 3), channels=3)),
-    ("v1.0-merged.hmk", Options(picks=(1, 2, 2, 1), contracted=(2,))),
-    ("v1.0-merged.hmk", Options(page_shift=0)),
-    ("v1.0-small.hmk", Options(picks=(1, 2), contracted=(1,))),
-    ("v1.0-merged.hmk", Options(picks=(2, 1, 1, 2), contracted=(0, 1))),
+    ("v1.0-small.hmk", Options(), None),
+    ("v1.0-small.hmk", Options(picks=(2, 2), page_shift=0), None),
+    ("v1.0-merged.hmk", Options(), None),
+    ("v1.0-merged.hmk", Options(picks=(3, 2, 2, 3), channels=3), None),
+    ("v1.0-merged.hmk", Options(picks=(1, 2, 2, 1), contracted=(2,)), None),
+    ("v1.0-merged.hmk", Options(page_shift=0), None),
+    ("v1.0-small.hmk", Options(picks=(1, 2), contracted=(1,)), None),
+    ("v1.0-merged.hmk", Options(picks=(2, 1, 1, 2), contracted=(0, 1)), None),
+    ("v1.0-merged.hmk", Options(picks=(3, 2, 2, 3), channels=3, contracted=(2,)), (0, 1, 2)),
+    ("v1.0-merged.hmk", Options(picks=(2, 2, 1, 2), contracted=(2,)), (1, 2)),
+    ("v1.0-small.hmk", Options(picks=(2, 2), contracted=(1,)), (0, 1)),
 )
 
 
-def case(file: str, options: Options) -> dict[str, Any]:
+def case(file: str, options: Options, taken: tuple[int, ...] | None) -> dict[str, Any]:
     """What both languages must make of a file."""
     metadata, levels = load(HERE / "fixtures" / file)
     image = pack_image(levels)
@@ -46,7 +50,8 @@ def case(file: str, options: Options) -> dict[str, Any]:
     pages = image_pages(image.words.size, options.page_shift)
     uniform = uniform_levels(metadata, levels)
     return {"file": file, "options": asdict(options), "pages": pages, "uniform_levels": uniform,
-            "text": prelude(metadata, pages, options, uniform),
+            "taken": uniform if taken is None else taken,
+            "text": prelude(metadata, pages, options, uniform if taken is None else taken),
             "words": image.words.size, "crc32": crc32(image.words.astype("<u4").tobytes()), "rows": image.rows,
             "scales": image.scales, "coefficients": image.coefficients,
             "uniform": decoder_uniform(metadata, len(levels)).hex(),
@@ -62,13 +67,14 @@ def contraction(metadata: Metadata, levels: Sequence[PackedLevel], image: Image,
     picks = {axis: (list(range(options.picks[axis])), [0.5 ** (1 + k) for k in range(options.picks[axis])])
              for axis in still}
     return {"still": still, "constants": contraction_constants(metadata, levels, image, options),
-            "starts": core_starts(levels, options.contracted).tolist(), "parents": parent_table(levels).reshape(-1).tolist(),
+            "starts": core_starts(levels, options.contracted).tolist(),
+            "parents": parent_table(levels).reshape(-1).tolist(),
             "fixed": crc32(fixed_rows(metadata, options.contracted, picks).astype("<u4").tobytes())}
 
 
 def corpus() -> str:
     """The text of the corpus."""
-    return json.dumps([case(file, options) for file, options in CASES], indent=1) + "\n"
+    return json.dumps([case(*given) for given in CASES], indent=1) + "\n"
 
 
 if __name__ == "__main__":

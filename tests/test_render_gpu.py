@@ -16,10 +16,13 @@ from hmkcta.errors import HmkctaError
 from hmkcta.render import Camera, Compare, Light, Look, Renderer, Scene, Surface, Tone, Viewpoint, render
 from hmkcta.render.gbuffer import camera_rays, trace
 from hmkcta.render.gpu_pass import read_texture
+from hmkcta.render.gpu_path import GpuPath
+from hmkcta.render.layout import lay_out
 from hmkcta.render.mesh import make_mesh
 from hmkcta.render.numpy_path import placed_camera
 from hmkcta.render.prelude import shader
 from hmkcta.render.software import MOST_TURNS, loop_turns
+from hmkcta.render.workload import configuration, random_model
 
 #: Two levels of clusters, and few enough that software finishes them (`hmkcta.render.software`).
 PLAN = "R=2 / R=2,1,2,2 C=2,2,2,2 K=1 / R=1 C=2,1,2,2 K=1"
@@ -149,15 +152,30 @@ def test_volumes_stand_where_other_axes_say() -> None:
 def test_software_that_would_not_finish_is_not_used(material: synthetic.Dataset) -> None:
     device = adapter()
     model = compressed(material, "light+rgb, view, y, x", "R=3,3,4,4 / R=2,2,3,3 C=4,3,4,4 K=2 / R=2 C=3,3,4,4 K=2")
-    assert loop_turns(model, (3, 3, 2, 2, 3), 3) > MOST_TURNS
+    turns = loop_turns(model, (3, 3, 2, 2, 3), 3)
+    assert turns < MOST_TURNS, "one light is finished"
+    many = replace(SMALL, lights=tuple(Light(45 * n, 40) for n in range(8)))
+    assert 8 * turns > MOST_TURNS
     if not device.software:
-        same(model, SMALL)
+        same(model, many)
         return
     renderer = Renderer(model)
-    renderer.picture(SMALL)
+    renderer.picture(many)
     assert renderer.backend == "numpy"
     with pytest.raises(HmkctaError, match="software-loops"):
-        Renderer(model, backend="gpu").picture(SMALL)
+        Renderer(model, backend="gpu").picture(many)
+
+
+def test_software_finishes_the_papers_models() -> None:
+    """Table 1's and 2's configurations, at a size that tests have the time for."""
+    device = adapter()
+    for name in ("WM1", "WM2", "WH2", "WH4", "Dove", "Season Greetings"):
+        small = replace(configuration(name), sizes=(20, 16, 40, 36))
+        path = GpuPath(device, random_model(small), lay_out(random_model(small).metadata.axes, "svbrdf"), "svbrdf")
+        assert path.refusal(SMALL, 1) is None
+        assert path.refusal(SMALL, len(random_model(small).levels)) is None, name
+    model = random_model(replace(configuration("WH4"), sizes=(20, 16, 40, 36)))
+    same(model, SMALL)
 
 
 @pytest.mark.parametrize("shape", ["sphere", "plane", "cloth"])

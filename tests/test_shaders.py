@@ -10,10 +10,14 @@ from gpu_tools import KINDS, Kind, adapter, random_indices
 from hmkcta import Model
 from hmkcta.axes import axis_order
 from hmkcta.errors import HmkctaError
-from hmkcta.render.gpu_decode import GpuDecoder
+from hmkcta.render.contraction import uniform_levels
+from hmkcta.render.gpu_decode import GpuDecoder, ListPass, picked_words
 from hmkcta.render.image import pack_image
-from hmkcta.render.prelude import MOST_ROWS
+from hmkcta.render.prelude import MOST_ROWS, Options, compose
+from hmkcta.render.upload import DecoderBuffers
 from hmkcta.render.weighted import Picks, decode_picked
+from hmkcta.render.workload import Configuration
+from hmkcta.render.workload import random_model as workload_model
 
 #: Largest error over the largest value.
 CLOSE = 1e-5
@@ -77,6 +81,42 @@ def test_colours_in_one_walk(kind: Kind) -> None:
     found = GpuDecoder(model, adapter()).picked(picks)
     assert found.shape == (200, 3)
     assert error(found, decode_picked(model, picks)) <= CLOSE
+
+
+#: Levels whose nodes share their ranks, which are decoded by functions of their own: ranks even and odd, several
+#: cells and one, colours in a mode of several, cores that are looped over and cores that are not.
+UNIFORM = {
+    "deep": Configuration("deep", "svbrdf", (14, 9, 24, 20),
+                          "R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2 / R=2,2,3,3 C=3,3,4,4 K=2", 0, 0),
+    "flat": Configuration("flat", "svbrdf", (14, 9, 24, 20), "R=2,1,3,5 C=5,2,3,4 K=3", 0, 0),
+    "odd": Configuration("odd", "svbrdf", (9, 9, 12, 12), "R=3,3,5,5 C=2,1,2,1 K=1 / R=1,3,1,3 C=1,2,1,2 K=1", 0, 0),
+}
+
+
+@pytest.mark.parametrize("name", UNIFORM)
+def test_uniform_levels(name: str) -> None:
+    model = workload_model(UNIFORM[name], seed=4)
+    assert uniform_levels(model.metadata, model.levels) == tuple(range(len(model.levels)))
+    decoder = GpuDecoder(model, adapter())
+    for counts, channel in (((3, 3, 3, 2, 2), 1), ((2, 2, 2, 2, 2), None), ((1, 1, 1, 1, 1), None)):
+        picks = random_picks(model, counts, 150, channel)
+        for level in range(1, len(model.levels) + 1):
+            assert error(decoder.picked(picks, level), decode_picked(model, picks, level)) <= CLOSE
+
+
+def test_uniform_levels_of_a_contracted_frame() -> None:
+    plan = "R=3,2,2,* / R=2,2,1,* C=3,2,2,1 K=2,2,1,1 / R=1,2,2,* C=2,2,2,1 K=1"
+    model = workload_model(Configuration("frame", "volume", (9, 8, 7, 5), plan, 0, 0), seed=2)
+    buffers = DecoderBuffers(adapter(), model, Options((2, 2, 2, 2), contracted=(3,)))
+    code = compose(buffers.prelude(), "image", "decode", "weighted", "picked")
+    assert "cells_2x2x1x5" in code
+    decode = ListPass(adapter(), buffers, "decode_sums", code)
+    picks = random_picks(model, (2, 2, 2, 2), 200)
+    picks[3] = (np.tile([1, 4], (200, 1)), np.tile(np.array([0.25, 0.75], np.float32), (200, 1)))
+    buffers.contract({3: ([1, 4], [0.25, 0.75])})
+    for level in (1, 2, 3):
+        found = decode.run(picked_words(picks, 2, 1), buffers.bind_group(level))
+        assert error(found, decode_picked(model, picks, level)) <= CLOSE
 
 
 def test_images_of_several_pages() -> None:

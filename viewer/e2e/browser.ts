@@ -8,7 +8,7 @@ import { type Browser, type Page, chromium } from "playwright-core";
 import { PNG } from "pngjs";
 
 const ROOT = join(import.meta.dirname, "..", "..");
-const PYTHON = join(ROOT, ".venv", "bin", "python");
+export const PYTHON = join(ROOT, ".venv", "bin", "python");
 const CHROMIUM = process.env["CHROMIUM"] ?? "/usr/bin/chromium";
 
 /** All four of the first are needed: without any one of them the first picture ends the device. */

@@ -27,6 +27,7 @@ export interface Statistics {
   width: number;
   height: number;
   decoding: boolean;
+  level: number;
 }
 
 /** What the last frame took, and what a pixel more would. */
@@ -72,6 +73,7 @@ export class App {
   private changed = 0;
   private cost: Cost | null = null;
   private pending = false; // something is still to be decoded
+  private readonly first = Promise.withResolvers<void>();
   private whole = false; // a picture with nothing missing has been shown
   private warm = false; // the first frame of a shader waits for the driver to compile it, and says nothing of its cost
   private budget = 1 << 11; // elements decoded a frame
@@ -100,6 +102,11 @@ export class App {
   /** Levels that can be shown. */
   get arrived(): number {
     return this.decoder.arrived;
+  }
+
+  /** Kept when a first frame has been drawn. */
+  get drawn(): Promise<void> {
+    return this.first.promise;
   }
 
   /** Whether the picture still lacks elements. */
@@ -276,14 +283,24 @@ export class App {
       : [first, { decoder: this.decoder, level: Math.min(other ?? 1, this.decoder.arrived) }];
   }
 
+  /** The sides once all is compiled that they need; levels may arrive meanwhile, and other ones be chosen. */
+  private async preparedSides(): Promise<Side[]> {
+    for (let sides = this.sides(); ; sides = this.sides()) {
+      await this.renderer!.prepare?.(this.state, sides);
+      const now = this.sides();
+      if (now.length === sides.length && now.every(({ decoder, level }, n) => decoder === sides[n]!.decoder && level === sides[n]!.level)) {
+        return now;
+      }
+    }
+  }
+
   private async drawFrame(): Promise<void> {
+    const sides = await this.preparedSides();
     const moving = performance.now() - this.changed < SETTLED || this.pending;
     const [width, height] = this.frameSize(moving);
     const start = performance.now();
-    const { complete, decoded } = await guarded(this.gpu.device, "drawing", async () => {
+    const { complete, decoded, level } = await guarded(this.gpu.device, "drawing", async () => {
       this.screen.resize(width, height);
-      await this.renderer!.prepare?.(this.state);
-      const sides = this.sides();
       const parts = sides.map((side, n) =>
         this.renderer!.draw(side, n as 0 | 1, this.state, this.screen.pictures[n]!, this.budget / sides.length));
       const complete = parts.every((part) => part.complete);
@@ -293,8 +310,9 @@ export class App {
       }
       this.whole ||= complete;
       await this.gpu.device.queue.onSubmittedWorkDone();
-      return { complete, decoded: parts.reduce((sum, part) => sum + part.decoded, 0) };
+      return { complete, decoded: parts.reduce((sum, part) => sum + part.decoded, 0), level: sides[0]!.level };
     });
+    this.first.resolve();
     const milliseconds = performance.now() - start;
     this.pending = !complete;
     if (!this.warm) {
@@ -308,7 +326,7 @@ export class App {
       this.budget = Math.max(256, Math.min(1 << 26, this.budget * faster));
       this.dirty = true;
     }
-    this.watcher.onFrame({ milliseconds, width, height, decoding: !complete });
+    this.watcher.onFrame({ milliseconds, width, height, decoding: !complete, level });
     if (!this.dirty) {
       await this.refine(width);
     }

@@ -18,6 +18,7 @@ import { Pointer } from "./ui/pointer";
 
 const DEFAULT_FILE = "model.hmk";
 const FRAMES_A_SECOND = 8;
+const FIRST_FRAME = 600; // milliseconds that reading waits for it
 const PARAMETERS = new URLSearchParams(location.search);
 const KIND_NAMES = { svbrdf: "Material", lightfield: "Light field", volume: "Volume", generic: "Array" };
 
@@ -32,16 +33,19 @@ function mebibytes(bytes: number): string {
 /** For tests and for programs that embed the page: what has happened so far. */
 function mark(state: string): void {
   document.documentElement.dataset["state"] = state;
+  performance.mark(state);
 }
 
 class Page {
   private app: App | null = null;
   private panel: Panel | null = null;
   private gpu: Gpu | null = null;
+  private opening: Promise<void> = Promise.resolve();
   private screen: Screen | null = null;
   private session = new AbortController();
   private timer = 0;
   private last: Statistics | null = null;
+  private shown = 0; // the deepest level that was on screen
   private fileBytes: [number, number] = [0, 0];
   private readonly canvas = byId<HTMLCanvasElement>("canvas");
 
@@ -49,20 +53,22 @@ class Page {
     this.listen();
     mark("starting");
     try {
-      const name = PARAMETERS.get("file");
-      await this.openGpu();
-      await this.openFile(name);
+      this.opening = this.openGpu();
+      this.opening.catch(() => undefined); // whoever waits for it hears of the failure
+      await this.openFile(PARAMETERS.get("file"));
     } catch (error) {
       this.fail(asProblem(error));
     }
   }
 
+  /** Opens the adapter while the file begins to arrive. */
   private async openGpu(): Promise<void> {
     this.gpu = await openGpu((problem) => {
       this.app?.close();
       this.fail(problem);
     });
     this.screen = await Screen.make(this.gpu.device, this.canvas);
+    performance.mark("gpu");
   }
 
   /** The file that the address names, or one beside the page, or none. */
@@ -74,6 +80,7 @@ class Page {
       return null;
     });
     if (source === null) {
+      await this.opening;
       byId("welcome").hidden = false;
       mark("empty");
       return;
@@ -111,7 +118,9 @@ class Page {
           this.app!.addLevel();
           this.panel!.refresh();
           mark(`level-${level}`);
-          await new Promise((resolve) => setTimeout(resolve)); // let it be drawn before the next one is checked
+          // Let it be drawn before the next one is checked; a page that nobody sees is not drawn.
+          await Promise.race([this.app!.drawn, new Promise((resolve) => setTimeout(resolve, FIRST_FRAME))]);
+          await new Promise((resolve) => setTimeout(resolve));
         },
       });
     } catch (error) {
@@ -132,6 +141,9 @@ class Page {
 
   private async begin(reading: Reading): Promise<void> {
     const player: Player = { playing: false, toggle: () => this.play(player) };
+    performance.mark("tables");
+    await this.opening;
+    this.shown = 0;
     this.app = await App.make(this.gpu!, this.canvas, this.screen!, reading, {
       onFrame: (statistics) => this.frame(statistics),
       onProblem: (problem) => this.fail(problem),
@@ -139,6 +151,7 @@ class Page {
         byId("loading").textContent = notes.join(" ");
       },
     });
+    performance.mark("compiled");
     const pixels = /^(\d+)x(\d+)$/.exec(PARAMETERS.get("pixels") ?? "");
     this.app.fixSize(pixels === null ? null : [Number(pixels[1]), Number(pixels[2])]);
     byId("facts").textContent = facts(reading.metadata, reading.size);
@@ -175,6 +188,10 @@ class Page {
 
   private frame(statistics: Statistics): void {
     this.last = statistics;
+    if (!statistics.decoding && this.shown < statistics.level) {
+      this.shown = statistics.level;
+      performance.mark(`shown-level-${statistics.level}`);
+    }
     this.canvas.classList.toggle("crisp", this.app?.kind === "generic");
     const divider = byId("divider");
     const compare = this.app?.state.compare;
@@ -297,7 +314,8 @@ class Page {
         await this.takeMesh(file);
       } else {
         if (this.gpu === null) {
-          await this.openGpu();
+          this.opening = this.openGpu();
+          await this.opening;
         }
         await this.show(new BlobSource(file));
       }

@@ -19,6 +19,7 @@ interface HeadCase {
   file: string;
   pages: number;
   uniform_levels: number[];
+  taken: number[];
   options: { picks: number[] | null; channels: 1 | 3; contracted: number[]; page_shift: number };
   text: string;
   words: number;
@@ -41,7 +42,7 @@ describe("shader heads and images", () => {
     const { metadata, levels } = model(each.file);
     const { picks, channels, contracted, page_shift: pageShift } = each.options;
     expect(uniformLevels(metadata, levels)).toEqual(each.uniform_levels);
-    const options = { channels, contracted, pageShift, uniform: each.uniform_levels, ...(picks === null ? {} : { picks }) };
+    const options = { channels, contracted, pageShift, uniform: each.taken, ...(picks === null ? {} : { picks }) };
     expect(prelude(metadata, each.pages, options)).toBe(each.text);
     const layout = layOutImage(levels);
     expect([layout.rows[0]?.[0], layout.scales[0], layout.coefficients]).toEqual([each.rows, each.scales, each.coefficients]);

@@ -17,6 +17,7 @@ from ..axes import axis_order
 from ..errors import HmkctaError, Kind, invalid
 from ..packed import Metadata
 from ..transform import from_json
+from .cells import picked_cells
 from .contraction import contraction
 
 #: Words of a page by its logarithm: 2^25 words are the 128 MiB that WebGPU guarantees for a storage buffer binding.
@@ -36,7 +37,7 @@ class Options:
     """What a shader needs beside the model.
 
     Attributes:
-        picks: for each source axis, how many weighted indices it can have; one each by default.
+        picks: for each source axis, how many weighted indices it can have; None for shaders without `weighted.wgsl`.
         channels: 3 if values are red, green and blue, decoded in one walk, else 1. The weights of the mode of the axis
             of role `channel` are then red, green and blue; those of other modes are single numbers.
         contracted: modes that `contract.wgsl` has folded into the cores.
@@ -102,6 +103,7 @@ def prelude(metadata: Metadata, pages: int, options: Options = PLAIN, uniform: S
         f"const COLOUR_RANKS = {1 if colour is None else max(taken[colour], 1)}u;",
         *_pages(pages, options.page_shift),
         *contraction(metadata, taken, colour, options.contracted, uniform),
+        *(picked_cells(metadata, room, colour, options.contracted, uniform) if options.picks is not None else ()),
     ]
     return "\n".join(lines) + "\n"
 

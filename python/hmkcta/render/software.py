@@ -13,6 +13,8 @@ import numpy as np
 
 from ..model import Model
 from ..packed import PackedLevel
+from .cells import registered_levels
+from .contraction import uniform_levels
 from .prelude import axis_places
 
 #: A little below the limit, for the loops outside the decoder.
@@ -33,24 +35,50 @@ def loop_turns(model: Model, picks: Sequence[int], level: int) -> int:
     modes, _ = axis_places(model.metadata)
     order = len(model.metadata.organisation)
     rows = [prod(count for count, mode in zip(picks, modes, strict=True) if mode == n) for n in range(order)]
+    channel = next((n for n, axis in enumerate(model.metadata.axes) if axis.role == "channel"), None)
+    colour = modes[channel] if channel is not None and picks[channel] == 3 else None
+    uniform = uniform_levels(model.metadata, model.levels)
+    registered = registered_levels(model.metadata, rows, colour, (), uniform)
     parts = [1] * order
     turns = 0
-    for packed, bounds in zip(model.levels[:level], model.bounds, strict=False):
+    for number, (packed, bounds) in enumerate(zip(model.levels[:level], model.bounds, strict=False)):
         if not all(bounds.clusters):  # only empty nodes
             break
         groups = [min(r, p) for r, p in zip(rows, parts, strict=True)]
-        modes_of = zip(rows, groups, bounds.mixture, bounds.clusters, strict=True)
-        cells = prod(min(r * k, g * c) for r, g, k, c in modes_of)
-        # An undecomposed mode brings its rows into the contraction, not all of its core.
-        undecomposed = model.metadata.undecomposed
-        entries = [rows[n] if n in undecomposed else rank for n, rank in enumerate(bounds.ranks)]
-        contraction = sum(prod(entries[: n + 1]) for n in range(order))
-        shared = [-(-r // g) for r, g in zip(rows, groups, strict=True)]
-        weighing = sum(r * k * (2 + rank) for r, k, rank in zip(shared, bounds.mixture, entries, strict=True))
-        together = cells * (contraction + weighing + 6 * order)
-        turns += min(together, prod(groups) * _worst_node(packed, rows, undecomposed)) + prod(groups) * 8 * order
+        clusters = [min(r * k, g * c) for r, g, k, c in zip(rows, groups, bounds.mixture, bounds.clusters, strict=True)]
+        if number in registered:
+            turns += _registered(rows, groups, clusters, bounds.mixture, registered[number].turns)
+        else:
+            together = _together(model, number, rows, groups, prod(clusters))
+            turns += min(together, prod(groups) * _worst_node(packed, rows, model.metadata.undecomposed))
+        turns += prod(groups) * 8 * order
         parts = [p * c for p, c in zip(parts, bounds.clusters, strict=True)]
     return turns
+
+
+def _registered(rows: Sequence[int], groups: Sequence[int], clusters: Sequence[int], mixture: Sequence[int],
+                contraction: int) -> int:
+    """Turns of `cells.py`'s loops in all nodes of a level: rows, clusters mode by mode, members of cells, cores.
+
+    `clusters` are those of each mode that rows are members of, added up over the parts.
+    """
+    order = range(len(rows))
+    cells = prod(clusters)
+    opened = prod(groups) * sum(r * (1 + k) for r, k in zip(rows, mixture, strict=True))
+    loops = sum(prod(clusters[: n + 1]) * prod(groups[n + 1 :]) * (1 + rows[n]) for n in order)
+    members = sum(rows[n] * mixture[n] * cells // clusters[n] for n in order)
+    return opened + loops + members + cells * contraction
+
+
+def _together(model: Model, level: int, rows: Sequence[int], groups: Sequence[int], cells: int) -> int:
+    """Turns of `picked_value` in all nodes of a level."""
+    bounds = model.bounds[level]
+    # An undecomposed mode brings its rows into the contraction, not all of its core.
+    entries = [rows[n] if n in model.metadata.undecomposed else rank for n, rank in enumerate(bounds.ranks)]
+    contraction = sum(prod(entries[: n + 1]) for n in range(len(rows)))
+    shared = [-(-r // g) for r, g in zip(rows, groups, strict=True)]
+    weighing = sum(r * k * (2 + rank) for r, k, rank in zip(shared, bounds.mixture, entries, strict=True))
+    return cells * (contraction + weighing + 6 * len(rows))
 
 
 def _worst_node(level: PackedLevel, rows: Sequence[int], undecomposed: Sequence[int]) -> int:

@@ -66,33 +66,6 @@ fn interpolate_direction(table: vec4u, direction: vec3f) -> Weights {
   return Weights(head.xyz, weight, dot(weight, vec3f(rest.z, rest.w, bitcast<f32>(head.w))));
 }
 
-fn pick_directions(axis: u32, found: Weights) {
-  var picks: Picks;
-  picks.count = 3u;
-  for (var k = 0u; k < 3u; k++) {
-    picks.index[k] = found.corners[k];
-    picks.weight[k] = Value(found.weight[k]);
-  }
-  pick_axis(axis, picks);
-}
-
-// Bilinear texels at `place` in texels, from the first texel's centre.
-fn pick_texels(axis: u32, place: f32, count: u32) {
-  if ((svbrdf.flags & FLAG_NEAREST) != 0u) {
-    pick_index(axis, min(u32(place + 0.5), count - 1u));
-    return;
-  }
-  let first = min(u32(place), u32(max(i32(count) - 2, 0)));
-  let share = place - f32(first);
-  var picks: Picks;
-  picks.count = 2u;
-  picks.index[0] = first;
-  picks.index[1] = min(first + 1u, count - 1u);
-  picks.weight[0] = Value(1.0 - share);
-  picks.weight[1] = Value(share);
-  pick_axis(axis, picks);
-}
-
 // Place in texels of a coordinate in repeats, every other repeat mirrored. Directions are not: at the border between two
 // repeats the same texel would then be lit from two sides, and the border would show.
 fn texel_place(coordinate: f32, count: u32) -> f32 {
@@ -102,20 +75,48 @@ fn texel_place(coordinate: f32, count: u32) -> f32 {
   return clamp(within * f32(count) - 0.5, 0.0, f32(count - 1u));
 }
 
-fn pick_still_axes() {
+// Picks all axes for light and eye in the local frame and a place in texels; returns the height of the light among the
+// measured ones. One loop for all axes, for compilers put every call's text in its place.
+fn pick_all(local: vec3f, view: vec3f, place: vec2f) -> f32 {
+  var height = local.z;
+  pick_nothing();
   for (var axis = 0u; axis < AXES; axis++) {
-    if (axis == svbrdf.light_table.w || axis == svbrdf.view_table.w || axis == svbrdf.y_axis
-        || axis == svbrdf.x_axis || axis == svbrdf.channel_axis) { continue; }
-    pick_index(axis, svbrdf.stands[axis / 4u][axis % 4u]);
+    var picks: Picks;
+    picks.count = 1u;
+    picks.index[0] = svbrdf.stands[axis / 4u][axis % 4u];
+    picks.weight[0] = Value(1.0);
+    let lit = axis == svbrdf.light_table.w;
+    if (lit || axis == svbrdf.view_table.w) {
+      let found = interpolate_direction(select(svbrdf.view_table, svbrdf.light_table, lit), select(view, local, lit));
+      picks.count = 3u;
+      for (var k = 0u; k < 3u; k++) {
+        picks.index[k] = found.corners[k];
+        picks.weight[k] = Value(found.weight[k]);
+      }
+      height = select(height, found.height, lit);
+    } else if (axis == svbrdf.x_axis || axis == svbrdf.y_axis) {
+      let along = select(place.y, place.x, axis == svbrdf.x_axis);
+      let count = select(svbrdf.rows, svbrdf.columns, axis == svbrdf.x_axis);
+      if ((svbrdf.flags & FLAG_NEAREST) != 0u) {
+        picks.index[0] = min(u32(along + 0.5), count - 1u);
+      } else {  // bilinear
+        let first = min(u32(along), u32(max(i32(count) - 2, 0)));
+        picks.count = 2u;
+        picks.index[0] = first;
+        picks.index[1] = min(first + 1u, count - 1u);
+        picks.weight[0] = Value(1.0 - (along - f32(first)));
+        picks.weight[1] = Value(along - f32(first));
+      }
+    } else if (axis == svbrdf.channel_axis) {
+      picks.count = 3u;
+      for (var c = 0u; c < 3u; c++) {
+        picks.index[c] = svbrdf.channels[c];
+        picks.weight[c] = as_value(vec3f(f32(c == 0u), f32(c == 1u), f32(c == 2u)));
+      }
+    }
+    pick_axis(axis, picks);
   }
-  if (svbrdf.channel_axis == NO_AXIS) { return; }
-  var picks: Picks;
-  picks.count = 3u;
-  for (var c = 0u; c < 3u; c++) {
-    picks.index[c] = svbrdf.channels[c];
-    picks.weight[c] = as_value(vec3f(f32(c == 0u), f32(c == 1u), f32(c == 2u)));
-  }
-  pick_axis(svbrdf.channel_axis, picks);
+  return height;
 }
 
 @compute @workgroup_size(8, 8, 1)
@@ -156,17 +157,7 @@ fn shade_svbrdf(@builtin(global_invocation_id) pixel: vec3u) {
     }
     let local = to_local * towards;
     if (local.z <= 0.0) { continue; }
-    pick_nothing();
-    pick_still_axes();
-    pick_texels(svbrdf.x_axis, x, svbrdf.columns);
-    pick_texels(svbrdf.y_axis, y, svbrdf.rows);
-    if (svbrdf.view_table.w != NO_AXIS) { pick_directions(svbrdf.view_table.w, interpolate_direction(svbrdf.view_table, view)); }
-    var height = local.z;
-    if (svbrdf.light_table.w != NO_AXIS) {
-      let found = interpolate_direction(svbrdf.light_table, local);
-      pick_directions(svbrdf.light_table.w, found);
-      height = found.height;
-    }
+    let height = pick_all(local, view, vec2f(x, y));
     var scale = min(1.0, local.z / max(height, 1e-6));
     if ((svbrdf.flags & FLAG_COSINE) != 0u) { scale = local.z; }
     radiance += scale * strength * vec3f(source_values(decode_picked(decoder.levels)));

@@ -72,13 +72,19 @@ fn decode_picked(levels: u32) -> Value {
     inside[n] = (2u << (row_count[n] - 1u)) - 1u;  // as many ones; 32 of them too
   }
   node_at[0] = 0u;
+  if (LEVELS == 1u) {  // no tree to walk: compilers leave out what follows
+    if (open_node(0u)) {
+      sum = picked_node(0u, 0u);
+    }
+    return sum;
+  }
   var depth = 0u;
   var entered = true;
   loop {
     if (entered) {
       sum += visit(depth, levels);
     }
-    entered = node_at[depth] != LEAF && enter_next_child(depth);
+    entered = node_at[depth] != LEAF && enter_next_child(depth, entered);
     if (entered) {
       depth += 1u;
     } else if (depth == 0u) {
@@ -90,46 +96,40 @@ fn decode_picked(levels: u32) -> Value {
   return sum;
 }
 
-// What the node at this depth adds, and the first group of rows in every mode for its first child.
+// What the node at this depth adds; its rows wait for its children, if it has any.
 fn visit(depth: u32, levels: u32) -> Value {
   let node = node_at[depth];
   var sum = Value(0.0);
   let full = open_node(node);
   if (full) {
-    sum = picked_value(node, depth);
+    sum = picked_node(node, depth);
   }
   if (!full || word(node) == LEAF || depth + 1u >= levels) {
     node_at[depth] = LEAF;
-    return sum;
-  }
-  for (var n = 0u; n < ORDER; n++) {
-    waiting[depth * ORDER + n] = inside[depth * ORDER + n];
-    if (n + 1u < ORDER) {
-      enter_part(depth, n);
-    }
   }
   return sum;
 }
 
-// Goes on to the next combination of parts, the last mode fastest; false: all have been entered.
-fn enter_next_child(depth: u32) -> bool {
-  var n = ORDER;
-  loop {
-    n -= 1u;
-    if (waiting[depth * ORDER + n] != 0u) {
-      break;
+// Goes on to the first combination of parts, or to the next, the last mode fastest; false: all have been entered.
+fn enter_next_child(depth: u32, first: bool) -> bool {
+  var n = 0u;
+  if (!first) {
+    n = ORDER - 1u;
+    while (n > 0u && waiting[depth * ORDER + n] == 0u) {
+      n -= 1u;
     }
-    if (n == 0u) {
+    if (waiting[depth * ORDER + n] == 0u) {
       return false;
     }
   }
-  enter_part(depth, n);
-  for (var m = n + 1u; m < ORDER; m++) {
-    waiting[depth * ORDER + m] = inside[depth * ORDER + m];
-    enter_part(depth, m);
-  }
   var part = 0u;  // flat(part_1 .. part_N)
   for (var m = 0u; m < ORDER; m++) {
+    if (first || m > n) {
+      waiting[depth * ORDER + m] = inside[depth * ORDER + m];
+    }
+    if (m >= n) {
+      enter_part(depth, m);
+    }
     part = part * word(node_at[depth] + 3u + 5u * m);
     if (!undecomposed(m)) {
       part += word(row_record(node_at[depth], m, row_at[depth * ROWS + first_row(m, inside[(depth + 1u) * ORDER + m])]));
@@ -170,7 +170,20 @@ fn first_row(n: u32, mask: u32) -> u32 {
   return ROW_FIRST[n] + firstTrailingBit(mask);
 }
 
-// What the node at hand adds: the sum over the clusters that any row inside is a member of.
+// The cluster subsets, numbered up to 31, that a row of the node at hand is a member of, as bits.
+fn subset_bits(n: u32, row: u32) -> u32 {
+  if (undecomposed(n)) {
+    return 1u;
+  }
+  let subsets = node_rows[n] + row * (2u + node_mixture[n]) + 2u;
+  var bits = 0u;
+  for (var k = 0u; k < node_mixture[n]; k++) {
+    bits |= 1u << word(subsets + k);
+  }
+  return bits;
+}
+
+// What the node at hand adds, whatever its ranks: the sum over the clusters that any row inside is a member of.
 fn picked_value(node: u32, depth: u32) -> Value {
   for (var n = 0u; n < ORDER; n++) {
     cell_cluster[n] = next_cluster(depth, n, 0u);

@@ -7,6 +7,7 @@
 import { axisPlaces } from "../decode/element";
 import { Problem } from "../problem";
 import type { Metadata } from "../reader/metadata";
+import { pickedCells } from "./cells";
 import { contraction } from "./contraction";
 
 /** Words of a page by its logarithm: 128 MiB, the storage buffer binding that WebGPU guarantees. */
@@ -17,7 +18,7 @@ const MOST_PAGES = 5;
 export const MOST_ROWS = 32;
 
 export interface Options {
-  picks?: number[]; // for each source axis, how many weighted indices it can have; 1 each by default
+  picks?: number[]; // for each source axis, how many weighted indices it can have; none for shaders without weighted.wgsl
   channels?: 1 | 3;
   contracted?: number[]; // modes
   uniform?: number[]; // levels, from 0, whose loops get constant bounds: `uniformLevels`
@@ -78,6 +79,7 @@ export function prelude(metadata: Metadata, pages: number, options: Options = {}
     `const COLOUR_RANKS = ${colour === undefined ? 1 : Math.max(taken[colour]!, 1)}u;`,
     ...pageLines(pages, pageShift),
     ...contraction(metadata, taken, colour, contracted, uniform),
+    ...(options.picks === undefined ? [] : pickedCells(metadata, room, colour, contracted, uniform)),
   ].join("\n")}\n`;
 }
 

@@ -19,8 +19,8 @@ export interface Progress {
 export interface Renderer {
   /** Sentences on what had to be assumed. */
   readonly notes: string[];
-  /** Compile what a state needs that was not needed before. */
-  prepare?(state: State): Promise<void>;
+  /** Compile what a state and these sides need that was not needed before. */
+  prepare?(state: State, sides: Side[]): Promise<void>;
   /** Draw one side into a texture; elements that are kept from frame to frame are decoded up to `budget` at a time. */
   draw(side: Side, slot: 0 | 1, state: State, target: GPUTexture, budget: number): Progress;
   destroy(): void;

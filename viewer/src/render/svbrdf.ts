@@ -5,7 +5,7 @@ import { Pass } from "../gpu/pass";
 import { picksFit, prelude } from "../gpu/prelude";
 import { SHADERS } from "../gpu/shaders";
 import type { Values } from "../gpu/uniform";
-import type { Metadata } from "../reader/metadata";
+import type { LevelBounds, Metadata } from "../reader/metadata";
 import type { Light, State } from "../state";
 import { type DirectionTable, GRID, buildTable, directionsOf } from "./directions";
 import { type Layout, layOut } from "./layout";
@@ -26,9 +26,14 @@ interface Tables {
   view: number[];
 }
 
-/** A model's shader, and whether its texels are interpolated. */
+/**
+ * A model's shaders, and whether its texels are interpolated. Level 1 has one of its own, which takes a fraction of the
+ * time to compile; the other one is compiled once that has drawn its first frame.
+ */
 interface Shading {
-  pass: Pass;
+  first: Pass;
+  all: Pass | null;
+  compile: () => Promise<void>; // of `all`; starts once
   nearest: boolean;
 }
 
@@ -58,14 +63,22 @@ export class SvbrdfRenderer implements Renderer {
       new Map(await Promise.all(shadings)));
   }
 
+  async prepare(_: State, sides: Side[]): Promise<void> {
+    await Promise.all(sides.map(({ decoder, level }) => (level === 1 ? null : this.shadings.get(decoder)!.compile())));
+  }
+
   draw(side: Side, _slot: 0 | 1, state: State, target: GPUTexture): Progress {
     const { axes } = side.decoder.metadata;
     const [rows, columns] = this.layout.space.map((n) => axes[n]!.size) as [number, number];
     const rays = cameraRays(state.camera, target.width / target.height);
     this.drawSurface(state, rays, rows, columns, target);
-    const { pass, nearest } = this.shadings.get(side.decoder)!;
+    const { first, all, compile, nearest } = this.shadings.get(side.decoder)!;
+    const pass = side.level === 1 ? first : all!;
     pass.run(this.frame(state, rays, rows, columns, target, nearest), [this.tables.buffer, ...this.seen, target],
       [target.width, target.height, 1], side.decoder.group(side.level));
+    if (all === null) {
+      void this.device.queue.onSubmittedWorkDone().then(compile).catch(() => undefined); // `prepare` hears of a failure
+    }
     return { complete: true, decoded: 0 };
   }
 
@@ -76,7 +89,7 @@ export class SvbrdfRenderer implements Renderer {
   }
 
   destroy(): void {
-    this.shadings.forEach(({ pass }) => pass.destroy());
+    this.shadings.forEach(({ first, all }) => [first, all].forEach((pass) => pass?.destroy()));
     [this.surface, this.tables.buffer, this.mesh?.vertices, this.mesh?.indices].forEach((each) => each?.destroy());
     [...this.seen, this.depth].forEach((each) => each?.destroy());
   }
@@ -181,14 +194,25 @@ async function makeShading(device: GPUDevice, decoder: Decoder, layout: Layout):
   };
   const nearest = !picksFit(decoder.metadata, picksWith(2));
   const channels = colour ? 3 : 1;
-  const { uniform } = decoder;
-  const head = prelude(decoder.metadata, decoder.pages, { channels, uniform, picks: picksWith(nearest ? 1 : 2) });
-  const pass = await Pass.make(device, {
-    entry: "shade_svbrdf", struct: "SvbrdfFrame", decoder: decoder.layout, head,
+  const { metadata, uniform } = decoder;
+  const made = (levels: LevelBounds[]): Promise<Pass> => Pass.make(device, {
+    entry: "shade_svbrdf", struct: "SvbrdfFrame", decoder: decoder.layout,
+    head: prelude({ ...metadata, levels }, decoder.pages,
+      { channels, uniform: uniform.filter((l) => l < levels.length), picks: picksWith(nearest ? 1 : 2) }),
     shaders: ["image", "decode", "weighted", "svbrdf"],
     bindings: ["storage", "texture-2d", "texture-2d", "texture-2d", "store-2d"],
   });
-  return { pass, nearest };
+  let compiling: Promise<void> | null = null;
+  const shading: Shading = {
+    nearest, first: await made(metadata.levels.slice(0, 1)), all: null,
+    compile: () => compiling ??= made(metadata.levels).then((pass) => {
+      shading.all = pass;
+    }),
+  };
+  if (metadata.levels.length === 1) {
+    shading.all = shading.first;
+  }
+  return shading;
 }
 
 function makeRasteriser(device: GPUDevice): Promise<GPURenderPipeline> {

@@ -1,0 +1,223 @@
+/**
+ * The part of a prelude that adds up the cells of a node for `weighted.wgsl`, for levels whose nodes all have the same
+ * ranks: loops with everything in registers. The same text as `hmkcta.render.cells` makes.
+ */
+
+import type { Metadata } from "../reader/metadata";
+
+const MOST_CLUSTERS = 32; // of a mode, which are kept in a mask of one word
+const MOST_ROWS = 9; // of a mode, which are kept beside each other
+const MOST_RANK = 64; // R of a mode that is worth so many registers, and as many lines of text
+const UNROLLED = 40; // core numbers that are written out one by one; modes before them are looped over
+
+function product(numbers: number[]): number {
+  return numbers.reduce((all, each) => all * each, 1);
+}
+
+/** `picked_node(node, depth)`: what a node adds, by registers where its level allows it, else by `picked_value`. */
+export function pickedCells(
+  metadata: Metadata, room: number[], colour: number | undefined, contracted: number[], uniform: number[],
+): string[] {
+  const cases = new Map<string, number[]>();
+  const lines: string[] = [];
+  for (const level of uniform) {
+    const { ranks, clusters } = metadata.levels[level]!;
+    const cells = new Cells(ranks, room, colour, contracted, product(clusters) === 1);
+    if (Math.max(...clusters) > MOST_CLUSTERS || ranks.some((rank, n) => rank > MOST_RANK && !contracted.includes(n)) 
+      || Math.max(...room) > MOST_ROWS || metadata.undecomposed.some((n) => !contracted.includes(n))) {
+      continue;
+    }
+    if (!cases.has(cells.name)) {
+      lines.push(...cells.text());
+    }
+    cases.set(cells.name, [...(cases.get(cells.name) ?? []), level]);
+  }
+  const covered = [...cases.values()].flat().length;
+  const rest = covered < metadata.levels.length ? "picked_value(node, depth)" : "Value(0.0)";
+  return [
+    ...lines, "fn picked_node(node: u32, depth: u32) -> Value {", "  switch depth {",
+    ...Array.from(cases, ([name, levels]) => `    case ${levels.map((level) => `${level}u`).join(", ")}: { return ${name}(node, depth); }`),
+    `    default: { return ${rest}; }`, "  }", "}",
+  ];
+}
+
+/** Nodes with these ranks; `room` rows of each mode at most; whether there is one cell only, of all rows. */
+class Cells {
+  private readonly order: number[];
+  private readonly kept: number[];
+
+  constructor(
+    private readonly ranks: number[], private readonly room: number[], private readonly colour: number | undefined,
+    private readonly contracted: number[], private readonly single: boolean,
+  ) {
+    this.order = ranks.map((_, n) => n);
+    this.kept = this.order.filter((n) => !contracted.includes(n));
+  }
+
+  get name(): string {
+    return `cells_${this.ranks.join("x")}${this.single ? "_single" : ""}`;
+  }
+
+  text(): string[] {
+    const { order, kept, ranks } = this;
+    const last = order.length - 1;
+    const head = `fn ${this.name}(node: u32, depth: u32) -> Value {`;
+    if (this.single) {
+      return [
+        head, "  let core = node_core(node);", ...kept.flatMap((n) => this.onlyWeights(n)), ...this.contraction(),
+        "  return bitcast<f32>(word(word(node + 2u))) * total;", "}",
+      ];
+    }
+    return [
+      head, "  let core_first = node_core(node);", "  let scale_first = word(node + 2u);", "  var sum = Value(0.0);",
+      `  let after_${last} = 1u;`,
+      ...order.slice(0, -1).reverse().map((n) => `  let after_${n} = after_${n + 1} * node_clusters[${n + 1}];`),
+      ...order.flatMap((n) => this.rows(n)), ...order.flatMap((n) => this.loop(n)), `  let cell = flat_${last};`,
+      `  let core = core_first + cell * ${product(kept.map((n) => ranks[n]!))}u;`,
+      ...kept.flatMap((n) => this.weights(n)), ...this.contraction(),
+      "  sum += bitcast<f32>(word(scale_first + cell)) * total;", ...order.map(() => "  }"), "  return sum;", "}",
+    ];
+  }
+
+  private first(n: number): number {
+    return this.room.slice(0, n).reduce((sum, each) => sum + each, 0);
+  }
+
+  private stride(n: number): number {
+    return product(this.kept.filter((m) => m > n).map((m) => this.ranks[m]!));
+  }
+
+  private kind(n: number): string {
+    return n === this.colour ? "Value" : "f32";
+  }
+
+  private weightOf(n: number): string {
+    return n === this.colour ? "row_colour[i]" : `row_weight[${this.first(n)}u + i]`;
+  }
+
+  /** The weights of a mode in the only cell: the basis rows of all rows inside. */
+  private onlyWeights(n: number): string[] {
+    const rank = this.ranks[n]!;
+    return [
+      ...times(rank, (r) => `  var w_${n}_${r} = ${this.kind(n)}(0.0);`),
+      `  for (var rows = inside[depth * ORDER + ${n}u]; rows != 0u; rows &= rows - 1u) {`,
+      "  let i = firstTrailingBit(rows);", `  let share = ${this.weightOf(n)};`,
+      ...numbers(`node_basis[${n}] + row_at[depth * ROWS + ${this.first(n)}u + i] * ${rank}u`, rank),
+      ...times(rank, (r) => `  w_${n}_${r} += share * b_${r};`), "  }",
+    ];
+  }
+
+  /** For each row of a mode inside the node: its clusters as bits, and where its basis rows begin. */
+  private rows(n: number): string[] {
+    const here = this.kept.includes(n);
+    const size = this.room[n]!;
+    return [
+      `  let inside_${n} = inside[depth * ORDER + ${n}u];`, `  var union_${n} = 0u;`,
+      ...(here ? [
+        `  let step_${n} = node_others[${n}] * ${this.ranks[n]}u;`, `  var bits_${n}: array<u32, ${size}>;`,
+        `  var base_${n}: array<u32, ${size}>;`, `  var from_${n}: array<u32, ${size}>;`,
+        `  var share_${n}: array<${this.kind(n)}, ${size}>;`,
+      ] : []),
+      `  for (var rows = inside_${n}; rows != 0u; rows &= rows - 1u) {`, "  let i = firstTrailingBit(rows);",
+      `  let row = row_at[depth * ROWS + ${this.first(n)}u + i];`, `  let bits = subset_bits(${n}u, row);`,
+      `  union_${n} |= bits;`,
+      ...(here ? [
+        `  bits_${n}[i] = bits;`, `  base_${n}[i] = node_basis[${n}] + row * node_mixture[${n}] * step_${n};`,
+      ] : []),
+      "  }",
+    ];
+  }
+
+  /** The loop over a mode's clusters, and what depends on no other mode: its members' shares and basis rows. */
+  private loop(n: number): string[] {
+    const before = n === 0 ? "0u" : `flat_${n - 1}`;
+    const lines = [
+      `  for (var left_${n} = union_${n}; left_${n} != 0u; left_${n} &= left_${n} - 1u) {`,
+      `  let c_${n} = firstTrailingBit(left_${n});`, `  let flat_${n} = ${before} * node_clusters[${n}] + c_${n};`,
+    ];
+    return !this.kept.includes(n) ? lines : [
+      ...lines, `  let own_${n} = (${before} * (node_clusters[${n}] - 1u) + c_${n}) * after_${n};`,
+      `  var members_${n} = 0u;`, `  for (var rows = inside_${n}; rows != 0u; rows &= rows - 1u) {`,
+      "  let i = firstTrailingBit(rows);", `  let bits = bits_${n}[i];`, `  if (((bits >> c_${n}) & 1u) == 1u) {`,
+      `  from_${n}[members_${n}] = base_${n}[i] + countOneBits(bits & ((1u << c_${n}) - 1u)) * step_${n};`,
+      `  share_${n}[members_${n}] = ${this.weightOf(n)};`, `  members_${n} += 1u;`, "  }", "  }",
+    ];
+  }
+
+  /** The weights of a mode in the cell: the basis rows of its members, weighted and added up. */
+  private weights(n: number): string[] {
+    const rank = this.ranks[n]!;
+    return [
+      `  let shift_${n} = (cell - own_${n}) * ${rank}u;`, ...times(rank, (r) => `  var w_${n}_${r} = ${this.kind(n)}(0.0);`),
+      `  for (var i = 0u; i < members_${n}; i++) {`, `  let share = share_${n}[i];`,
+      ...numbers(`from_${n}[i] + shift_${n}`, rank), ...times(rank, (r) => `  w_${n}_${r} += share * b_${r};`), "  }",
+    ];
+  }
+
+  /** `total`: the core times its weights, the mode with the colours outermost. */
+  private contraction(): string[] {
+    const { ranks, kept } = this;
+    const modes = [...kept.filter((n) => n === this.colour), ...kept.filter((n) => n !== this.colour)];
+    let inside = modes.length;
+    for (let size = 1; inside > 0; inside -= 1) {
+      size *= ranks[modes[inside - 1]!]!;
+      if (inside < modes.length && (this.single || size > UNROLLED)) {
+        break;
+      }
+    }
+    const [outer, inner] = [modes.slice(0, inside), modes.slice(inside)];
+    const even = this.contracted.length === 0 && product(ranks) % 2 === 0 && outer.every((n) => this.stride(n) % 2 === 0);
+    const at = ["core", ...outer.map((n) => `e_${n} * ${this.stride(n)}u`)].join(" + ");
+    const block = [`  let at = ${at};`, ...this.reading(inner, even)];
+    const value = this.sum(inner, 0, even);
+    if (outer.length === 0) {
+      return [...block, `  let total = Value(${value});`];
+    }
+    return [
+      ...outer.map((n) => `  var list_${n} = array<${this.kind(n)}, ${ranks[n]}>(${times(ranks[n]!, (r) => `w_${n}_${r}`).join(", ")});`),
+      `  var total = ${outer.some((n) => n === this.colour) ? "Value" : "f32"}(0.0);`,
+      ...outer.map((n) => `  for (var e_${n} = 0u; e_${n} < ${ranks[n]}u; e_${n}++) {`), ...block,
+      `  total += ${outer.map((n) => `list_${n}[e_${n}]`).join(" * ")} * ${value};`, ...outer.map(() => "  }"),
+    ];
+  }
+
+  /** Statements that read the core numbers of some modes at `at`; in pairs if that is even. */
+  private reading(modes: number[], even: boolean): string[] {
+    let offsets = [0];
+    for (const n of modes) {
+      offsets = offsets.flatMap((offset) => times(this.ranks[n]!, (e) => offset + e * this.stride(n)));
+    }
+    offsets.sort((a, b) => a - b);
+    if (this.contracted.length > 0) {
+      return offsets.map((offset) => `  let h_${offset} = bitcast<f32>(frame[at + ${offset}u]);`);
+    }
+    return even
+      ? [...new Set(offsets.map((offset) => offset >> 1))].map((pair) => `  let p_${pair} = unpack2x16float(word((at >> 1u) + ${pair}u));`)
+      : offsets.map((offset) => `  let h_${offset} = coefficient(at + ${offset}u);`);
+  }
+
+  /** The expression of their sum. */
+  private sum([n, ...rest]: number[], offset: number, even: boolean): string {
+    if (n === undefined) {
+      return even ? `p_${offset >> 1}.${offset % 2 === 0 ? "x" : "y"}` : `h_${offset}`;
+    }
+    return `(${times(this.ranks[n]!, (e) => `w_${n}_${e} * ${this.sum(rest, offset + e * this.stride(n), even)}`).join(" + ")})`;
+  }
+}
+
+function times<Result>(count: number, make: (i: number) => Result): Result[] {
+  return Array.from({ length: count }, (_, i) => make(i));
+}
+
+/** Statements that read `count` neighbouring float16 numbers at a half address, as `b_0` and so on. */
+function numbers(at: string, count: number): string[] {
+  if (count === 1) {
+    return [`  let b_0 = coefficient(${at});`];
+  }
+  const words = (count + 1) >> 1;
+  const half = (r: number): string => `q_${r >> 1}.${r % 2 === 0 ? "x" : "y"}`;
+  const read = [`  let a = ${at};`, ...times(words, (k) => `  let q_${k} = unpack2x16float(word((a >> 1u) + ${k}u));`)];
+  return count % 2 === 0 // rows of an even length begin at whole words
+    ? [...read, ...times(count, (r) => `  let b_${r} = ${half(r)};`)]
+    : [...read, "  let odd = (a & 1u) == 1u;", ...times(count, (r) => `  let b_${r} = select(${half(r)}, ${half(r + 1)}, odd);`)];
+}
