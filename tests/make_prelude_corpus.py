@@ -63,7 +63,7 @@ def contraction(metadata: Metadata, levels: Sequence[PackedLevel], image: Image,
     assert options.picks is not None
     modes, _ = axis_places(metadata)
     still = [axis for axis, mode in enumerate(modes) if mode in options.contracted]
-    assert contractable(Model(metadata, levels), still) == options.contracted
+    assert contractable(Model(metadata, tuple(levels)), still) == options.contracted
     picks = {axis: (list(range(options.picks[axis])), [0.5 ** (1 + k) for k in range(options.picks[axis])])
              for axis in still}
     return {"still": still, "constants": contraction_constants(metadata, levels, image, options),

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import trimesh
 
 from hmkcta import Axis, Model, compress, synthetic
 from hmkcta.render import Camera, Compare, Light, Look, Renderer, Scene, Surface, Viewpoint
@@ -31,6 +32,7 @@ class Case:
     scene: Scene
     controls: dict[str, str] = field(default_factory=dict[str, str])
     drag: tuple[int, int] = (0, 0)  # pixels, of the camera
+    mesh: str = ""  # dropped on the page
 
 
 def main(folder: Path) -> None:
@@ -40,13 +42,17 @@ def main(folder: Path) -> None:
     for name, (model, values) in models.items():
         model.save(folder / f"{name}.hmk", overwrite=True)
         np.save(folder / f"{name}.npy", values)
+    patch(folder / "patch.glb")
     entries: list[dict[str, Any]] = []
     for case in CASES:
         model, values = models[case.file]
         scene = replace(case.scene, width=SIZE, height=SIZE)
+        if case.mesh:
+            scene = replace(scene, surface=Surface(str(folder / case.mesh)))
         picture = Renderer(model, original=values, backend="numpy").picture(scene)
         (folder / f"{case.name}.rgb").write_bytes(picture.tobytes())
-        entries.append({"name": case.name, "file": f"{case.file}.hmk", "controls": case.controls, "drag": case.drag})
+        entries.append({"name": case.name, "file": f"{case.file}.hmk", "controls": case.controls, "drag": case.drag,
+                        "mesh": case.mesh})
     document = {"size": SIZE, "pictures": entries, "slices": _slices(models["stack"][0])}
     (folder / "pictures.json").write_text(json.dumps(document), encoding="utf-8")
 
@@ -86,7 +92,32 @@ def stack() -> tuple[Model, Any]:
     return compress(array, "R=4,4,4 / R=2,2,2 C=2,2,1 K=2,1,1", axes=axes, transform="asinh:0.5"), array
 
 
-MAKERS = {"material": material, "merged": merged, "lightfield": light_field, "volume": volume, "stack": stack}
+def bare() -> tuple[Model, Any]:
+    """A material without directions."""
+    data = synthetic.material(5, 5, 8)
+    axes = [Axis(axis.name, axis.size, axis.role) for axis in data.axes]
+    return compress(data.values, "R=2", axes=axes, kind=data.kind), data.values
+
+
+def series() -> tuple[Model, Any]:
+    """One axis."""
+    array = np.sin(np.linspace(0, 9, 40)).astype(np.float32)
+    return compress(array, "R=1 C=5 K=1", axes=[Axis("t", 40)]), array
+
+
+MAKERS = {"material": material, "merged": merged, "lightfield": light_field, "volume": volume, "stack": stack,
+          "bare": bare, "series": series}
+
+
+def patch(path: Path) -> None:
+    """A bulging sheet with texture coordinates, as a glTF file."""
+    v, u = (a.reshape(-1) for a in np.meshgrid(np.linspace(0, 1, 9), np.linspace(0, 1, 9), indexing="ij"))
+    bulge = 0.5 * np.sin(np.pi * u) * np.sin(np.pi * v)
+    corner = (9 * np.arange(8)[:, None] + np.arange(8)).reshape(-1, 1)
+    faces = np.concatenate([corner, corner + 1, corner + 9, corner + 1, corner + 10, corner + 9], axis=1).reshape(-1, 3)
+    mesh = trimesh.Trimesh(np.stack([u, v, bulge], axis=1), faces, process=False,
+                           visual=trimesh.visual.TextureVisuals(uv=np.stack([u, v], axis=1)))
+    mesh.export(str(path))
 
 
 def _cases() -> list[Case]:
@@ -101,6 +132,7 @@ def _cases() -> list[Case]:
         Case("material-split", "material", Scene(level=1, compare=Compare("split", 2)),
              {"Show": "split", "With": "2", **low}),
         Case("material-original", "material", Scene(compare=Compare("split", None)), {"Show": "split"}),
+        Case("material-mesh", "material", Scene(), mesh="patch.glb"),
         Case("merged", "merged", Scene()),
         Case("merged-cloth", "merged", Scene(surface=Surface("cloth")), {"Shape": "cloth"}),
         Case("lightfield", "lightfield", Scene(viewpoint=Viewpoint(0.5, 1.25)), {"Row": "0.5", "Column": "1.25"}),

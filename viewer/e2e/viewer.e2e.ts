@@ -3,6 +3,7 @@
 import { readFileSync, writeFileSync } from "node:fs";
 import { join } from "node:path";
 import type { Browser, Locator, Page } from "playwright-core";
+import { PNG } from "pngjs";
 import { afterAll, afterEach, beforeAll, describe, expect, it } from "vitest";
 import { Server, WITHOUT_WEBGPU, haveBrowser, launch, makeModels, pixels, reached, settled } from "./browser";
 
@@ -16,6 +17,7 @@ interface Scene {
   file: string;
   controls: Record<string, string>;
   drag: [number, number];
+  mesh: string;
 }
 
 interface Document {
@@ -66,12 +68,24 @@ describe.runIf(there)("viewer in Chromium", () => {
     }
   }
 
-  it.each(pictures)("shows $name as NumPy does", async ({ name, file, controls, drag }) => {
+  function drop(name: string, bytes: Buffer): Promise<void> {
+    return page.evaluate(({ text, as }) => {
+      const data = new DataTransfer();
+      data.items.add(new File([Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0))], as));
+      window.dispatchEvent(new DragEvent("drop", { dataTransfer: data, bubbles: true }));
+    }, { text: bytes.toString("base64"), as: name });
+  }
+
+  it.each(pictures)("shows $name as NumPy does", async ({ name, file, controls, drag, mesh }) => {
     const original = name.includes("original") ? ["--original", join(folder, file.replace(".hmk", ".npy"))] : [];
     await open(file, undefined, ...original);
     await reached(page, "ready");
     await page.evaluate(() => document.querySelectorAll("details").forEach((each) => each.toggleAttribute("open", true)));
     await set(controls);
+    if (mesh !== "") {
+      await drop(mesh, readFileSync(join(folder, mesh)));
+      await expect.poll(() => labelled("Shape").inputValue()).toBe("mesh");
+    }
     if (drag[0] !== 0) {
       await page.mouse.move(250, 300);
       await page.mouse.down();
@@ -138,6 +152,114 @@ describe.runIf(there)("viewer in Chromium", () => {
     expect(await pixels(page, size)).toEqual(before);
   });
 
+  it("compares, lists its keys and saves the picture by keys", async () => {
+    await open("material.hmk");
+    await reached(page, "ready");
+    await page.locator("canvas").focus();
+    const modes: string[] = [];
+    for (let i = 0; i < 3; i += 1) {
+      await page.keyboard.press(i === 1 ? "Shift+C" : "c");
+      modes.push(await labelled("Show").inputValue());
+    }
+    expect(modes).toEqual(["split", "heat", "none"]);
+    const keys = page.locator("#keys table");
+    expect(await keys.isVisible()).toBe(false);
+    await page.keyboard.press("?");
+    expect(await keys.isVisible()).toBe(true);
+    expect(await keys.textContent()).toContain("save the picture");
+    await page.keyboard.press("?");
+    expect(await keys.isVisible()).toBe(false);
+    await settled(page);
+    const [download] = await Promise.all([page.waitForEvent("download"), page.keyboard.press("s")]);
+    expect(download.suggestedFilename()).toBe("hmkcta.png");
+    const saved = PNG.sync.read(readFileSync(await download.path()));
+    expect([saved.width, saved.height]).toEqual([size, size]);
+    expect(new Set(saved.data).size).toBeGreaterThan(20);
+  });
+
+  it("turns by one finger, and by two comes nearer and moves the light", async () => {
+    await open("material.hmk");
+    await reached(page, "ready");
+    const session = await page.context().newCDPSession(page);
+    const touch = (type: "touchStart" | "touchMove" | "touchEnd", ...places: [number, number][]): Promise<unknown> =>
+      session.send("Input.dispatchTouchEvent", { type, touchPoints: places.map(([x, y], id) => ({ x, y, id })) });
+    const before = await pixels(page, size);
+    await page.evaluate(() => Object.assign(document.querySelector("canvas")!.style, { width: "500px", height: "500px" }));
+    await touch("touchStart", [200, 200]);
+    await touch("touchMove", [260, 220]);
+    await touch("touchEnd");
+    const turned = await pixels(page, size);
+    expect(turned).not.toEqual(before);
+    const covered = (picture: Uint8Array): number => new Set([0, size - 1].flatMap((row) =>
+      Array.from({ length: size }, (_, x) => picture[3 * (row * size + x)]))).size;
+    expect(covered(turned), "nothing but background at the upper and lower border").toBe(1);
+    const azimuth = await labelled("Azimuth").inputValue();
+    await page.evaluate(() => Object.assign(document.querySelector("canvas")!.style, { width: "500px", height: "500px" }));
+    await touch("touchStart", [200, 200], [260, 200]);
+    await touch("touchMove", [150, 200], [330, 200]);
+    await touch("touchEnd");
+    expect(covered(await pixels(page, size)), "the object is larger than the picture").toBeGreaterThan(1);
+    expect(await labelled("Azimuth").inputValue()).not.toBe(azimuth);
+  });
+
+  it("shows an array of one axis as a strip", async () => {
+    await open("series.hmk");
+    await reached(page, "ready");
+    const found = await pixels(page, size);
+    const middle = Array.from({ length: size }, (_, x) => found[3 * ((size / 2) * size + x)]!);
+    expect(Math.max(...middle)).toBe(255);
+    expect(Math.min(...middle)).toBe(0);
+    expect(found.subarray(3 * size * (size / 2 + 2), 3 * size * (size / 2 + 3))).toEqual(found.subarray(3 * size * (size / 2), 3 * size * (size / 2 + 1)));
+    await page.evaluate(() => Object.assign(document.querySelector("canvas")!.style, { width: "320px", height: "320px" }));
+    await page.mouse.move(160, 160);
+    await page.mouse.move(164, 160);
+    expect(await page.locator("#readout").textContent()).toMatch(/^t 20: /);
+    expect(await page.getByLabel("Down", { exact: true }).count()).toBe(0);
+  });
+
+  it("keeps saying what it assumes when there is an original", async () => {
+    await open("bare.hmk", undefined, "--original", join(folder, "bare.npy"));
+    await reached(page, "ready");
+    expect(await page.locator("#loading").textContent()).toContain("light has no directions as coordinates");
+  });
+
+  it("compares what is decoded and nothing else", async () => {
+    await open("volume.hmk");
+    await reached(page, "ready");
+    await pixels(page, size);
+    // Where decoding takes so long, little is decoded a frame, and a picture takes several.
+    await page.evaluate(() => {
+      let passes = 0;
+      const dispatch = GPUComputePassEncoder.prototype.dispatchWorkgroups;
+      GPUComputePassEncoder.prototype.dispatchWorkgroups = function counted(this: GPUComputePassEncoder, ...given) {
+        passes += 1;
+        return dispatch.apply(this, given);
+      };
+      const work = GPUQueue.prototype.onSubmittedWorkDone;
+      GPUQueue.prototype.onSubmittedWorkDone = async function slow(this: GPUQueue) {
+        await new Promise((resolve) => setTimeout(resolve, passes > 3 ? 200 : 0)); // more than two sides and the display
+        passes = 0;
+        return work.call(this);
+      };
+    });
+    for (let i = 0; i < 6; i += 1) {
+      await set({ Level: String(1 + (i % 2)) });
+      await settled(page);
+    }
+    const shot = async (): Promise<string> => (await page.screenshot({ clip: { x: 0, y: 0, width: size, height: size } })).toString("base64");
+    const shots = [await shot()];
+    await set({ Show: "heat", With: "1" });
+    let decoding = 0;
+    do {
+      decoding += Number((await page.locator("#statistics").textContent())?.includes("decoding"));
+      shots.push(await shot());
+    } while (await page.evaluate(() => document.querySelector("canvas")!.ariaBusy) === "true");
+    shots.push(await shot());
+    expect(decoding, "several frames were needed").toBeGreaterThan(1);
+    expect(shots.at(-1)).not.toBe(shots[0]);
+    expect(shots.filter((each) => each !== shots[0] && each !== shots.at(-1))).toEqual([]);
+  });
+
   it("edits the transfer function by keys", async () => {
     await open("volume.hmk");
     await reached(page, "ready");
@@ -166,11 +288,6 @@ describe.runIf(there)("viewer in Chromium", () => {
   it("takes a dropped file, and says of a damaged one that it is", async () => {
     await open("stack.hmk");
     await reached(page, "ready");
-    const drop = (name: string, bytes: Buffer): Promise<void> => page.evaluate(({ text, as }) => {
-      const data = new DataTransfer();
-      data.items.add(new File([Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0))], as));
-      window.dispatchEvent(new DragEvent("drop", { dataTransfer: data, bubbles: true }));
-    }, { text: bytes.toString("base64"), as: name });
     const good = readFileSync(join(folder, "volume.hmk"));
     const damaged = Buffer.from(good);
     damaged[damaged.length - 9]! ^= 4;

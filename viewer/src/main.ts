@@ -7,9 +7,10 @@ import { load } from "./load";
 import { Problem, asProblem } from "./problem";
 import type { Metadata } from "./reader/metadata";
 import type { Reading } from "./reader/read";
-import { parseObj } from "./render/mesh";
+import { readGltf } from "./render/gltf";
+import { type Mesh, meshOf, parseObj } from "./render/mesh";
 import { Screen } from "./render/screen";
-import { colourAxis, fitted } from "./render/slices";
+import { colourAxis, fitted, sliceSize } from "./render/slices";
 import { BlobSource, type ByteSource, fileUrl, openUrl } from "./stream";
 import { plain } from "./ui/controls";
 import type { Player } from "./ui/groups";
@@ -221,7 +222,7 @@ class Page {
     }
     const { state, metadata } = app;
     const { x, y } = state.slice;
-    const [rows, columns] = [metadata.axes[y]!.size, metadata.axes[x]!.size];
+    const [rows, columns] = sliceSize(metadata, state);
     const [width, height] = [this.canvas.width, this.canvas.height];
     const { scale, offsetX, offsetY } = fitted(rows, columns, width, height, state);
     const column = Math.round(offsetX + scale * (place[0] * width - 0.5));
@@ -310,7 +311,7 @@ class Page {
       return;
     }
     try {
-      if (file.name.toLowerCase().endsWith(".obj")) {
+      if (/\.(obj|glb|gltf)$/i.test(file.name)) {
         await this.takeMesh(file);
       } else {
         if (this.gpu === null) {
@@ -328,11 +329,21 @@ class Page {
     if (this.app?.kind !== "svbrdf") {
       throw new Problem("A mesh can be shown with a material only.", "", "Open a material first.");
     }
-    const text = await file.text();
-    parseObj(text, 1);
-    this.app.setMesh((repeat) => parseObj(text, repeat));
+    const make = await meshIn(file);
+    make(1);
+    this.app.setMesh(make);
     this.panel?.refresh();
   }
+}
+
+/** What makes the mesh in a file, for a number of repeats. */
+async function meshIn(file: File): Promise<(repeat: number) => Mesh> {
+  if (/\.obj$/i.test(file.name)) {
+    const text = await file.text();
+    return (repeat) => parseObj(text, repeat);
+  }
+  const corners = readGltf(new Uint8Array(await file.arrayBuffer()));
+  return (repeat) => meshOf(corners, repeat);
 }
 
 function plain4(value: number): string {

@@ -6,7 +6,8 @@ import { colourTable, interpolated } from "../src/render/colours";
 import { buildTable, directionsOf, hemisphere } from "../src/render/directions";
 import { layOut, shownChannels, timeSteps } from "../src/render/layout";
 import { aim, findCameras } from "../src/render/lightfield";
-import { VERTEX_NUMBERS, makeMesh, parseObj } from "../src/render/mesh";
+import { readGltf } from "../src/render/gltf";
+import { VERTEX_NUMBERS, makeMesh, meshOf, parseObj } from "../src/render/mesh";
 import { type Vector, cameraRays, clipFromWorld, cross, dot } from "../src/render/vector";
 import { spacing } from "../src/render/volume";
 
@@ -60,6 +61,72 @@ describe("meshes", () => {
     expect(() => parseObj("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3", 1)).toThrow("no texture coordinates");
     expect(() => parseObj("v 0 0 0\nvt 0 0\nf 1/1 9/1 1/1", 1)).toThrow("damaged");
     expect(() => parseObj("hello", 1)).toThrow("0 triangles");
+  });
+});
+
+describe("glTF", () => {
+  const OBJ = "v 0 0 0\nv 4 0 0\nv 4 2 0\nv 0 2 1\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nf 1/1 2/2 3/3\nf 1/1 3/3 4/4\n";
+  const PLACES = [[0, 0, 0], [4, 0, 0], [4, 2, 0], [0, 2, 1]];
+  const UVS = [[0, 1], [1, 1], [1, 0], [0, 0]]; // v from the top
+
+  /** The quad as a glTF document; its node doubles and turns by 90 degrees what lies halved and turned back in the buffer. */
+  function quad(change: (document: Record<string, unknown>) => void = () => undefined): { document: object; buffer: Buffer } {
+    const buffer = Buffer.alloc(48 + 16 + 6 * 2);
+    PLACES.forEach(([x, y, z], i) => [y! / 2, -x! / 2, z! / 2].forEach((each, k) => buffer.writeFloatLE(each, 12 * i + 4 * k)));
+    UVS.forEach(([u, v], i) => [u!, v!].forEach((each, k) => buffer.writeUInt16LE(65535 * each, 48 + 4 * i + 2 * k)));
+    [0, 1, 2, 0, 2, 3].forEach((index, i) => buffer.writeUInt16LE(index, 64 + 2 * i));
+    const half = Math.SQRT1_2;
+    const document = {
+      scenes: [{ nodes: [1] }], nodes: [{ mesh: 0, rotation: [0, 0, half, half] }, { children: [0], scale: [2, 2, 2] }],
+      meshes: [{ primitives: [{ attributes: { POSITION: 0, TEXCOORD_0: 1 }, indices: 2 }] }],
+      accessors: [{ bufferView: 0, componentType: 5126, count: 4, type: "VEC3" },
+        { bufferView: 0, byteOffset: 48, componentType: 5123, normalized: true, count: 4, type: "VEC2" },
+        { bufferView: 1, componentType: 5123, count: 6, type: "SCALAR" }],
+      bufferViews: [{ buffer: 0, byteLength: 64 }, { buffer: 0, byteOffset: 64, byteLength: 12 }],
+      buffers: [{ byteLength: buffer.length } as Record<string, unknown>],
+    };
+    change(document);
+    return { document, buffer };
+  }
+
+  function glb({ document, buffer }: ReturnType<typeof quad>): Uint8Array<ArrayBuffer> {
+    const text = Buffer.from(JSON.stringify(document));
+    const json = Buffer.concat([text, Buffer.alloc((4 - (text.length % 4)) % 4, 32)]);
+    const head = Buffer.alloc(20);
+    [0x46546c67, 2, 28 + json.length + buffer.length, json.length, 0x4e4f534a].forEach((word, i) => head.writeUInt32LE(word, 4 * i));
+    const next = Buffer.alloc(8);
+    [buffer.length, 0x004e4942].forEach((word, i) => next.writeUInt32LE(word, 4 * i));
+    return new Uint8Array(Buffer.concat([head, json, next, buffer]));
+  }
+
+  function same(bytes: Uint8Array<ArrayBuffer>): void {
+    const [found, expected] = [meshOf(readGltf(bytes), 2), parseObj(OBJ, 2)];
+    expect(Array.from(found.indices)).toEqual(Array.from(expected.indices));
+    found.vertices.forEach((value, i) => expect(value).toBeCloseTo(expected.vertices[i]!, 5));
+  }
+
+  it("reads the same as OBJ, from .glb and .gltf", () => {
+    same(glb(quad()));
+    const { document, buffer } = quad();
+    (document as { buffers: object[] }).buffers = [{ uri: `data:application/octet-stream;base64,${buffer.toString("base64")}`, byteLength: buffer.length }];
+    same(new TextEncoder().encode(JSON.stringify(document)));
+  });
+
+  it("says what it does not take", () => {
+    const bare = quad((document) => {
+      document["meshes"] = [{ primitives: [{ attributes: { POSITION: 0 }, indices: 2 }] }];
+    });
+    expect(() => readGltf(glb(bare))).toThrow("no texture coordinates");
+    const apart = quad((document) => {
+      document["buffers"] = [{ uri: "mesh.bin", byteLength: 76 }];
+    });
+    expect(() => readGltf(new TextEncoder().encode(JSON.stringify(apart.document)))).toThrow("in another file");
+    expect(() => readGltf(glb(quad()).subarray(0, 300))).toThrow("damaged");
+    expect(() => readGltf(new Uint8Array(30))).toThrow("damaged");
+    const packed = quad((document) => {
+      (document["accessors"] as object[])[0] = { componentType: 5126, count: 4, type: "VEC3" };
+    });
+    expect(() => readGltf(glb(packed))).toThrow("without compression");
   });
 });
 

@@ -17,7 +17,8 @@ const NO_AXIS = 0xff;
 export interface GridRequest {
   level: number;
   x: number; // axis numbers
-  y: number;
+  y: number | null; // null: all rows are the same
+  rows?: number; // where there is no y
   time: { axis: number; at: number } | null;
   groups: number[][][];
 }
@@ -63,7 +64,7 @@ export class GridCache {
    */
   fill(request: GridRequest, budget: number): { first: number[]; progress: Progress } {
     const axes = this.decoder.metadata.axes;
-    const [width, height] = [axes[request.x]!.size, axes[request.y]!.size];
+    const [width, height] = [axes[request.x]!.size, request.y === null ? request.rows ?? 1 : axes[request.y]!.size];
     const each = request.groups[0]?.length ?? 1;
     const wanted = request.groups.map((group) => group.flat().join());
     const key = JSON.stringify([request.level, request.x, request.y, request.time, each]);
@@ -100,11 +101,11 @@ export class GridCache {
     this.texture = null;
   }
 
-  private allocate(width: number, height: number, groups: number, each: number, x: number, y: number): void {
+  private allocate(width: number, height: number, groups: number, each: number, x: number, y: number | null): void {
     const most = this.device.limits.maxTextureDimension3D;
-    const [columns, rows] = [this.decoder.metadata.axes[x]!.name, this.decoder.metadata.axes[y]!.name];
+    const shown = [x, ...(y === null ? [] : [y])].map((axis) => this.decoder.metadata.axes[axis]!.name).join(" x ");
     if (Math.max(width, height, groups * each) > most) {
-      throw new Problem(`A picture of ${columns} x ${rows} is too large for the graphics adapter.`,
+      throw new Problem(`A picture of ${shown} is too large for the graphics adapter.`,
         `It has ${width} x ${height} x ${groups * each} elements; ${most} are allowed each way.`,
         "Choose other axes, or a smaller aperture.");
     }
@@ -151,7 +152,7 @@ export class GridCache {
     const { pass, frame } = this.shader;
     frame?.run(this.standing(group[0]!, request.time?.axis, frames, weight));
     pass.run({
-      width, height, depth: first + group.length, first, x_axis: request.x, y_axis: request.y,
+      width, height, depth: first + group.length, first, x_axis: request.x, y_axis: request.y ?? NO_AXIS,
       time_axis: request.time?.axis ?? NO_AXIS, time: frames, time_weight: [1 - weight, weight],
     }, [this.slots!, this.texture!], [width, height, group.length], this.decoder.group(request.level, frame?.cores));
   }

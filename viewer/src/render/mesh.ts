@@ -1,4 +1,4 @@
-/** Surfaces with texture coordinates and tangents: sphere, plane, draped cloth, OBJ. Twin of `hmkcta.render.mesh`. */
+/** Surfaces with texture coordinates and tangents: sphere, plane, draped cloth, a file's. Twin of `hmkcta.render.mesh`. */
 
 import { Problem } from "../problem";
 import { type Vector, cross, difference, dot, normalised, scaled, sum } from "./vector";
@@ -139,8 +139,31 @@ export function parseObj(text: string, repeat: number): Mesh {
       }
     }
   }
+  return finished(points, indices, repeat);
+}
+
+/** Triangles of a file: y up, v from the bottom for OBJ, from the top for glTF; normals of length 0 where there are none. */
+export interface Corners {
+  positions: Vector[];
+  uvs: [number, number][];
+  normals: Vector[];
+  indices: number[];
+}
+
+/** A mesh of such triangles, as `parseObj` makes it. */
+export function meshOf({ positions, uvs, normals, indices }: Corners, repeat: number): Mesh {
+  const turned = ([x, y, z]: Vector): Vector => [z, x, y];
+  return finished(positions.map((position, i): Point => (
+    { position: turned(position), normal: turned(normals[i]!), tangent: [0, 0, 0], hand: 1, uv: [...uvs[i]!] })), indices, repeat);
+}
+
+/** Centred, with frames at each vertex. */
+function finished(points: Point[], indices: number[], repeat: number): Mesh {
   if (indices.length === 0 || indices.length > 3 * MOST_TRIANGLES) {
     throw new Problem(`The mesh has ${indices.length / 3} triangles.`, `It may have 1 to ${MOST_TRIANGLES}.`);
+  }
+  if (!points.every(({ position, uv }) => [...position, ...uv].every(Number.isFinite))) {
+    throw new Problem("The mesh has numbers that are not finite.", "", "Export it again.");
   }
   centre(points);
   addFrames(points, indices);

@@ -9,6 +9,8 @@ import { Grids } from "./grid";
 import { shownChannels } from "./layout";
 import { type Progress, type Renderer, type Side, filledBuffer } from "./renderer";
 
+const STRIP = 8; // times as long as it is high
+
 /** Where a picture of rows x columns lies in a frame: pixels of it a frame pixel, and those at the first one's centre. */
 export function fitted(
   rows: number, columns: number, width: number, height: number, state: State,
@@ -18,6 +20,13 @@ export function fitted(
     scale, offsetY: (rows - 1) / 2 - (scale * (height - 1)) / 2 - state.pan[1],
     offsetX: (columns - 1) / 2 - (scale * (width - 1)) / 2 - state.pan[0],
   };
+}
+
+/** Rows and columns of the picture. An array of one axis is a strip, all of whose rows are the same. */
+export function sliceSize(metadata: Metadata, state: State): [rows: number, columns: number] {
+  const { x, y } = state.slice;
+  const columns = metadata.axes[x]!.size;
+  return [x === y ? Math.max(1, Math.round(columns / STRIP)) : metadata.axes[y]!.size, columns];
 }
 
 /** The axis whose indices can be shown as colours: another one than those across and down. */
@@ -66,12 +75,12 @@ export class SliceRenderer implements Renderer {
       state.position.map((place, n) => (n === channel ? index : place)));
     const cache = this.grids!.cache(side.decoder, slot);
     const group = shown.map((index) => index.map((place, n) => (n === x || n === y ? 0 : place)));
-    const { progress } = cache.fill({ level: side.level, x, y, time: null, groups: [group] }, budget);
+    const [rows, columns] = sliceSize(metadata, state);
+    const { progress } = cache.fill({ level: side.level, x, y: x === y ? null : y, rows, time: null, groups: [group] }, budget);
     if (colours !== this.colourName) {
       this.device.queue.writeBuffer(this.colours, 0, colourTable(colours));
       this.colourName = colours;
     }
-    const [rows, columns] = [metadata.axes[y]!.size, metadata.axes[x]!.size];
     const { scale, offsetY, offsetX } = fitted(rows, columns, target.width, target.height, state);
     this.pass.run({
       width: target.width, height: target.height, channels: shown.length, rows, columns, scale, offset_y: offsetY,

@@ -97,7 +97,7 @@ export class Panel extends Groups {
   private material(): Control[] {
     const { surface } = this.state;
     return [group("Object", [
-      choice("Shape", [["sphere", "Sphere"], ["plane", "Plane"], ["cloth", "Cloth"], ["mesh", "Dropped mesh (.obj)"]],
+      choice("Shape", [["sphere", "Sphere"], ["plane", "Plane"], ["cloth", "Cloth"], ["mesh", "Dropped mesh (.obj, .glb)"]],
         () => surface.shape, (shape) => {
           surface.shape = shape;
           this.app.resetView();
@@ -267,7 +267,7 @@ export class Panel extends Groups {
     });
     const channels = axes.some((axis) => axis.role === "channel" && axis.size > 2);
     return [group("Picture", [
-      pick("Across", "x"), pick("Down", "y"),
+      ...(axes.length > 1 ? [pick("Across", "x"), pick("Down", "y")] : []),
       only(() => channels, check("Channels as colours", () => slice.colour, (value) => {
         slice.colour = value;
         this.changed();

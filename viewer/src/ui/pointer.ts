@@ -3,7 +3,7 @@
 import type { App } from "../app";
 import { findCameras } from "../render/lightfield";
 import { layOut } from "../render/layout";
-import { fitted } from "../render/slices";
+import { fitted, sliceSize } from "../render/slices";
 import { type Player, savePicture } from "./groups";
 
 const TURN = 0.4; // degrees a pixel
@@ -93,8 +93,7 @@ export class Pointer {
 
   private pan(x: number, y: number): void {
     const { state, metadata } = this.app;
-    const { scale } = fitted(metadata.axes[state.slice.y]!.size, metadata.axes[state.slice.x]!.size,
-      this.canvas.clientWidth, this.canvas.clientHeight, state);
+    const { scale } = fitted(...sliceSize(metadata, state), this.canvas.clientWidth, this.canvas.clientHeight, state);
     state.pan = [state.pan[0] + x * scale, state.pan[1] + y * scale];
   }
 
