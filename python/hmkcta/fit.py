@@ -1,13 +1,14 @@
 """One level on one node: MK-CTA (paper, section 3.2; equation 2).
 
-A disjoint start, cluster subsets and rows by joint least squares in the Gram domain, then Gauss-Seidel sweeps of HOOI
-over the cells. Each step lowers the error or leaves it.
+A disjoint start, then sweeps over the modes: cluster subsets and rows by joint least squares in the Gram domain, or,
+where nodes are small, Gauss-Seidel HOOI over the cells. Each step lowers the error or leaves it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,8 @@ from . import backends as kernels
 from .cells import Cells, empty_cells
 from .memberships import start_candidates, strided_sample
 from .plan import LevelSpec
-from .search import extend, joint_rows, orthonormalise
+from .search import extend, sweep
+from .streamed import squared_norm
 from .tucker import st_hosvd
 
 F32 = NDArray[np.float32]
@@ -28,23 +30,25 @@ class Effort:
 
     Attributes:
         candidates: disjoint starts tried for each node's memberships.
-        searches: rounds of joint rows with a search for cluster subsets.
-        sweeps: Gauss-Seidel sweeps after them; HOOI rounds where nothing is clustered (0: plain HOSVD).
+        sweeps: over all modes, the first of them with a search for cluster subsets.
+        hooi: HOOI rounds where there is nothing to search (0: plain HOSVD), or too much.
         backfits: rounds in which every level is refitted to what the others leave.
     """
 
     candidates: int = 3
-    searches: int = 2
-    sweeps: int = 2
+    sweeps: int = 3
+    hooi: int = 2
     backfits: int = 1
 
-    @property
-    def sweeps_alone(self) -> int:
-        """Sweeps where there is nothing to search: in the place of all searches but the first."""
-        return self.sweeps + self.searches - 1
 
+EFFORTS = {"fast": Effort(2, 3, 2, 0), "medium": Effort(4, 6, 4, 1), "thorough": Effort(13, 12, 8, 4)}
 
-EFFORTS = {"fast": Effort(2, 2, 1, 0), "medium": Effort(4, 2, 3, 1), "thorough": Effort(13, 3, 6, 4)}
+#: Elements that starts are judged on: by what disjoint blocks capture, and by a joint sweep.
+SAMPLE, JUDGED = 2_000_000, 1 << 19
+#: Joint sweeps at the least, before Gauss-Seidel sweeps where those are faster.
+SEARCHES = 2
+#: What a joint sweep costs in visits to an element: each number of H, each element, and as such.
+GRAM_VISITS, PASS_VISITS, SWEEP_VISITS = 24, 4, 4_000_000
 
 #: Subspace iterations of a cell's mode update: at a random start, and when it is warm.
 COLD, WARM = 4, 2
@@ -78,20 +82,51 @@ def fit_level(
     spec = spec.clamped(tensor.shape)
     if spec.cells == 1:
         return _hooi(tensor, spec, effort, rng)
-    labels = labels or _best_labels(tensor, spec, effort, rng)
-    searched = spec.search != "fast" and max(spec.mixture) > 1  # on the tensor, which has to stay then
-    cells, residual = _disjoint_start(tensor if own and not searched else tensor.copy(), spec, labels, rng)
-    if spec.search == "fast":
-        _extend_memberships(cells, spec, residual)
-    elif searched:
-        for _ in range(effort.searches):
-            for n in (n for n in range(spec.order) if spec.ranks[n] is not None):
-                joint_rows(cells, tensor, n, spec.mixture[n], spec.search)
-                orthonormalise(cells, n)
-        residual[...] = tensor
-        kernels.accumulate(cells, residual, -1.0)
-    kernels.fit_cells(cells, residual, effort.sweeps if searched else effort.sweeps_alone, WARM)
+    if spec.search == "fast" or max(spec.mixture) == 1:
+        return _sequential(tensor if own else tensor.copy(), spec, effort, labels, rng)
+    cells = _start(tensor, spec, effort, labels, rng)
+    joint = effort.sweeps if _joint_pays(cells) else max(SEARCHES, effort.sweeps // 3)
+    for _ in range(joint - 1):
+        sweep(cells, tensor, spec.mixture, spec.search)
+    residual = left_by(cells, tensor)
+    kernels.fit_cells(cells, residual, max(0, effort.sweeps - joint), WARM)
     return cells, residual
+
+
+def _sequential(
+    residual: F32, spec: LevelSpec, effort: Effort, labels: Labels | None, rng: np.random.Generator
+) -> tuple[Cells, F32]:
+    """Cell after cell: K = 1, or so many clusters that even H does not fit."""
+    cells = _disjoint(residual, spec, labels or _best_labels(residual, spec, effort, rng), rng)
+    while cells.spec.mixture != spec.mixture:
+        for n in range(spec.order):
+            if cells.spec.mixture[n] < spec.mixture[n]:
+                extend(cells, residual, n)
+                kernels.fit_cells(cells, residual, 1, WARM)
+    kernels.fit_cells(cells, residual, effort.hooi, WARM)
+    return cells, residual
+
+
+def refit_level(cells: Cells, residual: F32, sweeps: int) -> None:
+    """Sweeps over fitted cells with the memberships they have; they and the residual they leave change in place."""
+    if max(cells.spec.mixture) == 1 or cells.spec.search == "fast" or not _joint_pays(cells):
+        kernels.fit_cells(cells, residual, sweeps, WARM)
+        return
+    kernels.accumulate(cells, residual, 1.0)
+    for _ in range(sweeps):
+        sweep(cells, residual, cells.spec.mixture, "fixed")
+    kernels.accumulate(cells, residual, -1.0)
+
+
+def _joint_pays(cells: Cells) -> bool:
+    """Whether a sweep of joint rows costs no more than one of Gauss-Seidel, which is slower where elements are many.
+
+    It makes two passes over the tensor and factors H of every mode; Gauss-Seidel visits each element prod K_n times.
+    """
+    decomposed = [n for n, skip in enumerate(cells.undecomposed) if not skip]
+    numbers = sum((cells.spec.cells * cells.ranks[n]) ** 2 for n in decomposed)
+    visits = prod(cells.spec.mixture)
+    return prod(cells.sizes) * (visits - PASS_VISITS) > GRAM_VISITS * numbers + SWEEP_VISITS
 
 
 def left_by(cells: Cells, tensor: F32) -> F32:
@@ -113,20 +148,18 @@ def _hooi(tensor: F32, spec: LevelSpec, effort: Effort, rng: np.random.Generator
     cells.cores[:] = 0
     cells.cores[(0, *map(slice, core.shape))] = core
     residual = left_by(cells, tensor)
-    kernels.fit_cells(cells, residual, effort.sweeps_alone, WARM)
+    kernels.fit_cells(cells, residual, effort.hooi, WARM)
     return cells, residual
 
 
 def _best_labels(tensor: F32, spec: LevelSpec, effort: Effort, rng: np.random.Generator) -> Labels:
-    """The best of several disjoint memberships (K = 1), judged on a sample by the energy their blocks capture."""
-    sample = strided_sample(tensor, spec.clusters)
+    """The best of several disjoint memberships, judged on a sample by the energy their blocks capture."""
+    sample = strided_sample(tensor, spec.clusters, SAMPLE)
     best_error, best = np.inf, None
-    single = replace(spec, mixture=(1,) * spec.order)
     seed = int(rng.integers(2**63))
     for labels in start_candidates(tensor, spec.clusters, effort.candidates, np.random.default_rng(seed)):
-        cells = empty_cells(sample.tensor.shape, single, sample.members(labels), np.random.default_rng(seed))
         residual = sample.tensor.copy()
-        kernels.fit_cells(cells, residual, 1, COLD)
+        _disjoint(residual, spec, sample.labels(labels), np.random.default_rng(seed))
         error = float(np.vdot(residual, residual))
         if error < best_error or best is None:
             best_error, best = error, labels
@@ -134,19 +167,38 @@ def _best_labels(tensor: F32, spec: LevelSpec, effort: Effort, rng: np.random.Ge
     return best
 
 
-def _disjoint_start(tensor: F32, spec: LevelSpec, labels: Labels, rng: np.random.Generator) -> tuple[Cells, F32]:
+def _start(tensor: F32, spec: LevelSpec, effort: Effort, labels: Labels | None, rng: np.random.Generator) -> Cells:
+    """Cells after a first sweep: the best of several disjoint memberships, judged by just that.
+
+    The energy that disjoint blocks capture says little about how well two or more of them together will fit. Large
+    tensors are judged on a sample, and start disjoint from the best labels.
+    """
+
+    def swept(tensor: F32, labels: Labels) -> Cells:
+        cells = _disjoint(tensor.copy(), spec, labels, np.random.default_rng(seed))
+        sweep(cells, tensor, spec.mixture, spec.search)
+        return cells
+
+    seed = int(rng.integers(2**63))
+    if labels is None:
+        sample = strided_sample(tensor, spec.clusters, JUDGED)
+        best_error, best = np.inf, None
+        starts = np.random.default_rng(seed)
+        for candidate in start_candidates(tensor, spec.clusters, effort.candidates, starts, overlap=True):
+            cells = swept(sample.tensor, sample.labels(candidate))
+            error = squared_norm(left_by(cells, sample.tensor))
+            if error < best_error or best is None:
+                best_error, best, labels = error, cells, candidate
+        if best is not None and best.sizes == tensor.shape:
+            return best
+    assert labels is not None
+    return swept(tensor, labels)
+
+
+def _disjoint(tensor: F32, spec: LevelSpec, labels: Labels, rng: np.random.Generator) -> Cells:
     """Truncated HOSVD of every block, by subspace iteration from random bases; the tensor becomes the residual."""
     single = replace(spec, mixture=(1,) * spec.order)
     members = [part[:, None].astype(np.uint16) for part in labels]
     cells = empty_cells(tensor.shape, single, members, rng)
     kernels.fit_cells(cells, tensor, 1, COLD)
-    return cells, tensor
-
-
-def _extend_memberships(cells: Cells, spec: LevelSpec, residual: F32) -> None:
-    """The fast search for many clusters: memberships grow one by one, each followed by a sweep."""
-    while cells.spec.mixture != spec.mixture:
-        for n in range(spec.order):
-            if cells.spec.mixture[n] < spec.mixture[n]:
-                extend(cells, residual, n)
-                kernels.fit_cells(cells, residual, 1, WARM)
+    return cells

@@ -22,9 +22,9 @@ _BASE = 90 * 2**20
 _SLAB_COPIES = 4
 #: How much larger than the average the largest sub-tensors get.
 _UNEVEN = 8
-#: Nanoseconds of one core for each element: to read, hash, look at and measure the source; for each cell an element
-#: belongs to, of a search round and of a sweep; of HOOI; to write a piece and read it. One core of a 2023 server.
-_SOURCE_NS, _SEARCH_NS, _SWEEP_NS, _HOOI_NS, _PIECE_NS = 35.0, 1.7, 1.9, 10.0, 15.0
+#: Nanoseconds of one core for each element: to read, hash, look at and measure the source; to find a start; of a
+#: sweep; of HOOI; to write a piece and read it. One core of a 2023 server.
+_SOURCE_NS, _START_NS, _SWEEP_NS, _HOOI_NS, _PIECE_NS = 35.0, 25.0, 15.0, 10.0, 15.0
 
 
 @dataclass(frozen=True)
@@ -76,11 +76,10 @@ def _workset(sizes: Sequence[int], level: LevelSpec, limit: int) -> int:
 def _seconds(plan: Plan, sizes: Sequence[int], effort: Effort, threads: int, cut: int | None = None) -> float:
     each = _SOURCE_NS + (0 if cut is None else _PIECE_NS * (1 + effort.backfits))
     for level in plan.levels:
-        met = prod(level.mixture)
         if level.cells == 1:
-            each += _HOOI_NS * (1 + effort.sweeps)
+            each += _HOOI_NS * (1 + effort.hooi)
         else:
-            each += 5 + met * (_SEARCH_NS * effort.searches + _SWEEP_NS * effort.sweeps)
+            each += _START_NS + _SWEEP_NS * effort.sweeps
         if len(plan.levels) > 1:
-            each += effort.backfits * (met * _SWEEP_NS + 10)
+            each += effort.backfits * (_SWEEP_NS + 10)
     return each * 1e-9 * prod(sizes) / threads

@@ -16,7 +16,7 @@ from .axes import Axis, Organisation
 from .cells import Cells
 from .errors import invalid
 from .executors import Gate, Pool
-from .fit import WARM, Effort, Labels, fit_level
+from .fit import Effort, Labels, fit_level, refit_level
 from .journal import NoJournal
 from .memberships import uniform_blocks
 from .pieces import Piece
@@ -337,7 +337,7 @@ def _refitted(old: Cells, residual: F32, sweeps: int) -> Cells | None:
     """Rounded cells that leave less than the old ones, which leave `residual` (used up); None: there are none."""
     before = squared_norm(residual)
     cells = _copied(old)
-    kernels.fit_cells(cells, residual, sweeps, WARM)
+    refit_level(cells, residual, sweeps)
     rounded = cells.rounded()
     # So close to the optimum that rounding outweighs the gain?
     return rounded if squared_norm(_exchanged(residual, cells, rounded)) <= before else None

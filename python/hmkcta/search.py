@@ -1,60 +1,33 @@
-"""Cluster subsets and rows of one mode: block-sparse coding of each slice in the dictionary of the other modes.
+"""Cluster subsets and rows of one mode, jointly optimal given all else, by coding in the dictionary of the others.
 
-For slice t_i and cluster subset S the gain is b_S^T H_SS^-1 b_S with b = D^T t_i and H = D^T D, all in parameter space.
 The optimal search looks at every subset (the paper's section 5), the greedy one lets subsets grow by their best next
 cluster, and `extend` adds clusters by the residual's energy where even H does not fit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
-from itertools import combinations
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import backends as kernels
 from .cells import Cells, dense_basis, store_basis
+from .coding import Coding, Rows, Subset
+from .projection import passes, project
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
-Subset = tuple[int, ...]
-
-#: Ridge on H_SS relative to its mean diagonal: keeps collinear dictionaries solvable, costs nothing visible in SNR.
-RIDGE = 1e-7
 
 
-@dataclass
-class Coding:
-    """b and H of one mode, and the best subset found so far for each row with its coefficients."""
-
-    h: F64  # [C_n Q, C_n Q], grouped by the mode's cluster
-    b: F64  # [C_n Q, I_n]
-    q: int
-    gain: F64  # [I_n]
-    rows: dict[Subset, NDArray[np.intp]] = field(default_factory=dict[Subset, NDArray[np.intp]])
-    subset: list[Subset] = field(default_factory=list[Subset])
-    coefficients: list[F64] = field(default_factory=list[F64])
-
-    def solve(self, subset: Subset, rows: NDArray[np.intp]) -> tuple[F64, F64]:
-        """Coefficients `[|S| Q, rows]` and gains of the given rows on the clusters of one subset."""
-        at = np.concatenate([np.arange(k * self.q, (k + 1) * self.q) for k in subset])
-        system = self.h[np.ix_(at, at)]
-        diagonal = np.einsum("ii->i", system)
-        diagonal += RIDGE * diagonal.mean() + np.finfo(np.float64).tiny
-        b = self.b[np.ix_(at, rows)]
-        x = np.linalg.solve(system, b)
-        gain: F64 = np.sum(b * x, axis=0)
-        return x.astype(np.float64), gain
-
-    def consider(self, subset: Subset, rows: NDArray[np.intp]) -> None:
-        """Give the subset to those rows whose gain it raises; ties go to the subset seen first."""
-        x, gain = self.solve(subset, rows)
-        better = gain > self.gain[rows] * (1 + 1e-9)
-        for column, i in zip(np.flatnonzero(better), rows[better], strict=True):
-            self.subset[i], self.coefficients[i] = subset, x[:, column]
-        self.gain[rows[better]] = gain[better]
+def sweep(cells: Cells, tensor: F32, mixture: Sequence[int], search: str) -> None:
+    """`joint_rows` for one mode after another, and their columns orthonormal again: never raises the error."""
+    for kept in passes(cells):
+        seen = project(cells, tensor, kept)
+        for n in kept:
+            choose_rows(cells, code(cells, seen.onto(cells, n), n), n, mixture[n], search)
+            orthonormalise(cells, n)
 
 
 def joint_rows(cells: Cells, tensor: F32, n: int, mixture: int, search: str) -> None:
@@ -67,19 +40,14 @@ def joint_rows(cells: Cells, tensor: F32, n: int, mixture: int, search: str) -> 
 
 def choose_rows(cells: Cells, coding: Coding, n: int, mixture: int, search: str) -> None:
     """`joint_rows` with b and H at hand."""
-    clusters, size = cells.spec.clusters[n], cells.sizes[n]
-    everyone = np.arange(size)
-    if search == "fixed":
-        for subset, rows in _patterns(cells.members[n]):
-            coding.consider(subset, rows)
-    elif search == "optimal":
-        for subset in combinations(range(clusters), mixture):
-            coding.consider(subset, everyone)
+    if search == "optimal":
+        coding.search(mixture)
     else:
-        _grow(coding, clusters, mixture, everyone)
-        if cells.members[n].shape[1] == mixture:  # what was there stays where growing leads to worse
+        if search == "greedy":
+            _grow(coding, mixture)
+        if search == "fixed" or cells.members[n].shape[1] == mixture:  # what was there stays where growing is worse
             for subset, rows in _patterns(cells.members[n]):
-                coding.consider(subset, rows)
+                coding.offer(subset, rows, coding.gain_of(subset, rows))
     _store(cells, n, coding, mixture)
 
 
@@ -91,15 +59,7 @@ def code(cells: Cells, y: NDArray[np.floating], n: int) -> Coding:
     order = np.argsort(np.indices(cells.spec.clusters)[n].reshape(-1), kind="stable")
     columns = (order[:, None] * rank + np.arange(rank)).reshape(-1)  # grouped by the mode's cluster
     h = kernels.dictionary_gram(cells, n)[np.ix_(columns, columns)]
-    size = cells.sizes[n]
-    return Coding(
-        h,
-        b.reshape(-1, size)[columns],
-        len(columns) // clusters,
-        np.full(size, -1.0),
-        subset=[()] * size,
-        coefficients=[np.zeros(0)] * size,
-    )
+    return Coding.of(h, b.reshape(-1, cells.sizes[n])[columns], clusters)
 
 
 def project_model(cells: Cells, other: Cells, n: int) -> F64:
@@ -124,31 +84,33 @@ def project_model(cells: Cells, other: Cells, n: int) -> F64:
     return np.array(y)
 
 
-def _patterns(members: NDArray[np.uint16]) -> Iterable[tuple[Subset, NDArray[np.intp]]]:
+def _patterns(subsets: NDArray[np.uint16]) -> Iterable[tuple[Subset, Rows]]:
     """The distinct subsets in use, each with its rows."""
-    distinct, which = np.unique(members, axis=0, return_inverse=True)
+    distinct, which = np.unique(subsets, axis=0, return_inverse=True)
     for number, subset in enumerate(distinct):
         yield tuple(int(k) for k in subset), np.flatnonzero(which.reshape(-1) == number)
 
 
-def _grow(coding: Coding, clusters: int, mixture: int, everyone: NDArray[np.intp]) -> None:
+def _grow(coding: Coding, mixture: int) -> None:
     """Greedy search with joint re-projection: every subset in use tries every further cluster."""
-    for k in range(clusters):
-        coding.consider((k,), everyone)
+    coding.search(1)
     for _ in range(mixture - 1):
-        grown = list(coding.subset)
+        grown = list(_patterns(np.array(coding.subset, np.uint16)))
         coding.gain[:] = -1.0
-        for subset in sorted(set(grown)):
-            rows = np.array([i for i, s in enumerate(grown) if s == subset])
-            for k in set(range(clusters)) - set(subset):
-                coding.consider(tuple(sorted((*subset, k))), rows)
+        for subset, rows in grown:
+            for k in set(range(coding.clusters)) - set(subset):
+                wider = tuple(sorted((*subset, k)))
+                coding.offer(wider, rows, coding.gain_of(wider, rows))
 
 
 def _store(cells: Cells, n: int, coding: Coding, mixture: int) -> None:
     """Coefficients of a subset are ordered cluster, flat(c_-n), rank: the stored order of a basis row."""
     others, rank, size = cells.spec.cells // cells.spec.clusters[n], cells.ranks[n], cells.sizes[n]
     cells.members[n] = np.array(coding.subset, np.uint16).reshape(size, mixture)
-    cells.bases[n] = np.array(coding.coefficients, np.float32).reshape(size, mixture, others, rank)
+    basis = np.empty((size, mixture * others * rank), np.float32)
+    for subset, rows in _patterns(cells.members[n]):
+        basis[rows] = coding.solve(subset, rows).T
+    cells.bases[n] = basis.reshape(size, mixture, others, rank)
     cells.spec = replace(cells.spec, mixture=(*cells.spec.mixture[:n], mixture, *cells.spec.mixture[n + 1 :]))
 
 

@@ -4,6 +4,7 @@ mod binding;
 mod block;
 mod cells;
 mod chain;
+mod contract;
 mod dense;
 mod dots;
 mod element;
@@ -15,6 +16,7 @@ mod lanes;
 mod layout;
 mod machine;
 mod packed;
+mod pair;
 mod part;
 mod pick;
 mod plane;
@@ -137,6 +139,45 @@ fn project_cells<'py>(
     Ok(py.detach(|| project::project_cells(node, tensor, &bases, mode)).into_pyarray(py))
 }
 
+/// The tensor projected on the bases of all cells in a pair of modes, flat.
+#[pyfunction]
+fn project_pair<'py>(
+    py: Python<'py>,
+    shape: Shape,
+    members: Members,
+    tensor: PyReadonlyArray1<f32>,
+    bases: Vec<PyReadonlyArray1<f32>>,
+    pair: (usize, usize),
+) -> PyResult<Bound<'py, PyArray1<f32>>> {
+    let node = node(shape, &members)?;
+    let tensor = tensor.as_slice()?;
+    let bases = bases.iter().map(|b| b.as_slice()).collect::<Result<Vec<_>, _>>()?;
+    check_tensor(&node, tensor.len())?;
+    check_bases(&node, &bases.iter().map(|b| b.len()).collect::<Vec<_>>())?;
+    let (a, b) = pair;
+    [a, b].into_iter().try_for_each(|n| check_mode(&node, n))?;
+    if a == b || node.undecomposed[a] || node.undecomposed[b] {
+        return Err(PyValueError::new_err("two decomposed modes are needed"));
+    }
+    Ok(py.detach(|| pair::project_pair(&node, tensor, &bases, pair)).into_pyarray(py))
+}
+
+/// `sum_j P[i, j, k, l] W[j, r, l]`, flat.
+#[pyfunction]
+fn contract_lanes<'py>(
+    py: Python<'py>,
+    p: PyReadonlyArray1<f32>,
+    w: PyReadonlyArray1<f32>,
+    sizes: [usize; 3],
+    rank: usize,
+    lanes: usize,
+) -> PyResult<Bound<'py, PyArray1<f32>>> {
+    let (p, w) = (p.as_slice()?, w.as_slice()?);
+    check_length("p", p.len(), sizes.iter().product::<usize>() * lanes)?;
+    check_length("w", w.len(), sizes[1] * rank * lanes)?;
+    Ok(py.detach(|| contract::contract_lanes(p, w, sizes, rank, lanes)).into_pyarray(py))
+}
+
 /// `H_n` of all pairs of cells, flat.
 #[pyfunction]
 fn dictionary_gram<'py>(
@@ -227,6 +268,8 @@ fn _native(module: &Bound<PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(fit_cells, module)?)?;
     module.add_function(wrap_pyfunction!(accumulate, module)?)?;
     module.add_function(wrap_pyfunction!(project_cells, module)?)?;
+    module.add_function(wrap_pyfunction!(project_pair, module)?)?;
+    module.add_function(wrap_pyfunction!(contract_lanes, module)?)?;
     module.add_function(wrap_pyfunction!(dictionary_gram, module)?)?;
     module.add_function(wrap_pyfunction!(decode_scattered_f32, module)?)?;
     module.add_function(wrap_pyfunction!(decode_scattered_f64, module)?)?;

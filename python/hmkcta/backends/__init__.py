@@ -21,8 +21,8 @@ from . import reference
 from .device import Device, Kernels
 from .reference import F64
 
-__all__ = ["Device", "Kernels", "accumulate", "dictionary_gram", "find_device", "fit_cells", "name", "project_cells",
-           "set_threads", "use"]  # fmt: skip
+__all__ = ["Device", "Kernels", "accumulate", "contract_lanes", "dictionary_gram", "find_device", "fit_cells", "name",
+           "project_cells", "project_pair", "set_threads", "use"]  # fmt: skip
 
 #: Where the kernels of the work at hand run; None: on the CPU.
 _device: ContextVar[Kernels | None] = ContextVar("device", default=None)
@@ -127,6 +127,16 @@ def accumulate(cells: Cells, tensor: F32, weight: float) -> None:
 def project_cells(cells: Cells, tensor: F32, n: int) -> F32:
     """`Y_n[c] = T x_{m != n} U_{m,c}^T`; see `reference.project_cells`."""
     return _kernels().project_cells(cells, tensor, n)
+
+
+def project_pair(cells: Cells, tensor: F32, pair: tuple[int, int]) -> F32:
+    """The tensor projected on the bases of all cells in two modes; see `reference.project_pair`."""
+    return _kernels().project_pair(cells, tensor, pair)
+
+
+def contract_lanes(p: F32, w: F32) -> F32:
+    """A further mode summed over, lane by lane; see `reference.contract_lanes`."""
+    return _kernels().contract_lanes(p, w)
 
 
 def dictionary_gram(cells: Cells, n: int) -> F64:

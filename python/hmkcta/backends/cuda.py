@@ -82,6 +82,17 @@ class Cuda:
             return self._run(cells, lambda on: batched.project_cells(on, cells, tensor, n))
         return self._cpu.project_cells(cells, tensor, n)
 
+    def project_pair(self, cells: Cells, tensor: F32, pair: tuple[int, int]) -> F32:
+        """The tensor projected on the bases of all cells in two modes."""
+        a, b = pair
+        if self._worthwhile(tensor.size * cells.spec.mixture[a] * cells.spec.mixture[b]):
+            return self._run(cells, lambda on: batched.project_pair(on, cells, tensor, pair))
+        return self._cpu.project_pair(cells, tensor, pair)
+
+    def contract_lanes(self, p: F32, w: F32) -> F32:
+        """A further mode summed over, lane by lane."""
+        return self._cpu.contract_lanes(p, w)
+
     def dictionary_gram(self, cells: Cells, n: int) -> F64:
         """Inner products of all dictionary columns of mode n."""
         if self._worthwhile(cells.spec.cells**2 * prod(cells.ranks)):

@@ -29,6 +29,14 @@ class Kernels(Protocol):
         """The tensor projected on the cells' bases of all modes but n."""
         ...
 
+    def project_pair(self, cells: Cells, tensor: F32, pair: tuple[int, int]) -> F32:
+        """The tensor projected on the bases of all cells in two modes."""
+        ...
+
+    def contract_lanes(self, p: F32, w: F32) -> F32:
+        """A further mode summed over, lane by lane."""
+        ...
+
     def dictionary_gram(self, cells: Cells, n: int) -> F64:
         """Inner products of all dictionary columns of mode n."""
         ...

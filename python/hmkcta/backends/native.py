@@ -47,6 +47,27 @@ def project_cells(cells: Cells, tensor: F32, n: int) -> F32:
     return y.reshape(cells.spec.cells, cells.sizes[n], -1)
 
 
+def project_pair(cells: Cells, tensor: F32, pair: tuple[int, int]) -> F32:
+    """The tensor projected on the bases of all cells in two modes: `[.., I_m, .., C_a, C_b, R_a, .., C_m, .., R_b]`."""
+    _check_shape(tensor, cells)
+    a, b = pair
+    kept = [m for m in range(cells.order) if m not in pair]
+    clusters, ranks = cells.spec.clusters, cells.ranks
+    rows, lanes = [cells.sizes[m] for m in kept], [clusters[m] for m in kept]
+    p = _native.project_pair(*_node(cells), _flat(tensor), _bases(cells), pair)
+    return p.reshape([*rows, clusters[a], clusters[b], ranks[a], *lanes, ranks[b]])
+
+
+def contract_lanes(p: F32, w: F32) -> F32:
+    """`Y[i, k, r, l] = sum_j P[i, j, k, l] W[j, r, l]`."""
+    before, size, after, lanes = p.shape
+    rank = w.shape[1]
+    if w.shape != (size, rank, lanes):
+        raise invalid("wrong-shape", "w", w.shape, f"({size}, R, {lanes})")
+    y = _native.contract_lanes(_flat(p), _flat(w), (before, size, after), rank, lanes)
+    return y.reshape(before, after, rank, lanes)
+
+
 def dictionary_gram(cells: Cells, n: int) -> F64:
     """`H_n = D_n^T D_n` of the dictionaries of all cells: `[PC R_n, PC R_n]`."""
     side = cells.spec.cells * cells.ranks[n]

@@ -77,10 +77,35 @@ def project_cells(cells: Cells, tensor: F32, n: int) -> F32:
     """
     size = cells.sizes[n]
     y = np.zeros((cells.spec.cells, size, int(np.prod(cells.ranks)) // cells.ranks[n]), np.float32)
-    for cell in _each_cell(cells, whole=n):
+    for cell in _each_cell(cells, whole=[n]):
         block = tensor[np.ix_(*cell.rows)].astype(np.float64)
         y[cell.number] = _unfold(_project(block, [None if m == n else u for m, u in enumerate(cell.bases)]), n)
     return y
+
+
+def project_pair(cells: Cells, tensor: F32, pair: tuple[int, int]) -> F32:
+    """The tensor projected on the bases of all cells in two modes a and b, for all rows of the other, kept modes.
+
+    Returns:
+        ``[.., I_m, .., C_a, C_b, R_a, .., C_m, .., R_b]`` with m the kept modes: cells whose bases are read together
+        lie side by side. Zero for cells without rows in a or b.
+    """
+    a, b = pair
+    kept = [m for m in range(cells.order) if m not in pair]
+    clusters, ranks = cells.spec.clusters, cells.ranks
+    p = np.zeros([*(cells.sizes[m] for m in kept), clusters[a], clusters[b], ranks[a], *(clusters[m] for m in kept),
+                  ranks[b]], np.float32)  # fmt: skip
+    for cell in _each_cell(cells, whole=kept):
+        block = tensor[np.ix_(*cell.rows)].astype(np.float64)
+        projected = _project(block, [u if m in pair else None for m, u in enumerate(cell.bases)])
+        c = cell.subset
+        p[(..., c[a], c[b], slice(None), *(c[m] for m in kept), slice(None))] = np.moveaxis(projected, pair, (-2, -1))
+    return p
+
+
+def contract_lanes(p: F32, w: F32) -> F32:
+    """`Y[i, k, r, l] = sum_j P[i, j, k, l] W[j, r, l]`."""
+    return np.einsum("ijkl,jrl->ikrl", p, w, dtype=np.float64).astype(np.float32)
 
 
 def dictionary_gram(cells: Cells, n: int) -> F64:
@@ -108,15 +133,15 @@ def dictionary_gram(cells: Cells, n: int) -> F64:
     return h.reshape(count * rank, count * rank)
 
 
-def _each_cell(cells: Cells, whole: int | None = None) -> Iterator[Cell]:
-    """All cells that own elements, in C order; of mode `whole` with all its rows."""
+def _each_cell(cells: Cells, whole: Sequence[int] = ()) -> Iterator[Cell]:
+    """All cells that own elements, in C order; of the modes `whole` with all their rows."""
     for number in range(cells.spec.cells):
         subset = tuple(int(k) for k in np.unravel_index(number, cells.spec.clusters))
         rows: list[NDArray[np.intp]] = []
         bases: list[F64 | None] = []
         for n, k in enumerate(subset):
             members, slots = np.nonzero(cells.members[n] == k)
-            rows.append(np.arange(cells.sizes[n]) if n == whole else members)
+            rows.append(np.arange(cells.sizes[n]) if n in whole else members)
             bases.append(None if cells.undecomposed[n] else cells.bases[n][members, slots, _others(cells, subset, n)])
         if all(len(r) for r in rows):
             bases = [None if u is None else u.astype(np.float64) for u in bases]

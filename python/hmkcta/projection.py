@@ -1,0 +1,103 @@
+"""Projections of a node's tensor on the bases of all cells, one mode after the other, with one pass for two modes.
+
+What search and subdivision want of mode n is `Y_n[c] = T x_{m != n} U_{m,c}^T`. Projected on two modes, the tensor is
+small, and two modes are left: the rows of one may be solved for, and then those of the other with the new bases of the
+first, before the tensor is looked at again. So a sweep over four modes is two passes, whatever the number of cells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import prod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import backends as kernels
+from .cells import Cells, dense_basis
+
+F32 = NDArray[np.float32]
+#: I_m, C_m or R_m: what an axis of a projection runs over.
+Axis = tuple[str, int]
+
+#: A projection may have as many numbers as the tensor, or this many; beyond, modes are projected one by one.
+LARGEST = 1 << 22
+
+
+@dataclass(frozen=True, eq=False)
+class Projection:
+    """A tensor on its way to the projections of the modes that are kept.
+
+    Attributes:
+        tensor: of the node's shape.
+        pair: the modes it has been projected on; None: none, each mode is projected from the tensor.
+        p: what came of it, as `kernels.project_pair` has it.
+    """
+
+    tensor: F32
+    pair: tuple[int, int] | None
+    p: F32 | None
+
+    def onto(self, cells: Cells, n: int) -> F32:
+        """`Y_n` `[PC, I_n, prod_{m != n} R_m]`, with the present bases of the other kept mode."""
+        if self.pair is None or self.p is None:
+            return kernels.project_cells(cells, self.tensor, n)
+        kept = [m for m in range(cells.order) if m not in self.pair]
+        have = [*(("I", m) for m in kept), *_lanes(self.pair, kept)]
+        p = self.p
+        for m in (m for m in kept if m != n and not cells.undecomposed[m]):
+            at, rows = have.index(("I", m)), len(have) - len(_lanes(self.pair, kept))
+            sizes = _sizes(cells, have)
+            flat = p.reshape(prod(sizes[:at]), sizes[at], prod(sizes[at + 1 : rows]), prod(sizes[rows:]))
+            p = kernels.contract_lanes(flat, _spread(cells, m, have[rows:]))
+            have = [*have[:at], *have[at + 1 : rows], ("R", m), *have[rows:]]
+        others = [("I" if cells.undecomposed[m] else "R", m) for m in range(cells.order) if m != n]
+        wanted = [*(("C", m) for m in range(cells.order)), ("I", n), *others]
+        p = p.reshape(_sizes(cells, have)).transpose([have.index(axis) for axis in wanted])
+        return p.reshape(cells.spec.cells, cells.sizes[n], -1)
+
+def passes(cells: Cells) -> list[tuple[int, ...]]:
+    """Decomposed modes by twos where each two leave two to project on, else one by one.
+
+    >>> from hmkcta.cells import zero_cells
+    >>> from hmkcta.plan import LevelSpec
+    >>> passes(zero_cells((4, 5, 6, 7), LevelSpec((2,) * 4, (2,) * 4, (1,) * 4)))
+    [(0, 1), (2, 3)]
+    >>> passes(zero_cells((4, 5, 6, 7), LevelSpec((None, 2, 2, 2), (1, 2, 2, 2), (1,) * 4)))
+    [(1,), (2,), (3,)]
+    """
+    modes = [n for n, skip in enumerate(cells.undecomposed) if not skip]
+    return [(modes[0], modes[1]), (modes[2], modes[3])] if len(modes) == 4 else [(n,) for n in modes]
+
+
+def project(cells: Cells, tensor: F32, kept: Sequence[int]) -> Projection:
+    """One pass over the tensor for the kept modes, one of `passes`."""
+    rest = [m for m, skip in enumerate(cells.undecomposed) if m not in kept and not skip]
+    if len(rest) != 2:
+        return Projection(tensor, None, None)
+    # Few rows beside long columns: what is summed over first should be long.
+    a, b = rest if rest[1] == cells.order - 1 else sorted(rest, key=lambda m: cells.sizes[m])
+    tuples = tensor.size // max(1, cells.sizes[a] * cells.sizes[b])
+    if tuples * cells.spec.cells * cells.ranks[a] * cells.ranks[b] > max(tensor.size, LARGEST):
+        return Projection(tensor, None, None)
+    return Projection(tensor, (a, b), kernels.project_pair(cells, tensor, (a, b)))
+
+
+def _lanes(pair: tuple[int, int], kept: Sequence[int]) -> list[Axis]:
+    return [*(("C", m) for m in pair), ("R", pair[0]), *(("C", m) for m in kept), ("R", pair[1])]
+
+
+def _sizes(cells: Cells, axes: Sequence[Axis]) -> list[int]:
+    sizes = {"I": cells.sizes, "C": cells.spec.clusters, "R": cells.ranks}
+    return [sizes[kind][m] for kind, m in axes]
+
+
+def _spread(cells: Cells, m: int, lanes: Sequence[Axis]) -> F32:
+    """U_m of all cells over the lanes: `[I_m, R_m, lanes]`."""
+    rows = [cells.sizes[m], cells.ranks[m]]
+    dense = dense_basis(cells, m).reshape(*cells.spec.clusters, *rows)
+    order = [cells.order, cells.order + 1, *(k for kind, k in lanes if kind == "C")]
+    thin = [cells.spec.clusters[k] if kind == "C" else 1 for kind, k in lanes]
+    wide = np.broadcast_to(dense.transpose(order).reshape(*rows, *thin), [*rows, *_sizes(cells, lanes)])
+    return np.ascontiguousarray(wide).reshape(*rows, -1)
