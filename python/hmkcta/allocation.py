@@ -112,13 +112,18 @@ def _choices(
 
 
 def _hull(nbytes: F64, error: F64) -> NDArray[np.intp]:
-    """Indices of the lower convex hull; bytes ascend, errors descend."""
-    hull: list[int] = []
-    for i in range(len(nbytes)):
-        while len(hull) >= 2 and _above(hull[-2], hull[-1], i, nbytes, error):
-            hull.pop()
-        hull.append(i)
-    return np.array(hull, np.intp)
+    """Indices of the lower convex hull; bytes ascend, errors descend.
+
+    Points on or above the line between their neighbours are no corners; without them others lie above such lines.
+    """
+    kept = np.arange(len(nbytes))
+    while len(kept) > 2:
+        slopes = np.diff(error[kept]) / np.diff(nbytes[kept])
+        corners = np.concatenate([[True], slopes[1:] > slopes[:-1], [True]])
+        if corners.all():
+            break
+        kept = kept[corners]
+    return kept
 
 
 def _pareto(nbytes: F64, error: F64) -> NDArray[np.intp]:
@@ -126,11 +131,6 @@ def _pareto(nbytes: F64, error: F64) -> NDArray[np.intp]:
     best = np.minimum.accumulate(error)
     kept = np.flatnonzero(np.concatenate([[True], best[1:] < best[:-1]]))
     return kept[np.append(np.diff(nbytes[kept]) > 0, True)]  # of equal bytes the last, best one
-
-
-def _above(a: int, b: int, c: int, nbytes: F64, error: F64) -> bool:
-    """Is point b on or above the line from a to c?"""
-    return bool((error[a] - error[b]) * (nbytes[c] - nbytes[a]) <= (error[a] - error[c]) * (nbytes[b] - nbytes[a]))
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 from math import isfinite, prod
 from typing import Any
 from warnings import warn
@@ -22,6 +22,7 @@ from .journal import Journal, decisive
 from .memory import check_memory
 from .model import Model
 from .plan import SCHEMES, Plan, parse_plan
+from .predict import check_least_memory
 from .source import Source, prepare
 from .tuning import tune
 
@@ -32,6 +33,17 @@ TRIAL_ELEMENTS, TRIAL_BYTES = 1 << 24, 20
 #: A default goal is never below these: header and tables alone take several KiB, and a row of a mode, with the least
 #: that can be stored of it (R = 1), up to five bytes. Few long modes leave nothing else to save.
 SMALLEST_DEFAULT, ROW_BYTES = 16384, 5
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a chosen plan has to do: the arguments of `choose_plan` that say so."""
+
+    snr: float | None
+    size: int | None
+    decode_cost: int
+    organisation: str | None
+    max_memory: int | None
 
 
 def _silent(stage: str, fraction: float) -> None:
@@ -63,7 +75,7 @@ def choose_plan(
     _check_goal(snr, size)
     with _threads(run.threads):
         source = prepare(array, axes, transform, nan)
-        return _chosen(source, run, organisation, snr, size, decode_cost, max_memory)
+        return _chosen(source, run, Wanted(snr, size, decode_cost, organisation, max_memory))
 
 
 def compress(
@@ -130,17 +142,18 @@ def compress(
     _check_goal(snr, size)
     if kind is not None and kind not in KINDS:
         raise invalid("unknown-kind", "kind", kind, ", ".join(KINDS))
+    wanted = Wanted(snr, size, decode_cost, organisation, max_memory)
     with _threads(run.threads):
         source = prepare(array, axes, transform, nan)
         if isinstance(plan, str):
             modes = source.organisation(organisation)
             plan = replace(parse_plan(plan, modes, "most" if scheme == "auto" else scheme), snr=snr, size=size)
+        check_least_memory(prod(source.shape), max_memory)  # before anything is kept of a run that cannot be
         if journal is not None:
             run = replace(run, journal=journal)
-            journal.begin(decisive(source, plan, organisation=organisation, snr=snr, size=size, kind=kind,
-                                   decode_cost=decode_cost, quality=quality, scheme=scheme, seed=seed,
-                                   max_memory=max_memory, device=device.described))
-        plan = plan or run.journal.plan(lambda: _chosen(source, run, organisation, snr, size, decode_cost, max_memory))
+            journal.begin(decisive(source, plan, kind=kind, quality=quality, scheme=scheme, seed=seed,
+                                   device=device.described, **asdict(wanted)))
+        plan = plan or run.journal.plan(lambda: _chosen(source, run, wanted))
         with kernels.use(device):
             return follow(Task(source, plan, scheme, decode_cost, kind or source.kind, run, max_memory))
 
@@ -194,21 +207,13 @@ def _check_goal(snr: float | None, size: int | None) -> None:
         raise invalid("size", "size", size, "a positive number of bytes")
 
 
-def _chosen(
-    source: Source,
-    run: Run,
-    organisation: str | None,
-    snr: float | None,
-    size: int | None,
-    decode_cost: int,
-    max_memory: int | None,
-) -> Plan:
+def _chosen(source: Source, run: Run, wanted: Wanted) -> Plan:
     sampled = TRIAL_BYTES * min(prod(source.shape), TRIAL_ELEMENTS)
-    check_memory(sampled, "choosing a plan", "give the levels by --plan, or raise --max-memory", max_memory)
-    ceiling = None
-    fixed = None if organisation is None else source.organisation(organisation)
+    check_memory(sampled, "choosing a plan", "give the levels by --plan, or raise --max-memory", wanted.max_memory)
+    fixed = None if wanted.organisation is None else source.organisation(wanted.organisation)
+    snr, size, ceiling = wanted.snr, wanted.size, None
     if snr is None and size is None:
         rows = sum(source.shape if fixed is None else mode_sizes(source.axes, fixed))
         size = max(4 * prod(source.shape) // DEFAULT_RATIO, SMALLEST_DEFAULT, ROW_BYTES * rows)
         ceiling = DEFAULT_SNR
-    return tune(source, run, snr=snr, size=size, ceiling=ceiling, decode_cost=decode_cost, organisation=fixed)
+    return tune(source, run, snr=snr, size=size, ceiling=ceiling, decode_cost=wanted.decode_cost, organisation=fixed)

@@ -24,9 +24,7 @@ def memory_limit(plan: Plan, sizes: Sequence[int], memory: int | None) -> int:
     Raises:
         HmkctaError: the memory given is less than even a streamed fit takes.
     """
-    if memory is not None:
-        least = PROCESS + WORKING * min(prod(sizes), SMALLEST)
-        check_memory(least, "compressing this array", "allow more with --max-memory", memory)
+    check_least_memory(prod(sizes), memory)
     limit = max(1, min(WORKSET, (memory_budget(memory) - PROCESS) // WORKING))
     first = next((level for level in plan.levels if level.cells > 1), plan.levels[0])
     if prod(sizes) <= limit or first.search != "fast":
@@ -34,6 +32,17 @@ def memory_limit(plan: Plan, sizes: Sequence[int], memory: int | None) -> int:
     # Its cells are too many for joint rows: nothing but sweeps over a residual in memory.
     check_memory(PROCESS + FLAT * prod(sizes), f"a level of {first.cells} cells", "fewer clusters, more levels", memory)
     return prod(sizes)
+
+
+def check_least_memory(elements: int, memory: int | None) -> None:
+    """Refuse to begin with less memory than any plan takes.
+
+    Raises:
+        HmkctaError: the memory given is less than even a streamed fit takes.
+    """
+    if memory is not None:
+        least = PROCESS + WORKING * min(elements, SMALLEST)
+        check_memory(least, "compressing this array", "allow more with --max-memory", memory)
 
 
 def is_streamed(elements: int, limit: int) -> bool:

@@ -19,8 +19,8 @@ from .transform import Transform, parse
 
 F32 = NDArray[np.float32]
 _SLAB = 1 << 22
-#: Sums of a few such values still fit float32.
-_LARGEST = 1e37
+#: Magnitudes of which the numbers that are stored, and sums of them, keep clear of float32's ends.
+_SMALLEST, _LARGEST = 1e-38, 1e32
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,8 +157,8 @@ def prepare(array: Any, axes: Sequence[Axis] | Sequence[str] | None, transform: 
     """Describe an array and check its values.
 
     Raises:
-        HmkctaError: what `described` raises; values that are not finite with `nan` None, beyond float32's range, or
-            outside the transform's domain.
+        HmkctaError: what `described` raises; values that are not finite with `nan` None, too large or all too small for
+            float32, or outside the transform's domain.
     """
     source = described(array, axes, transform)
     if nan is not None and not abs(nan) <= _LARGEST:
@@ -167,6 +167,9 @@ def prepare(array: Any, axes: Sequence[Axis] | Sequence[str] | None, transform: 
     source = replace(source, nan=nan if bad else None, fingerprint={"sha256": digest})
     with ThreadPoolExecutor() as pool:
         peak = max(pool.map(source.peak, source.parts(_SLAB)))
+    if 0 < peak < _SMALLEST:
+        allowed = f"{_SMALLEST:.0e} or more, or 0, as float32 keeps few digits below"
+        raise invalid("too-small", "largest magnitude of the array", f"{peak:.3g}", allowed, "scale the array")
     return replace(source, unit=2.0 ** float(np.floor(np.log2(peak))) if peak > 0 else 1.0)
 
 
@@ -217,6 +220,6 @@ def _not_finite(values: NDArray[Any]) -> NDArray[np.bool_] | None:
         bad = ~np.isfinite(values)
         largest = float(np.abs(values, where=~bad, out=np.zeros_like(values)).max())
     if values.itemsize > 2 and largest > _LARGEST:
-        allowed = f"magnitudes up to {_LARGEST:.0e}, that float32 can hold"
+        allowed = f"magnitudes up to {_LARGEST:.0e}, of which float32 can hold sums and products"
         raise invalid("too-large", "array", f"{largest:.3g}", allowed, "scale the array")
     return bad

@@ -20,7 +20,7 @@ from .memberships import uniform_blocks
 from .metrics import snr_db
 from .plan import LevelSpec, Plan
 from .source import Source
-from .tucker import core_energies
+from .tucker import Core, full_core
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -58,18 +58,29 @@ class Block:
     thinned: tuple[Axis, ...]
 
 
+@dataclass(eq=False)
+class _Part:
+    """A sampled tensor, its squared norm, its true mode sizes, and its core once that is known."""
+
+    tensor: F32
+    energy: float
+    sizes: tuple[int, ...]
+    core: Core | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class _Cut:
-    """An organisation cut by a grid: sampled tensors, each with its squared norm and true mode sizes, whether they are
-    thinned, their share of all elements, and the mode sizes and numbers of blocks of the whole."""
+    """An organisation cut by a grid: sampled tensors, whether they are thinned, their share of all elements, the mode
+    sizes and numbers of blocks of the whole, and how many threads may work on it."""
 
     organisation: Organisation
     grid: tuple[int, ...]
-    tensors: list[tuple[F32, float, tuple[int, ...]]]
+    parts: list[_Part]
     thinned: bool
     share: float
     sizes: tuple[int, ...]
     clusters: tuple[int, ...]
+    threads: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,13 +96,14 @@ class Trial:
     ceiling: float | None
     decode_cost: int
     seed: int
-    threads: int
     energy: float
 
-    def worths(self, organisation: Organisation, grid: tuple[int, ...], sample: int) -> list[tuple[float, Candidate]]:
+    def worths(
+        self, organisation: Organisation, grid: tuple[int, ...], sample: int, threads: int = 1
+    ) -> list[tuple[float, Candidate]]:
         """Every candidate with this organisation and grid: dB at the goal's bytes, or minus octaves of bytes."""
-        cut = _cut(self, organisation, grid, sample)
-        if not cut.tensors:
+        cut = _cut(self, organisation, grid, sample, threads)
+        if not cut.parts:
             return []
         found, ranks = self._judged(cut, ())
         best, helpful = _best(found), list[int]()
@@ -106,9 +118,9 @@ class Trial:
 
     def _judged(self, cut: _Cut, choice: tuple[int, ...]) -> tuple[list[tuple[float, Candidate]], list[int]]:
         """Candidates that leave the chosen modes undecomposed, and the ranks of the one without blocks."""
-        order, tables = len(cut.sizes), list(self._tables(cut, choice))
+        order, tables = len(cut.sizes), self._tables(cut, choice)
         flags = [n in choice for n in range(order)]
-        energy = sum(energy for _, energy, _ in cut.tensors) / cut.share
+        energy = sum(part.energy for part in cut.parts) / cut.share
         table = summed(tables) / cut.share
         whole = spectrum(table, energy, cut.sizes, flags, self.decode_cost, cut.clusters, hull=False)
         one = Candidate(cut.organisation, cut.grid, choice, carried=False)
@@ -117,8 +129,8 @@ class Trial:
         ranks = [int(rank) for rank in whole.ranks[chosen.choice[0]]]
         if prod(cut.clusters) > 1 and self.decode_cost > 1:
             nodes = [
-                spectrum(table, energy, sizes, flags, self.decode_cost - 1)
-                for table, (_, energy, sizes) in zip(tables, cut.tensors, strict=True)
+                spectrum(table, part.energy, part.sizes, flags, self.decode_cost - 1)
+                for table, part in zip(tables, cut.parts, strict=True)
             ]
             many = Candidate(cut.organisation, cut.grid, choice)
             found.append((self._worth(nodes, cut.share, self._beside(many, cut))[0], many))
@@ -136,18 +148,21 @@ class Trial:
         each = 2.0 * float(np.prod(ranks, dtype=np.float64)) + 4 + empty_node_bytes(len(ranks), len(stored))
         return whole - nodes * each - 4 * rows
 
-    def _tables(self, cut: _Cut, choice: tuple[int, ...]) -> Iterator[F64]:
-        """Energies of the HOSVD cores of the cut's tensors; a mode left undecomposed takes no room in them."""
+    def _tables(self, cut: _Cut, choice: tuple[int, ...]) -> list[F64]:
+        """Energies of the HOSVD cores of the cut's tensors, summed along the modes left undecomposed."""
 
-        def table(entry: tuple[F32, float, tuple[int, ...]]) -> F64:
-            tensor, _, sizes = entry
-            ranks = tuple(None if n in choice else size for n, size in enumerate(tensor.shape))
-            ones = (1,) * tensor.ndim
-            limits = table_limits(tensor.shape, LevelSpec(ranks, ones, ones), self.size or inf, sizes)
-            return core_energies(tensor, limits, np.random.default_rng(self.seed))
+        def table(part: _Part) -> F64:
+            ranks = tuple(None if n in choice else size for n, size in enumerate(part.tensor.shape))
+            ones = (1,) * part.tensor.ndim
+            limits = table_limits(part.tensor.shape, LevelSpec(ranks, ones, ones), self.size or inf, part.sizes)
+            if part.core is None:
+                part.core = full_core(part.tensor, limits, np.random.default_rng(self.seed))
+            whole = all(part.core.complete[n] for n in choice)
+            core = part.core if whole else full_core(part.tensor, limits, np.random.default_rng(self.seed))
+            return core.energies(limits)
 
-        with ThreadPoolExecutor(self.threads) as pool:
-            yield from pool.map(table, cut.tensors)
+        with ThreadPoolExecutor(cut.threads) as pool:
+            return list(pool.map(table, cut.parts))
 
     def _worth(
         self, spectra: Sequence[Spectrum], share: float, fixed: float, *, single: bool = False
@@ -176,9 +191,9 @@ def decibels(signal: float, error: float) -> float:
     return snr_db(max(signal, 1e-300), max(error, 1e-14 * signal, 1e-300))
 
 
-def _cut(trial: Trial, organisation: Organisation, grid: tuple[int, ...], sample: int) -> _Cut:
+def _cut(trial: Trial, organisation: Organisation, grid: tuple[int, ...], sample: int, threads: int) -> _Cut:
     """Sampled blocks of the grid as tensors of the organisation's modes; blocks of zeros are left out."""
-    source, tensors, seen, thinned = trial.source, list[tuple[F32, float, tuple[int, ...]]](), 0, False
+    source, parts, seen, thinned = trial.source, list[_Part](), 0, False
     for block in _sample_blocks(source, grid, sample, trial.seed):
         elements = prod(axis.size for axis in block.axes)
         seen += elements
@@ -186,12 +201,11 @@ def _cut(trial: Trial, organisation: Organisation, grid: tuple[int, ...], sample
         tensor = np.ascontiguousarray(organise(block.values, block.thinned, organisation))
         energy = squared_norm(tensor)
         if energy > 0:
-            tensors.append((tensor, energy, mode_sizes(block.axes, organisation)))
+            parts.append(_Part(tensor, energy, mode_sizes(block.axes, organisation)))
     counts = {axis.name: count for axis, count in zip(source.axes, grid, strict=True)}
     clusters = tuple(prod(counts[name] for name in mode) for mode in organisation)
-    return _Cut(
-        organisation, grid, tensors, thinned, seen / prod(source.shape), mode_sizes(source.axes, organisation), clusters
-    )
+    sizes = mode_sizes(source.axes, organisation)
+    return _Cut(organisation, grid, parts, thinned, seen / prod(source.shape), sizes, clusters, threads)
 
 
 def _best(found: Sequence[tuple[float, Candidate]]) -> float:

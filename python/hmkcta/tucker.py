@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +52,7 @@ def leading_subspace(tensor: F32, n: int, rank: int, rng: np.random.Generator) -
 def _gram(matrix: NDArray[np.floating]) -> F64:
     """matrix matrix^T in float64: its small eigenvalues are the squares of what the basis is asked to tell apart."""
     gram = np.zeros((len(matrix), len(matrix)))
-    step = max(1, 2**22 // max(1, len(matrix)))
+    step = max(1, 2**18 // max(1, len(matrix)))  # which stays in the cache
     for start in range(0, matrix.shape[1], step):
         chunk = matrix[:, start : start + step].astype(np.float64)
         gram += chunk @ chunk.T
@@ -80,20 +81,77 @@ def st_hosvd(tensor: F32, ranks: Sequence[int | None], rng: np.random.Generator)
     return bases, np.ascontiguousarray(core)
 
 
-def core_energies(tensor: F32, limits: Sequence[int | None], rng: np.random.Generator) -> F64:
-    """Energy that HOSVD captures at every choice of ranks up to the limits: ``table[R_1 - 1, .., R_N - 1]``.
+@dataclass(frozen=True, eq=False)
+class Core:
+    """A tensor rotated into the singular vectors of its unfoldings, the strongest first: its untruncated HOSVD core.
 
-    An undecomposed mode (limit None) has one entry, its full size. Beyond what the limits keep nothing is promised:
-    the energy is that of the truncated core, the error of the truncated reconstruction.
+    Attributes:
+        values: of the tensor's order; along a mode longer than its unfolding has columns, as long as those are many.
+        complete: whether all energy is there along a mode. Of modes too long for that only the leading rows are.
     """
-    bases = [None if limit is None else leading_subspace(tensor, n, limit, rng) for n, limit in enumerate(limits)]
-    core: NDArray[np.floating] = tensor
-    kept = [1.0 if basis is None else basis.shape[1] / basis.shape[0] for basis in bases]
-    for n in sorted(range(tensor.ndim), key=kept.__getitem__):
-        basis = bases[n]
-        if basis is not None:
-            core = mode_product(core, basis.T, n)
-    table = np.square(core, dtype=np.float64)
-    for n, basis in enumerate(bases):
-        table = table.sum(axis=n, keepdims=True) if basis is None else table.cumsum(axis=n)
-    return table
+
+    values: F32
+    complete: tuple[bool, ...]
+
+    def energies(self, limits: Sequence[int | None]) -> F64:
+        """Energy that HOSVD captures at every choice of ranks up to the limits: ``table[R_1 - 1, .., R_N - 1]``.
+
+        A mode of limit None is left undecomposed, has one entry, and must be complete. Beyond what the limits keep
+        nothing is promised: the energy is that of the truncated core, the error of the truncated reconstruction.
+        """
+        # Sums over rows do not depend on how the rows are rotated: an undecomposed mode needs no core of its own.
+        kept = np.square(self.values[tuple(slice(limit) for limit in limits)])
+        undecomposed = tuple(n for n, limit in enumerate(limits) if limit is None)
+        table = kept.sum(axis=undecomposed, keepdims=True, dtype=np.float64)
+        for n, limit in enumerate(limits):
+            if limit is not None:
+                np.cumsum(table, axis=n, out=table)
+        return table
+
+
+def full_core(tensor: F32, limits: Sequence[int | None], rng: np.random.Generator) -> Core:
+    """Rotate a tensor mode by mode; a mode of limit None is left as it is.
+
+    Every mode is complete but those that are long and of which few vectors are wanted: these come with as many.
+    """
+    order, sizes = tensor.ndim, tensor.shape
+    # A mode longer than its unfolding has columns comes first, as the tensor is smaller afterwards.
+    first = next((n for n in range(order) if sizes[n] ** 2 > tensor.size), 0)
+    turn = [(first + n) % order for n in range(order)]
+    core = np.ascontiguousarray(tensor.transpose(turn))
+    left = list[int]()
+    for at, n in enumerate(turn):
+        limit, matrix = limits[n], core.reshape(core.shape[0], -1)  # the turn brings each mode to the front
+        rotated = matrix.T
+        if limit is not None:
+            found = _rotated(matrix, limit)
+            left += [at] if found is None else []
+            rotated = matrix.T if found is None else found
+        core = np.ascontiguousarray(rotated).reshape(*core.shape[1:], rotated.shape[1])
+    for at in left:
+        limit = limits[turn[at]] or 0
+        core = mode_product(core, leading_subspace(core, at, limit, rng).T, at).astype(np.float32, copy=False)
+    back = sorted(range(order), key=turn.__getitem__)
+    return Core(core.transpose(back), tuple(at not in left for at in back))
+
+
+def _rotated(matrix: F32, rank: int) -> F32 | None:
+    """Transpose of ``U^T A``, U being all left singular vectors of A; None where it is worth finding `rank` alone."""
+    rank = min(rank, *matrix.shape)
+    exact = EXACT_SIDE if 6 * rank > min(matrix.shape) else SMALL_SIDE
+    if min(matrix.shape) > exact:
+        return None
+    if len(matrix) <= matrix.shape[1]:
+        _, vectors = np.linalg.eigh(_gram(matrix))
+        return matrix.T @ vectors[:, ::-1].astype(np.float32)
+    energies, vectors = np.linalg.eigh(_gram(matrix.T))
+    return (vectors * np.sqrt(np.maximum(energies, 0)))[:, ::-1].astype(np.float32)
+
+
+def core_energies(tensor: F32, limits: Sequence[int | None], rng: np.random.Generator) -> F64:
+    """`Core.energies` of a tensor.
+
+    >>> core_energies(np.outer([1, 2], [2, 0]).astype(np.float32), (2, 1), np.random.default_rng(0)).round(3).tolist()
+    [[20.0], [20.0]]
+    """
+    return full_core(tensor, limits, rng).energies(limits)

@@ -7,8 +7,10 @@ Matrix PCA (two modes, no grid), HOSVD (no grid) and bricks (a grid, nothing mer
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import product
 from math import prod
 
@@ -31,7 +33,18 @@ MOST_BLOCKS, WORTHWHILE = 4096, 0.01
 #: How many organisations and candidates are looked at closer, and from how many the search climbs on.
 ORGANISATIONS, FINALISTS, MATRICES, CLIMBS = (12, 4), 4, 2, 2
 
+#: Elements of all the samples that are worked on at once.
+TOGETHER = 1 << 24
+#: In dB or octaves of bytes: twice as many blocks are tried where one more loses no more than the first; a second start
+#: is left where it is if it lies the second behind the first, once that has climbed.
+STEEP, FAR = 0.05, 1.0
+
 Ranked = list[tuple[float, Candidate]]
+Choice = tuple[Organisation, tuple[int, ...]]
+
+
+def _silent(fraction: float) -> None:
+    """Progress for nobody."""
 
 
 @dataclass
@@ -40,16 +53,33 @@ class Search:
 
     trial: Trial
     plain: Organisation
+    threads: int
     seen: dict[tuple[Organisation, tuple[int, ...], int], Ranked] = field(
         default_factory=dict[tuple[Organisation, tuple[int, ...], int], Ranked]
     )
 
-    def best(self, organisation: Organisation, grid: tuple[int, ...], sample: int) -> tuple[float, Candidate]:
-        """The best candidate with this organisation and grid."""
-        key = (organisation, grid, min(sample, prod(self.trial.source.shape)))
-        if key not in self.seen:
-            self.seen[key] = self.trial.worths(*key)
-        return max(self.seen[key], key=_worth, default=(0.0, Candidate(organisation, grid)))
+    def best(self, choices: Sequence[Choice], sample: int, told: Callable[[float], None] = _silent) -> Ranked:
+        """The best candidate with each organisation and grid; `told` hears which share of them is judged."""
+        sample = min(sample, prod(self.trial.source.shape))
+        new = list(dict.fromkeys(choice for choice in choices if (*choice, sample) not in self.seen))
+        # Side by side as far as memory goes; what threads are left work on the blocks of one.
+        workers = max(1, min(self.threads, len(new), TOGETHER // sample))
+        inner = max(1, self.threads // workers)
+
+        def judge(choice: Choice) -> Ranked:
+            return self.trial.worths(*choice, sample, inner)
+
+        with ThreadPoolExecutor(workers) as pool:
+            try:
+                for number, (choice, ranked) in enumerate(zip(new, pool.map(judge, new), strict=True), start=1):
+                    self.seen[(*choice, sample)] = ranked
+                    told(number / len(new))
+            except BaseException:
+                pool.shutdown(wait=True, cancel_futures=True)
+                raise
+        return [
+            max(self.seen[(*choice, sample)], key=_worth, default=(0.0, Candidate(*choice))) for choice in choices
+        ]
 
     def matrices(self) -> list[Organisation]:
         """The best organisations in two modes, those of matrix PCA, by the survey."""
@@ -75,7 +105,7 @@ def tune(
     slabs = (source.values((slice(i, i + 1),)) for i in range(source.shape[0]))
     energy = sum(float(np.square(slab, dtype=np.float64).sum()) for slab in slabs)
     choices = list(organisations(source.axes)) if organisation is None else [organisation]
-    search = Search(Trial(source, snr, size, ceiling, decode_cost, run.seed, run.threads, energy), choices[0])
+    search = Search(Trial(source, snr, size, ceiling, decode_cost, run.seed, energy), choices[0], run.threads)
     finalists = _finalists(search, choices, run.progress)
     worth, best = _settled(search, [candidate for _, candidate in finalists], run.progress)
     if size is not None and worth <= -OUT_OF_REACH:
@@ -92,20 +122,16 @@ def tune(
 def _finalists(search: Search, choices: Sequence[Organisation], progress: Progress) -> Ranked:
     """Organisations by a survey over few grids, then more grids for the best of them."""
     shape = search.trial.source.shape
-    left = list(choices)
+    left, few = list(choices), _few_grids(shape)
     for sample, most in zip(SURVEY, ORGANISATIONS, strict=True):
-        survey: list[tuple[float, Organisation]] = []
-        for number, modes in enumerate(left):
-            survey.append((max(search.best(modes, grid, sample)[0] for grid in _few_grids(shape)), modes))
-            progress("organisation", (number + 1) / len(left))
-        left = [modes for _, modes in sorted(survey, key=lambda item: -item[0])[:most]]
+        judged = search.best(list(product(left, few)), sample, partial(progress, "organisation"))
+        worth = {modes: max(found for found, _ in judged[n * len(few) : (n + 1) * len(few)])
+                 for n, modes in enumerate(left)}
+        left = sorted(left, key=lambda modes: -worth[modes])[:most]
         # A survey thins large blocks and so misjudges high ranks: nothing merged always stays in the race.
         left += [modes for modes in choices[:1] if modes not in left]
-    ranked: Ranked = []
-    grids = list(_many_grids(shape))
-    for number, grid in enumerate(grids):
-        ranked += [search.best(modes, grid, COMPARE) for modes in left]
-        progress("blocks", (number + 1) / len(grids))
+    many = [(modes, grid) for grid in _many_grids(shape) for modes in left]
+    ranked = search.best(many, COMPARE, partial(progress, "blocks"))
     ranked.sort(key=lambda item: -item[0])
     return ranked[:FINALISTS]
 
@@ -118,14 +144,16 @@ def _settled(search: Search, finalists: Sequence[Candidate], progress: Progress)
     """
     shape = search.trial.source.shape
     whole = (1,) * len(shape)
-    judged = [search.best(c.organisation, c.grid, REFINE) for c in finalists]
-    judged += [search.best(search.plain, grid, REFINE) for grid in _few_grids(shape)]
-    judged += [search.best(modes, whole, REFINE) for modes in search.matrices()]
-    starts = sorted(dict(zip([(c.organisation, c.grid) for _, c in judged], judged, strict=True)).values(), key=_worth)
+    again = [(c.organisation, c.grid) for c in finalists]
+    again += [(search.plain, grid) for grid in _few_grids(shape)]
+    again += [(modes, whole) for modes in search.matrices()]
+    again = list(dict.fromkeys(again))
+    judged = search.best(again, REFINE, lambda share: progress("finer choice of blocks", share / 3))
     climbed: Ranked = []
-    for number, (_, candidate) in enumerate(starts[-CLIMBS:]):
-        progress("finer choice of blocks", (number + 0.5) / CLIMBS)
-        climbed.append(_climbed(search, candidate, REFINE))
+    for number, (worth, candidate) in enumerate(sorted(judged, key=_worth)[: -CLIMBS - 1 : -1], start=1):
+        if not climbed or worth > climbed[0][0] - FAR:
+            climbed.append(_climbed(search, candidate, REFINE))
+        progress("finer choice of blocks", (1 + number) / 3)
     progress("finer choice of blocks", 1.0)
     return max(climbed, key=_worth)
 
@@ -136,11 +164,10 @@ def _worth(item: tuple[float, Candidate]) -> float:
 
 def _climbed(search: Search, start: Candidate, sample: int) -> tuple[float, Candidate]:
     """Change the blocks along one axis after the other while that helps."""
-    worth, best = search.best(start.organisation, start.grid, sample)
+    worth, best = search.best([(start.organisation, start.grid)], sample)[0]
     shape, idle, n = search.trial.source.shape, 0, 0
     while idle < len(shape):
-        near = [search.best(start.organisation, grid, sample) for grid in _neighbours(best.grid, shape, n)]
-        found = max(near, key=_worth, default=(worth, best))
+        found = max([(worth, best), *_around(search, (worth, best), n, sample)], key=_worth)
         if found[0] > worth + WORTHWHILE:
             worth, best = found
             idle = 0
@@ -175,13 +202,28 @@ def _many_grids(shape: Sequence[int]) -> Iterator[tuple[int, ...]]:
             yield tuple(grid)
 
 
-def _neighbours(grid: tuple[int, ...], shape: Sequence[int], n: int) -> Iterator[tuple[int, ...]]:
-    """Grids with other numbers of blocks along axis n."""
-    count = grid[n]
-    for other in sorted({count + 1, count - 1, 2 * count, count // 2} - {0, count}):
-        changed = (*grid[:n], other, *grid[n + 1 :])
-        if (other < count or shape[n] / other >= SMALLEST_EDGE) and prod(changed) <= MOST_BLOCKS:
-            yield changed
+def _around(search: Search, now: tuple[float, Candidate], n: int, sample: int) -> Ranked:
+    """Candidates with one block more or less along axis n; where that does little harm, twice or half as many."""
+    worth, (modes, grid) = now[0], (now[1].organisation, now[1].grid)
+    shape, count = search.trial.source.shape, grid[n]
+    ones = [_changed(grid, n, one) for one in (count + 1, count - 1) if _allowed(one, n, grid, shape)]
+    search.best([(modes, one) for one in ones], sample)  # side by side
+    found: Ranked = []
+    for one, many in ((count + 1, 2 * count), (count - 1, count // 2)):
+        if _allowed(one, n, grid, shape):
+            found += search.best([(modes, _changed(grid, n, one))], sample)
+            if found[-1][0] > worth - STEEP and _allowed(many, n, grid, shape):
+                found += search.best([(modes, _changed(grid, n, many))], sample)
+    return found
+
+
+def _changed(grid: tuple[int, ...], n: int, count: int) -> tuple[int, ...]:
+    return (*grid[:n], count, *grid[n + 1 :])
+
+
+def _allowed(count: int, n: int, grid: tuple[int, ...], shape: Sequence[int]) -> bool:
+    """Whether axis n may be cut into so many blocks, the others as they are."""
+    return 0 < count <= max(grid[n], shape[n] / SMALLEST_EDGE) and prod(_changed(grid, n, count)) <= MOST_BLOCKS
 
 
 def organisations(axes: Sequence[Axis]) -> Iterator[Organisation]:

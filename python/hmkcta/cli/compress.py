@@ -78,8 +78,8 @@ def compress_command(source: str, output: str, plan: str | None, kind: str | Non
         if verbose:
             click.echo("\n".join(f"  {stage}: {seconds(time)}" for stage, time in progress.stages.items()), err=True)
     if missed is not None:
-        advice = "allow a higher --decode-cost, or try --quality thorough"
-        click.echo(f"hmkcta: {missed} {output} is written, and is the best found. Next: {advice}.", err=True)
+        better = "allow a higher --decode-cost, or try --quality thorough" if plan is None else "add ranks or a level"
+        click.echo(f"hmkcta: {missed} {output} is written, and is the best found. Next: {better}.", err=True)
         click.get_current_context().exit(Exit.TARGET_MISSED)
 
 

@@ -1,0 +1,75 @@
+"""What a plan is chosen by: energies of HOSVD cores, hulls of choices; and that threads do not change the choice."""
+
+from __future__ import annotations
+
+from itertools import pairwise, product
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from dense_reference import energy, tucker_product
+from hmkcta import choose_plan
+from hmkcta.allocation import spectrum
+from hmkcta.synthetic import light_field
+from hmkcta.tucker import core_energies, full_core
+
+SHAPES = [(5, 6, 7), (60, 3, 4), (3, 4, 60), (4, 9), (9, 4), (7,), (1, 5, 1), (3, 3, 3, 3)]
+
+
+def noise(*shape: int) -> NDArray[np.float32]:
+    return np.random.default_rng(list(shape)).standard_normal(shape, np.float32)
+
+
+def leading(tensor: NDArray[np.float32], n: int, rank: int) -> NDArray[np.float64]:
+    unfolded = np.moveaxis(tensor, n, 0).reshape(tensor.shape[n], -1).astype(np.float64)
+    return np.linalg.svd(unfolded, full_matrices=False)[0][:, :rank].T
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+def test_energies_are_those_of_truncated_cores(shape: tuple[int, ...]) -> None:
+    """At every choice of ranks, each mode decomposed or left as it is."""
+    tensor, rng = noise(*shape), np.random.default_rng(0)
+    for undecomposed in product([False, True], repeat=len(shape)):
+        limits = [None if skip else min(size, 4) for size, skip in zip(shape, undecomposed, strict=True)]
+        table = core_energies(tensor, limits, rng)
+        for choice in np.ndindex(table.shape):
+            bases = [np.eye(shape[n]) if limits[n] is None else leading(tensor, n, r + 1) for n, r in enumerate(choice)]
+            assert table[choice] == pytest.approx(energy(tucker_product(tensor.astype(np.float64), bases)), rel=1e-4)
+
+
+def test_one_core_tells_of_all_choices_of_undecomposed_modes() -> None:
+    tensor, rng = noise(6, 50, 3), np.random.default_rng(0)
+    core = full_core(tensor, (6, 50, 3), rng)
+    assert core.complete == (True, True, True)
+    assert core.values.shape == (6, 18, 3)  # a mode of 50 rows has 18 columns
+    for limits in [(4, None, 2), (None, 5, 3), (6, 6, None)]:
+        np.testing.assert_allclose(core.energies(limits), core_energies(tensor, limits, rng), rtol=1e-5)
+
+
+def test_of_long_modes_few_vectors_are_found() -> None:
+    rng = np.random.default_rng(0)
+    low = np.einsum("ar,br->ab", rng.standard_normal((900, 3)), rng.standard_normal((1000, 3))).astype(np.float32)
+    core = full_core(low, (8, None), rng)
+    assert core.complete == (False, True)
+    table = core.energies((8, None))
+    assert table.shape == (8, 1)
+    assert table[2, 0] == pytest.approx(energy(low), rel=1e-5)
+
+
+def test_a_spectrums_steps_are_the_corners_of_its_hull() -> None:
+    table = core_energies(noise(8, 9, 10), (8, 9, 10), np.random.default_rng(0))
+    found = spectrum(table, float(table[-1, -1, -1]), (8, 9, 10), [False] * 3, 4096)
+    nbytes, error = found.nbytes[found.steps], found.error[found.steps]
+    slopes = np.diff(error) / np.diff(nbytes)
+    assert all(before < after for before, after in pairwise(slopes))
+    assert 4 < len(found.steps) < len(found.nbytes)
+    below = np.interp(found.nbytes, nbytes, error) - 1e-6 * found.error[0]
+    assert (found.error >= below).all()  # no choice lies below the hull
+
+
+@pytest.mark.parametrize(("snr", "size"), [(30.0, None), (None, 20000), (None, None)])
+def test_a_choice_does_not_depend_on_threads(snr: float | None, size: int | None) -> None:
+    data = light_field(views=3, size=32, frames=3)
+    plans = [choose_plan(data.values, axes=data.axes, threads=threads, snr=snr, size=size) for threads in (1, 2, 7)]
+    assert plans[0] == plans[1] == plans[2]
