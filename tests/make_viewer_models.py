@@ -9,11 +9,11 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 
 from hmkcta import Axis, Model, compress, synthetic
 from hmkcta.render import Camera, Compare, Light, Look, Renderer, Scene, Surface, Viewpoint
@@ -66,6 +66,14 @@ def material() -> tuple[Model, Any]:
     return _compressed(synthetic.material(9, 9, 16), LEVELS, "light+rgb, view, y, x")
 
 
+def ageing() -> tuple[Model, Any]:
+    """A material that changes with time, which is left as it is."""
+    data = synthetic.material(9, 9, 16)
+    values = np.stack([data.values, data.values[:, ::-1], data.values * 0.3])
+    return compress(values, "R=*,3,3,4,4 / R=*,1,1,2,2 C=1,2,2,2,2 K=1,2,2,2,2", kind=data.kind,
+                    axes=[Axis("time", 3, "time"), *data.axes], organisation="time, light+rgb, view, y, x"), values
+
+
 def merged() -> tuple[Model, Any]:
     """Angles and texels merged, as the automatic plan likes it."""
     return _compressed(synthetic.material(9, 9, 16), "R=6,6 / R=2,2 C=3,2 K=2,1", "light+view+rgb, y+x")
@@ -105,8 +113,8 @@ def series() -> tuple[Model, Any]:
     return compress(array, "R=1 C=5 K=1", axes=[Axis("t", 40)]), array
 
 
-MAKERS = {"material": material, "merged": merged, "lightfield": light_field, "volume": volume, "stack": stack,
-          "bare": bare, "series": series}
+MAKERS = {"material": material, "ageing": ageing, "merged": merged, "lightfield": light_field, "volume": volume,
+          "stack": stack, "bare": bare, "series": series}
 
 
 def patch(path: Path) -> None:
@@ -115,9 +123,9 @@ def patch(path: Path) -> None:
     bulge = 0.5 * np.sin(np.pi * u) * np.sin(np.pi * v)
     corner = (9 * np.arange(8)[:, None] + np.arange(8)).reshape(-1, 1)
     faces = np.concatenate([corner, corner + 1, corner + 9, corner + 1, corner + 10, corner + 9], axis=1).reshape(-1, 3)
-    mesh = trimesh.Trimesh(np.stack([u, v, bulge], axis=1), faces, process=False,
-                           visual=trimesh.visual.TextureVisuals(uv=np.stack([u, v], axis=1)))
-    mesh.export(str(path))
+    library: Any = import_module("trimesh")  # whose types are incomplete
+    looks = library.visual.TextureVisuals(uv=np.stack([u, v], axis=1))
+    library.Trimesh(np.stack([u, v, bulge], axis=1), faces, process=False, visual=looks).export(str(path))
 
 
 def _cases() -> list[Case]:
@@ -133,6 +141,7 @@ def _cases() -> list[Case]:
              {"Show": "split", "With": "2", **low}),
         Case("material-original", "material", Scene(compare=Compare("split", None)), {"Show": "split"}),
         Case("material-mesh", "material", Scene(), mesh="patch.glb"),
+        Case("material-time", "ageing", Scene(time=1), {"Frame": "1"}),
         Case("merged", "merged", Scene()),
         Case("merged-cloth", "merged", Scene(surface=Surface("cloth")), {"Shape": "cloth"}),
         Case("lightfield", "lightfield", Scene(viewpoint=Viewpoint(0.5, 1.25)), {"Row": "0.5", "Column": "1.25"}),

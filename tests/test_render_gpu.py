@@ -92,6 +92,16 @@ def test_svbrdfs_with_transform_and_without_some_axes(material: synthetic.Datase
     same(compressed(grey, "light+pol, view, y, x", plan), SMALL)
 
 
+@pytest.mark.parametrize("plan", ["R=*,3,3,4,4 / R=*,2,2,2,2 C=1,2,2,2,2 K=1", "R=2,3,3,4,4 / R=1,1,2,2,2 C=2 K=1"])
+def test_svbrdfs_that_change_with_time(material: synthetic.Dataset, plan: str) -> None:
+    """The mode of time stands still in a frame, and is contracted."""
+    values = np.stack([material.values, material.values[:, ::-1], 1 - material.values])
+    data = synthetic.Dataset(values, (Axis("time", 3, "time"), *material.axes), "svbrdf")
+    model = compressed(data, "time, light+rgb, view, y, x", plan)
+    first = same(model, replace(SMALL, time=0.0))
+    assert (first != same(model, replace(SMALL, time=2.0))).any()
+
+
 def test_texels_are_not_interpolated_where_a_mode_holds_too_much(material: synthetic.Dataset) -> None:
     """Light, view and rows in one mode are 3 x 3 x 2 rows and 3 colours: more than the shader has room for."""
     adapter()

@@ -77,7 +77,8 @@ class GpuGrid:
 
     def turns(self, level: int) -> int:
         """A bound of the turns of all loops of an invocation."""
-        return loop_turns(self._model, self._buffers.options.picks or (), level)
+        options = self._buffers.options
+        return loop_turns(self._model, options.picks or (), level, options.contracted)
 
     def _decode(self, grid: Grid, texture: Any, level: int | None) -> None:
         depth, rows, columns = grid.shape

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..errors import HmkctaError
 from ..model import Model
+from .contract import contractable
 from .device import Device
 from .directions import GRID, DirectionTable
 from .gbuffer import Rays, trace
@@ -53,13 +54,22 @@ class GpuSvbrdf:
             self._shading.light, self._shading.view, layout.light, next(iter(layout.views), None))
         self._directions = device.buffer("directions", tables)
         self._seen: tuple[Any, tuple[Any, ...]] | None = None
+        self._stood: tuple[int, ...] | None = None  # where the contracted axes stood
 
     def draw(self, scene: Scene, level: int | None, out: Any) -> None:
         """Submit the work that fills `out`, a texture rgba32float of the scene's size."""
         rays = rays_of(scene, "svbrdf")
+        self._contract(scene)
         uniform = self._device.buffer("svbrdf", self._frame(scene, rays).tobytes(), "UNIFORM")
         resources = (uniform, self._directions, *self._surfaces(scene, rays), out)
         self._pass.run(resources, tiles(scene.width, scene.height), self._buffers.bind_group(level))
+
+    def _contract(self, scene: Scene) -> None:
+        """Sum the modes of which no axis moves into the cores, unless they stand where they stood."""
+        stands = at_time(self._layout, scene.time).stands
+        if stands != self._stood:
+            self._stood = stands
+            self._buffers.contract({axis: ((stands[axis],), (1.0,)) for axis in _still(self._layout)})
 
     @cached_property
     def _pass(self) -> ComputePass:
@@ -69,7 +79,8 @@ class GpuSvbrdf:
 
     def turns(self, scene: Scene, level: int) -> int:
         """A bound of the turns of all loops of an invocation."""
-        return len(scene.lights) * loop_turns(self._model, self._buffers.options.picks or (), level)
+        options = self._buffers.options
+        return len(scene.lights) * loop_turns(self._model, options.picks or (), level, options.contracted)
 
     def _surfaces(self, scene: Scene, rays: Rays) -> tuple[Any, ...]:
         """The G-buffer's textures, kept while camera and surface stay."""
@@ -121,6 +132,12 @@ def direction_buffer(light: DirectionTable | None, view: DirectionTable | None, 
     return np.concatenate(parts or [np.zeros(4, np.uint32)]), places[0], places[1]
 
 
+def _still(layout: Layout) -> list[int]:
+    """Axes that stand still in a frame: neither directions, texels nor colours."""
+    return [axis for axis in range(len(layout.sizes)) if axis not in (layout.light, *layout.views, *layout.space,
+                                                                      layout.channel)]
+
+
 def _decoder(device: Device, model: Model, layout: Layout, channels: int) -> tuple[DecoderBuffers, bool]:
     """Decoder with room for the interpolation's picks, and whether texels must stay uninterpolated to fit."""
     for texels in (2, 1):
@@ -132,7 +149,8 @@ def _decoder(device: Device, model: Model, layout: Layout, channels: int) -> tup
             picks[axis] = texels
         if channels == 3 and layout.channel is not None:
             picks[layout.channel] = 3
-        buffers = DecoderBuffers(device, model, Options(picks=tuple(picks), channels=channels))
+        options = Options(tuple(picks), channels, contractable(model, _still(layout)))
+        buffers = DecoderBuffers(device, model, options)
         try:
             buffers.prelude()
         except HmkctaError as error:

@@ -21,8 +21,10 @@ from .prelude import axis_places
 MOST_TURNS = 60_000
 
 
-def loop_turns(model: Model, picks: Sequence[int], level: int) -> int:
+def loop_turns(model: Model, picks: Sequence[int], level: int, contracted: Sequence[int] = ()) -> int:
     """A bound of the turns of all loops of `decode_picked` with so many picks for each source axis.
+
+    `contracted` are the modes that have been summed into the cores.
 
     Rows of a mode spread over the parts of the levels above; in a node, a mode brings at most K clusters a row and at
     most C in all, and each combination of the modes' clusters is a cell to contract.
@@ -38,7 +40,7 @@ def loop_turns(model: Model, picks: Sequence[int], level: int) -> int:
     channel = next((n for n, axis in enumerate(model.metadata.axes) if axis.role == "channel"), None)
     colour = modes[channel] if channel is not None and picks[channel] == 3 else None
     uniform = uniform_levels(model.metadata, model.levels)
-    registered = registered_levels(model.metadata, rows, colour, (), uniform)
+    registered = registered_levels(model.metadata, rows, colour, contracted, uniform)
     parts = [1] * order
     turns = 0
     for number, (packed, bounds) in enumerate(zip(model.levels[:level], model.bounds, strict=False)):

@@ -25,6 +25,11 @@ export function contractable(metadata: Metadata, levels: PackedLevel[], still: n
   return coreWords(levels, found) <= 2 ** PAGE_SHIFT ? found : [];
 }
 
+/** The modes of a decoder that pay: an array that is no more than packed has one core, of which a frame takes a part anyway. */
+export function contractedModes({ metadata, levels }: Decoder, still: number[]): number[] {
+  return metadata.undecomposed.length === metadata.modeSizes.length ? [] : contractable(metadata, levels, still);
+}
+
 /** The constants that `contract.wgsl` needs beside the prelude with nothing contracted. */
 export function contractionConstants(
   metadata: Metadata, levels: PackedLevel[], scales: [number, number], options: Options,

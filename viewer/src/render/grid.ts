@@ -3,7 +3,7 @@
  * kept for as long as level, time and axes stay; a large request is decoded over several frames.
  */
 
-import { FrameContraction, type Still, contractable } from "../gpu/contract";
+import { FrameContraction, type Still, contractedModes } from "../gpu/contract";
 import type { Decoder } from "../gpu/decoder";
 import { Pass } from "../gpu/pass";
 import { prelude } from "../gpu/prelude";
@@ -32,12 +32,10 @@ export interface GridShader {
 
 /** The shader that decodes grids along some axes; modes of which none moves are contracted for each frame. */
 export async function gridShader(device: GPUDevice, decoder: Decoder, moving: (number | null)[]): Promise<GridShader> {
-  const { metadata, levels } = decoder;
+  const { metadata } = decoder;
   const picks = metadata.axes.map((axis) => (axis.role === "time" ? 2 : 1));
   const still = metadata.axes.flatMap((_, axis) => (moving.includes(axis) ? [] : [axis]));
-  // An array that is no more than packed has one core, of which a frame takes a part anyway.
-  const verbatim = metadata.undecomposed.length === metadata.modeSizes.length;
-  const contracted = verbatim ? [] : contractable(metadata, levels, still);
+  const contracted = contractedModes(decoder, still);
   const options = { picks, contracted, uniform: decoder.uniform };
   const [frame, pass] = await Promise.all([
     contracted.length > 0 ? FrameContraction.make(device, decoder, options) : null,

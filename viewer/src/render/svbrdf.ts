@@ -1,5 +1,6 @@
 /** SVBRDF: a lit object whose reflectance is decoded at every pixel. Twin of `hmkcta.render.svbrdf`. */
 
+import { FrameContraction, contractedModes } from "../gpu/contract";
 import type { Decoder } from "../gpu/decoder";
 import { Pass } from "../gpu/pass";
 import { picksFit, prelude } from "../gpu/prelude";
@@ -35,6 +36,8 @@ interface Shading {
   all: Pass | null;
   compile: () => Promise<void>; // of `all`; starts once
   nearest: boolean;
+  frame: FrameContraction | null; // of modes in which neither directions, texels nor colours are
+  still: number[]; // their axes and others that stand
 }
 
 export class SvbrdfRenderer implements Renderer {
@@ -72,10 +75,12 @@ export class SvbrdfRenderer implements Renderer {
     const [rows, columns] = this.layout.space.map((n) => axes[n]!.size) as [number, number];
     const rays = cameraRays(state.camera, target.width / target.height);
     this.drawSurface(state, rays, rows, columns, target);
-    const { first, all, compile, nearest } = this.shadings.get(side.decoder)!;
+    const { first, all, compile, nearest, frame, still } = this.shadings.get(side.decoder)!;
+    const stands = this.stands(state);
+    frame?.run(new Map(still.map((axis) => [axis, { index: [stands[axis]!], weight: [1] }])));
     const pass = side.level === 1 ? first : all!;
     pass.run(this.frame(state, rays, rows, columns, target, nearest), [this.tables.buffer, ...this.seen, target],
-      [target.width, target.height, 1], side.decoder.group(side.level));
+      [target.width, target.height, 1], side.decoder.group(side.level, frame?.cores));
     if (all === null) {
       void this.device.queue.onSubmittedWorkDone().then(compile).catch(() => undefined); // `prepare` hears of a failure
     }
@@ -89,7 +94,13 @@ export class SvbrdfRenderer implements Renderer {
   }
 
   destroy(): void {
-    this.shadings.forEach(({ first, all }) => [first, all].forEach((pass) => pass?.destroy()));
+    this.shadings.forEach(({ first, all, frame }, decoder) => {
+      [first, all].forEach((pass) => pass?.destroy());
+      if (frame !== null) {
+        decoder.forget(frame.cores);
+        frame.destroy();
+      }
+    });
     [this.surface, this.tables.buffer, this.mesh?.vertices, this.mesh?.indices].forEach((each) => each?.destroy());
     [...this.seen, this.depth].forEach((each) => each?.destroy());
   }
@@ -195,16 +206,21 @@ async function makeShading(device: GPUDevice, decoder: Decoder, layout: Layout):
   const nearest = !picksFit(decoder.metadata, picksWith(2));
   const channels = colour ? 3 : 1;
   const { metadata, uniform } = decoder;
+  const moving = [layout.light, ...layout.views, ...layout.space, layout.channel];
+  const still = metadata.axes.flatMap((_, axis) => (moving.includes(axis) ? [] : [axis]));
+  const picks = picksWith(nearest ? 1 : 2);
+  const contracted = contractedModes(decoder, still);
+  const frame = contracted.length > 0 ? await FrameContraction.make(device, decoder, { picks, contracted }) : null;
   const made = (levels: LevelBounds[]): Promise<Pass> => Pass.make(device, {
-    entry: "shade_svbrdf", struct: "SvbrdfFrame", decoder: decoder.layout,
+    entry: "shade_svbrdf", struct: "SvbrdfFrame", decoder: frame === null ? decoder.layout : decoder.framed,
     head: prelude({ ...metadata, levels }, decoder.pages,
-      { channels, uniform: uniform.filter((l) => l < levels.length), picks: picksWith(nearest ? 1 : 2) }),
+      { channels, uniform: uniform.filter((l) => l < levels.length), picks, contracted }),
     shaders: ["image", "decode", "weighted", "svbrdf"],
     bindings: ["storage", "texture-2d", "texture-2d", "texture-2d", "store-2d"],
   });
   let compiling: Promise<void> | null = null;
   const shading: Shading = {
-    nearest, first: await made(metadata.levels.slice(0, 1)), all: null,
+    nearest, frame, still, first: await made(metadata.levels.slice(0, 1)), all: null,
     compile: () => compiling ??= made(metadata.levels).then((pass) => {
       shading.all = pass;
     }),
