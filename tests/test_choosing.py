@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from itertools import pairwise, product
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dense_reference import energy, tucker_product
+from dense_reference import energy, snr, tucker_product
 from hmkcta import choose_plan
 from hmkcta.allocation import spectrum
+from hmkcta.source import prepare
 from hmkcta.synthetic import light_field
+from hmkcta.trial import Trial, trial_of
 from hmkcta.tucker import core_energies, full_core
 
 SHAPES = [(5, 6, 7), (60, 3, 4), (3, 4, 60), (4, 9), (9, 4), (7,), (1, 5, 1), (3, 3, 3, 3)]
@@ -73,3 +76,53 @@ def test_a_choice_does_not_depend_on_threads(snr: float | None, size: int | None
     data = light_field(views=3, size=32, frames=3)
     plans = [choose_plan(data.values, axes=data.axes, threads=threads, snr=snr, size=size) for threads in (1, 2, 7)]
     assert plans[0] == plans[1] == plans[2]
+
+
+def judged(monkeypatch: pytest.MonkeyPatch, array: NDArray[np.floating]) -> list[tuple[Any, ...]]:
+    """What was judged to choose a plan for the array: organisations, grids and samples."""
+    seen: list[tuple[Any, ...]] = []
+    worths = Trial.worths
+
+    def counted(trial: Trial, *what: Any) -> Any:
+        seen.append(what)
+        return worths(trial, *what)
+
+    monkeypatch.setattr(Trial, "worths", counted)
+    choose_plan(array)
+    return seen
+
+
+def test_many_axes_are_merged_step_by_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Eight axes have 4139 organisations."""
+    array = np.random.default_rng(0).random((2, 3, 2, 3, 2, 3, 2, 3))
+    organisations = {what[0] for what in judged(monkeypatch, array)}
+    assert 100 < len(organisations) < 400
+    assert {len(modes) for modes in organisations} == set(range(2, 9))
+    assert {len(modes) for modes in {what[0] for what in judged(monkeypatch, array[0, 0, 0])}} == set(range(2, 6))
+
+
+def test_axes_of_size_one_ride_along(monkeypatch: pytest.MonkeyPatch) -> None:
+    array = np.random.default_rng(0).random((1, 4, 3, 1, 3, 2, 3, 2))
+    for modes, *_ in judged(monkeypatch, array):
+        assert {"axis0", "axis3"} <= set(modes[0])
+        assert sorted(name for mode in modes for name in mode) == [f"axis{n}" for n in range(8)]
+
+
+def test_what_cannot_be_cut_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A vector; blocks of two or three rows, of which each needs a vector as long as itself."""
+    assert len(judged(monkeypatch, np.random.default_rng(0).random(5000))) == 1
+    for shape in [(2, 5000), (5000, 3)]:
+        assert {what[1] for what in judged(monkeypatch, np.random.default_rng(0).random(shape))} == {(1, 1)}
+
+
+@pytest.mark.parametrize("transform", ["identity", "log1p:2", "asinh:0.5", "sqrt"])
+def test_a_goal_in_db_is_that_of_the_source_not_of_transformed_values(transform: str) -> None:
+    """Noise of the squared error that a trial allows transformed values leaves the source's values that many dB."""
+    rng = np.random.default_rng(0)
+    values = 90 + 40 * rng.random((20, 30, 40))
+    source = prepare(values, None, transform, None)
+    trial = trial_of(source, 30.0, None, None, 4096, 0)
+    assert trial.error is not None
+    noise = rng.standard_normal(values.shape) * np.sqrt(trial.error / values.size)
+    noisy = source.value_transform.inverse(source.unit * (source.values() + noise))
+    assert snr(values, energy(values - noisy)) == pytest.approx(30.0, abs=0.3)

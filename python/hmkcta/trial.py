@@ -27,6 +27,8 @@ F64 = NDArray[np.float64]
 
 #: Worse than any number of bytes, in octaves.
 OUT_OF_REACH = 1000.0
+#: Elements looked at together where all are.
+SLAB = 1 << 20
 #: Modes up to this length are left undecomposed on trial if their rank takes this share of their rows.
 LONGEST_UNDECOMPOSED, NEARLY_FULL = 128, 0.25
 
@@ -85,18 +87,18 @@ class _Cut:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """The data and the goal: bytes (`size`) or `snr` in dB, within a decode cost; `energy` is the squared norm.
+    """The data and the goal: bytes (`size`) or a squared `error`, within a decode cost.
 
-    Bytes are not spent beyond a `ceiling` in dB: what reaches it is worth the more, the fewer bytes it takes.
+    Bytes are not spent beyond a `ceiling` in dB: what reaches it is worth the more, the fewer bytes it takes. Error and
+    ceiling are of the transformed values.
     """
 
     source: Source
-    snr: float | None
+    error: float | None
     size: int | None
     ceiling: float | None
     decode_cost: int
     seed: int
-    energy: float
 
     def worths(
         self, organisation: Organisation, grid: tuple[int, ...], sample: int, threads: int = 1
@@ -178,12 +180,37 @@ class Trial:
                 return worth, chosen
             chosen = allocate(spectra, error=energy * 10 ** (-self.ceiling / 10))
             return self.ceiling + log2(self.size / (chosen.nbytes / share + fixed)), chosen
-        assert self.snr is not None
-        error = self.energy * 10 ** (-self.snr / 10) * share
+        assert self.error is not None
+        error = self.error * share
         chosen = allocate(spectra, error=error)
         short = max(0.0, decibels(chosen.error, error))
         # Candidates that cannot reach the goal come after all that can, the nearest first.
         return -OUT_OF_REACH - short if short > 0.01 else -log2(chosen.nbytes / share + fixed), chosen
+
+
+def trial_of(
+    source: Source, snr: float | None, size: int | None, ceiling: float | None, decode_cost: int, seed: int
+) -> Trial:
+    """The trial of a goal whose dB are those of the source's values.
+
+    A value transform stretches errors by its inverse's slope, so that as many dB of transformed values are others.
+    """
+    signal = energy = slopes = 0.0
+    transform, unit = source.value_transform, np.float64(source.unit)
+    for part in source.parts(SLAB):
+        values = source.values(part).astype(np.float64)
+        energy += float(np.square(values).sum())
+        if transform.name != "identity":
+            step = 1e-4
+            higher, lower = (transform.inverse(unit * (values + by)) for by in (step, -step))
+            slopes += float(np.square((higher - lower) / (2 * step)).sum())
+            signal += float(np.square(transform.inverse(unit * values)).sum())
+    # Squared errors of transformed values, times this, are those of the source's values.
+    stretch = 1.0 if transform.name == "identity" else max(slopes / prod(source.shape), 1e-300)
+    signal = energy if transform.name == "identity" else signal
+    error = None if snr is None else signal / stretch * 10 ** (-snr / 10)
+    higher_by = decibels(energy, signal / stretch) if energy else 0.0
+    return Trial(source, error, size, None if ceiling is None else ceiling + higher_by, decode_cost, seed)
 
 
 def decibels(signal: float, error: float) -> float:

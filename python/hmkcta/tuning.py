@@ -11,10 +11,8 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import product
+from itertools import combinations, product
 from math import prod
-
-import numpy as np
 
 from .axes import Axis, Organisation
 from .errors import invalid
@@ -22,14 +20,16 @@ from .filesize import planned_bytes
 from .hierarchy import Progress, Run
 from .plan import Plan
 from .source import Source
-from .trial import OUT_OF_REACH, Candidate, Trial, plan_of
+from .trial import OUT_OF_REACH, Candidate, Trial, plan_of, trial_of
 
 #: Elements looked at for a candidate: to rank organisations, to rank grids, and to settle the blocks.
 SURVEY, COMPARE, REFINE = (1 << 17, 1 << 19), 1 << 20, 1 << 23
-#: Block edges never fall below this.
-SMALLEST_EDGE = 4
+#: Block edges never fall below this, nor elements of a block below so many times the sum of its edges.
+SMALLEST_EDGE, THIN = 4, 4
 #: Most blocks, and the gain in dB (or octaves of bytes) that a change of the grid must bring.
 MOST_BLOCKS, WORTHWHILE = 4096, 0.01
+#: Up to so many axes all organisations are tried; of more, the best so many are merged further.
+FEW_AXES, BEAM = 5, 3
 #: How many organisations and candidates are looked at closer, and from how many the search climbs on.
 ORGANISATIONS, FINALISTS, MATRICES, CLIMBS = (12, 4), 4, 2, 2
 
@@ -102,38 +102,58 @@ def tune(
     organisation: Organisation | None,
 ) -> Plan:
     """The best plan found for bytes (`size`) or for an SNR; with a `ceiling` in dB bytes are not spent beyond it."""
-    slabs = (source.values((slice(i, i + 1),)) for i in range(source.shape[0]))
-    energy = sum(float(np.square(slab, dtype=np.float64).sum()) for slab in slabs)
-    choices = list(organisations(source.axes)) if organisation is None else [organisation]
-    search = Search(Trial(source, snr, size, ceiling, decode_cost, run.seed, energy), choices[0], run.threads)
-    finalists = _finalists(search, choices, run.progress)
-    worth, best = _settled(search, [candidate for _, candidate in finalists], run.progress)
+    plain = next(organisations(source.axes)) if organisation is None else organisation
+    trial = trial_of(source, snr, size, ceiling, decode_cost, run.seed)
+    search = Search(trial, plain, run.threads)
+    if sum(length > 1 for length in source.shape) < 2:  # a vector has nothing to cut or to merge
+        highest = worth, best = search.best([(plain, (1,) * len(source.shape))], REFINE)[0]
+    else:
+        finalists = _finalists(search, organisation is not None, run.progress)
+        highest = finalists[0]
+        worth, best = _settled(search, [candidate for _, candidate in finalists], run.progress)
     if size is not None and worth <= -OUT_OF_REACH:
         least = planned_bytes(plan_of(source, best, None, None, 1), source, seed=run.seed)
         if ceiling is None:
             allowed = f"at least {least} bytes for an array of {prod(source.shape)} elements"
             raise invalid("size-too-small", "size", f"{size} bytes", allowed, "ask for more, or merge axes")
         size = least
-    if ceiling is not None and finalists[0][0] > ceiling:
+    if trial.ceiling is not None and highest[0] > trial.ceiling:
         snr, size = ceiling, None  # what fills the bytes beyond the ceiling reaches it with fewer
     return plan_of(source, best, snr, size, decode_cost)
 
 
-def _finalists(search: Search, choices: Sequence[Organisation], progress: Progress) -> Ranked:
+def _finalists(search: Search, fixed: bool, progress: Progress) -> Ranked:
     """Organisations by a survey over few grids, then more grids for the best of them."""
     shape = search.trial.source.shape
-    left, few = list(choices), _few_grids(shape)
+    few = _few_grids(shape)
+    left = [search.plain] if fixed else _merged(search, few, progress)
     for sample, most in zip(SURVEY, ORGANISATIONS, strict=True):
         judged = search.best(list(product(left, few)), sample, partial(progress, "organisation"))
         worth = {modes: max(found for found, _ in judged[n * len(few) : (n + 1) * len(few)])
                  for n, modes in enumerate(left)}
         left = sorted(left, key=lambda modes: -worth[modes])[:most]
         # A survey thins large blocks and so misjudges high ranks: nothing merged always stays in the race.
-        left += [modes for modes in choices[:1] if modes not in left]
+        left += [search.plain] if search.plain not in left else []
     many = [(modes, grid) for grid in _many_grids(shape) for modes in left]
     ranked = search.best(many, COMPARE, partial(progress, "blocks"))
     ranked.sort(key=lambda item: -item[0])
     return ranked[:FINALISTS]
+
+
+def _merged(search: Search, few: Sequence[tuple[int, ...]], progress: Progress) -> list[Organisation]:
+    """All organisations of few axes; of many, those that come of merging the best two modes again and again."""
+    axes = search.trial.source.axes
+    if sum(axis.size > 1 for axis in axes) <= FEW_AXES:
+        return list(organisations(axes))
+    found = best = [search.plain]
+    for modes in range(len(search.plain), 2, -1):
+        new = list(dict.fromkeys(merged for organisation in best for merged in _merges(organisation, axes)))
+        judged = search.best(list(product(new, few)), SURVEY[0])
+        worth = {each: max(w for w, _ in judged[n * len(few) : (n + 1) * len(few)]) for n, each in enumerate(new)}
+        best = sorted(new, key=lambda each: -worth[each])[:BEAM]
+        found = found + new
+        progress("organisation", (len(search.plain) - modes + 1) / len(search.plain))
+    return found
 
 
 def _settled(search: Search, finalists: Sequence[Candidate], progress: Progress) -> tuple[float, Candidate]:
@@ -180,7 +200,13 @@ def _climbed(search: Search, start: Candidate, sample: int) -> tuple[float, Cand
 def _few_grids(shape: Sequence[int]) -> list[tuple[int, ...]]:
     """No blocks, and edges of about 64 and 32 along axes longer than 48."""
     grids = [tuple(round(size / edge) if size > 48 else 1 for size in shape) for edge in (64, 32)]
-    return list(dict.fromkeys([(1,) * len(shape), *grids]))
+    return list(dict.fromkeys([(1,) * len(shape), *(grid for grid in grids if _worth_cutting(grid, shape))]))
+
+
+def _worth_cutting(grid: Sequence[int], shape: Sequence[int]) -> bool:
+    """Whether there are not too many blocks, nor such thin ones that one vector for each axis is most of a block."""
+    edges = [size / count for size, count in zip(shape, grid, strict=True) if size > 1]
+    return prod(grid) <= MOST_BLOCKS and prod(edges) >= THIN * sum(edges)
 
 
 def _many_grids(shape: Sequence[int]) -> Iterator[tuple[int, ...]]:
@@ -197,7 +223,7 @@ def _many_grids(shape: Sequence[int]) -> Iterator[tuple[int, ...]]:
             grid[n] = max(1, round(shape[n] / edge))
         for n, count in zip(middle, cuts, strict=True):
             grid[n] = count
-        if tuple(grid) not in seen and edge >= SMALLEST_EDGE and prod(grid) <= MOST_BLOCKS:
+        if tuple(grid) not in seen and edge >= SMALLEST_EDGE and _worth_cutting(grid, shape):
             seen.add(tuple(grid))
             yield tuple(grid)
 
@@ -223,19 +249,34 @@ def _changed(grid: tuple[int, ...], n: int, count: int) -> tuple[int, ...]:
 
 def _allowed(count: int, n: int, grid: tuple[int, ...], shape: Sequence[int]) -> bool:
     """Whether axis n may be cut into so many blocks, the others as they are."""
-    return 0 < count <= max(grid[n], shape[n] / SMALLEST_EDGE) and prod(_changed(grid, n, count)) <= MOST_BLOCKS
+    if count < grid[n]:
+        return count > 0
+    return count <= shape[n] / SMALLEST_EDGE and _worth_cutting(_changed(grid, n, count), shape)
 
 
 def organisations(axes: Sequence[Axis]) -> Iterator[Organisation]:
-    """Every way to merge axes into modes; axes of size 1 ride with the first."""
+    """Every way to merge axes into modes, that which merges none first; axes of size 1 ride with the first mode."""
+    names = [axis.name for axis in axes if axis.size > 1]
+    for partition in _partitions(names):
+        if len(partition) > 1 or len(names) < 2:
+            yield _arranged(partition, axes)
+
+
+def _arranged(partition: Sequence[Sequence[str]], axes: Sequence[Axis]) -> Organisation:
+    """Axes in their order within a mode, and modes in the order of their first axes."""
     names = [axis.name for axis in axes if axis.size > 1]
     single = tuple(axis.name for axis in axes if axis.size == 1)
-    for partition in _partitions(names):
-        modes = sorted((sorted(mode, key=names.index) for mode in partition), key=lambda mode: names.index(mode[0]))
-        organisation = [tuple(mode) for mode in modes] or [()]
-        organisation[0] = single + organisation[0]
-        if len(organisation) > 1 or len(names) < 2:
-            yield tuple(organisation)
+    modes = sorted((sorted(mode, key=names.index) for mode in partition), key=lambda mode: names.index(mode[0]))
+    first, *others = [tuple(mode) for mode in modes] or [()]
+    return (single + first, *others)
+
+
+def _merges(organisation: Organisation, axes: Sequence[Axis]) -> Iterator[Organisation]:
+    """The organisation with two of its modes made one."""
+    single = {axis.name for axis in axes if axis.size == 1}
+    modes = [[name for name in mode if name not in single] for mode in organisation]
+    for a, b in combinations(range(len(modes)), 2):
+        yield _arranged([modes[a] + modes[b], *(mode for n, mode in enumerate(modes) if n not in (a, b))], axes)
 
 
 def _partitions(names: list[str]) -> Iterator[list[list[str]]]:
