@@ -96,6 +96,23 @@ def test_a_fit_on_the_device_is_as_good(plan: str | None, gpu: StandIn) -> None:
     assert gpu.memory.used == 0
 
 
+def test_all_kernels_are_called_on_the_device(gpu: StandIn, monkeypatch: pytest.MonkeyPatch) -> None:
+    del gpu
+    names = ("fit_cells", "accumulate", "project_cells", "project_pair", "dictionary_gram")
+    called: set[str] = set()
+    for name in names:
+        original = getattr(batched, name)
+
+        def counted(*given: Any, name: str = name, original: Any = original) -> Any:
+            called.add(name)
+            return original(*given)
+
+        monkeypatch.setattr(batched, name, counted)
+    for plan in (TWO_LEVELS, "R=1 C=12,1,12,12 K=2,1,2,2"):
+        fitted(plan, "cuda")
+    assert called == set(names)
+
+
 def test_a_streamed_fit_on_the_device_is_as_good(gpu: StandIn, monkeypatch: pytest.MonkeyPatch) -> None:
     del gpu
     monkeypatch.setattr(streamed, "SLAB", 15_000)
