@@ -1,0 +1,128 @@
+"""A reader of `.hmk` files by `docs/format.md` alone: standard library, nothing of ours, one element at a time.
+
+Written from the text, so that what the text leaves open would show. Unlike `literal_decode` it begins with the bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import struct
+import zlib
+from collections.abc import Sequence
+from itertools import product
+from math import prod
+from pathlib import Path
+from typing import Any
+
+#: struct's letter and bytes of one number.
+TYPES = {"F16": ("e", 2), "F32": ("f", 4), "F64": ("d", 8), "U16": ("H", 2), "U32": ("I", 4)}
+
+
+def flat(index: Sequence[int], sizes: Sequence[int]) -> int:
+    """C order, the last fastest."""
+    number = 0
+    for i, size in zip(index, sizes, strict=True):
+        number = number * size + i
+    return number
+
+
+class Reader:
+    """Sections 1, 5 and 6: the header, its metadata, the arrays."""
+
+    def __init__(self, path: Path) -> None:
+        data = path.read_bytes()
+        start = 8 + struct.unpack("<Q", data[:8])[0]
+        header: dict[str, Any] = json.loads(data[8:start])
+        texts = header.pop("__metadata__")
+        assert hashlib.sha256(texts["hmkcta"].encode()).hexdigest() == texts["hmkcta_sha256"]
+        self.metadata: dict[str, Any] = json.loads(texts["hmkcta"])
+        self.arrays: dict[str, tuple[Any, ...]] = {}
+        end = 0
+        for name, entry in sorted(header.items(), key=lambda item: item[1]["data_offsets"]):
+            letter, size = TYPES[entry["dtype"]]
+            begin, last = entry["data_offsets"]
+            raw, count = data[start + begin : start + last], prod(entry["shape"])
+            assert (begin, last - begin, (start + begin) % size) == (end, count * size, 0)
+            assert self.metadata["arrays"].pop(name) == {
+                "dtype": entry["dtype"], "shape": entry["shape"], "crc32": zlib.crc32(raw),
+            }  # fmt: skip
+            self.arrays[name], end = struct.unpack(f"<{count}{letter}", raw), last
+        assert not self.metadata["arrays"]
+        assert start + end == len(data)
+        self.sizes = {axis["name"]: axis["size"] for axis in self.metadata["axes"]}
+        self.modes: list[list[str]] = self.metadata["organisation"]
+        self.undecomposed: list[int] = self.metadata["undecomposed"]
+
+    def value(self, index: Sequence[int], levels: int) -> float:
+        """Section 4: one element, by its index in the source array, up to a level."""
+        place = dict(zip(self.sizes, index, strict=True))
+        position = [flat([place[a] for a in mode], [self.sizes[a] for a in mode]) for mode in self.modes]
+        s, value = 0, 0.0
+        for level in range(1, levels + 1):
+            node = Node(self, level, s)
+            if not any(node.clusters):
+                break
+            value += sum(node.term(position, choice) for choice in product(*map(range, node.mixture)))
+            if level < levels:
+                child = node.array("child")
+                if child[s] == child[s + 1]:
+                    break
+                rows = [node.array(f"row_offset/{n}")[s] + position[n] for n in range(len(position))]
+                parts = [0 if n in self.undecomposed else node.array(f"part/{n}")[row] for n, row in enumerate(rows)]
+                position = [
+                    position[n] if n in self.undecomposed else node.array(f"local/{n}")[row]
+                    for n, row in enumerate(rows)
+                ]
+                s = child[s] + flat(parts, node.clusters)
+        return self._inverse(value)
+
+    def _inverse(self, value: float) -> float:
+        """Section 5, value transforms."""
+        transform = self.metadata["transform"]
+        return {
+            "identity": lambda: value,
+            "log1p": lambda: transform["scale"] * math.expm1(value),
+            "asinh": lambda: transform["scale"] * math.sinh(value),
+            "sqrt": lambda: max(value, 0.0) ** 2,
+        }[transform["name"]]()
+
+
+class Node:
+    """Section 3: the arrays of a node."""
+
+    def __init__(self, file: Reader, level: int, s: int) -> None:
+        self.file, self.level, self.s, order = file, level, s, len(file.modes)
+        shape = self.array("shape")[3 * order * s : 3 * order * (s + 1)]
+        self.clusters, self.mixture, self.ranks = (shape[order * i : order * (i + 1)] for i in range(3))
+
+    def array(self, name: str) -> tuple[Any, ...]:
+        """An array of the node's level."""
+        return self.file.arrays[f"level/{self.level}/{name}"]
+
+    def term(self, position: Sequence[int], choice: Sequence[int]) -> float:
+        """What one choice of a cluster subset for each mode adds."""
+        s, modes, skipped = self.s, range(len(position)), self.file.undecomposed
+        members = [
+            0 if n in skipped else self.array(f"cluster/{n}")[
+                self.array(f"cluster_offset/{n}")[s] + position[n] * self.mixture[n] + choice[n]
+            ]
+            for n in modes
+        ]  # fmt: skip
+        cell = flat(members, self.clusters)
+        first = self.array("core_offset")[s] + cell * prod(self.ranks)
+        rows = {n: self._row(n, position[n], choice[n], members) for n in modes if n not in skipped}
+        spans = [[position[n]] if n in skipped else range(self.ranks[n]) for n in modes]
+        total = 0.0
+        for r in product(*spans):
+            weights = (row[r[n]] for n, row in rows.items())
+            total += prod(weights, start=self.array("core")[first + flat(r, self.ranks)])
+        return self.array("core_scale")[self.array("cell_offset")[s] + cell] * total
+
+    def _row(self, n: int, position: int, k: int, members: Sequence[int]) -> Sequence[float]:
+        others = [m for m in range(len(members)) if m != n]
+        sizes = [self.clusters[m] for m in others]
+        at = (position * self.mixture[n] + k) * prod(sizes) + flat([members[m] for m in others], sizes)
+        begin = self.array(f"basis_offset/{n}")[self.s] + at * self.ranks[n]
+        return self.array(f"basis/{n}")[begin : begin + self.ranks[n]]

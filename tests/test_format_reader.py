@@ -1,0 +1,53 @@
+"""Files of many plans, read by a reader that knows `docs/format.md` and nothing else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hmkcta
+from format_reader import Reader
+from hmkcta.hmkfile.metadata import TRANSFORMS
+
+SHAPE, AXES = (5, 4, 9, 8, 3), ("light", "view", "y", "x", "rgb")
+FORMAT = Path(__file__).parent.parent / "docs" / "format.md"
+
+CASES: list[dict[str, Any]] = [
+    {"plan": "R=2"},
+    {"plan": "R=2 C=2 K=2"},
+    {"plan": "R=2,2,2,2,*"},
+    {"plan": "R=*"},
+    {"plan": "R=2,2,3,3 / R=2 C=3,3,3,3 K=2 / R=1 C=2 K=2", "organisation": "light+rgb, view, y, x"},
+    {"plan": "R=2,2,2,* / R=2,2,2,* C=2,3,2,1 K=2 / R=1,1,1,*", "organisation": "rgb+light, x, y, view"},
+    {"plan": "R=1 C=2,2,3,3,1 / R=2 / R=1 C=2,2,2,2,1 K=2", "scheme": "least"},
+    {"plan": "R=3,* C=4,1 K=2", "organisation": "light+view+rgb, y+x"},
+    {"plan": "R=1 grid=y:3,x:2 / R<=4", "size": 15000},
+    {"size": 9000},
+    {"snr": 25.0, "transform": "log1p:0.5"},
+    {"snr": 25.0, "transform": "asinh:0.5"},
+    {"snr": 25.0, "transform": "sqrt"},
+]
+
+
+@pytest.mark.parametrize("options", CASES, ids=str)
+def test_a_reader_by_the_text_alone_agrees(options: dict[str, Any], tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    place = np.meshgrid(*(np.linspace(0, 1, size) for size in SHAPE), indexing="ij", sparse=True)
+    values = sum(np.sin(3 * (n + 2) * x) for n, x in enumerate(place)) * np.exp(-place[2] * place[3])
+    values = np.abs(values + 0.1 * rng.standard_normal(SHAPE))
+    hmkcta.compress(values, axes=AXES, quality="fast", **options).save(tmp_path / "a.hmk")
+    reader, model = Reader(tmp_path / "a.hmk"), hmkcta.open(tmp_path / "a.hmk")
+    for level in range(1, len(model.levels) + 1):
+        decoded = np.asarray(model.at_level(level))
+        for index in rng.integers(0, SHAPE, (30, 5)).tolist():
+            assert reader.value(index, level) == pytest.approx(float(decoded[tuple(index)]), abs=1e-5)
+
+
+def test_the_text_says_how_every_transform_is_undone() -> None:
+    text = FORMAT.read_text(encoding="utf-8")
+    for name, constants in TRANSFORMS.items():
+        fields = "".join(f', "{constant}": a' for constant in constants)
+        assert f'| `{{"name": "{name}"{fields}}}` |' in text
