@@ -94,7 +94,8 @@ def test_peaks_are_measured() -> None:
 def test_what_software_would_not_finish_is_not_decoded() -> None:
     model = random_model(configuration("WM2"))
     decoder = GpuDecoder(model, adapter())
-    picks = [3, 3, 3, 2, 2]
+    assert decoder.refusal([3, 3, 3, 2, 2]) is None, "what a pixel of a material takes"
+    picks = [5, 3, 5, 4, 4]
     refused = decoder.refusal(picks)
     assert (refused is not None) == adapter().software
     if refused is not None:

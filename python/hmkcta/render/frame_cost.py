@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from ..model import Model
 from ..packed import PackedLevel
+from .cells import registered_levels
+from .contraction import uniform_levels
 from .prelude import axis_places
 
 #: Bytes of a float16 number and of a word of the tables.
@@ -79,7 +81,10 @@ def picked_cost(model: Model, picks: Mapping[int, Sequence[int]], channels: int 
         index = np.asarray(picks.get(axis, [0]), np.int64)
         rows[mode] = (rows[mode][:, None] + index * stride).reshape(-1)
     colour = next((mode for mode, axis in zip(modes, model.metadata.axes, strict=True) if axis.role == "channel"), None)
-    counter = _Counter(model, colour if channels == 3 else None, tuple(contracted), level or len(model.levels))
+    colour = colour if channels == 3 else None
+    registered = registered_levels(model.metadata, [len(each) for each in rows], colour, contracted,
+                                   uniform_levels(model.metadata, model.levels))
+    counter = _Counter(model, colour, tuple(contracted), level or len(model.levels), tuple(registered))
     return counter.node(0, 0, rows)
 
 
@@ -92,12 +97,13 @@ def mean_cost(model: Model, samples: Sequence[Mapping[int, Sequence[int]]], chan
 
 @dataclass(frozen=True)
 class _Counter:
-    """The walk: `colour` is the mode with the colours, if any."""
+    """The walk: `colour` is the mode with the colours, if any; `registered` levels read the subsets of a row once."""
 
     model: Model
     colour: int | None
     contracted: tuple[int, ...]
     upto: int
+    registered: tuple[int, ...]
 
     def node(self, depth: int, s: int, rows: Sequence[NDArray[np.int64]]) -> Cost:
         """Cost of node s of a level and of all below it, for rows by their places in its lists."""
@@ -108,7 +114,8 @@ class _Counter:
             return own
         subsets = [_subsets(level, s, n, rows[n]) for n in range(order)]
         distinct = [np.unique(subset).tolist() for subset in subsets]
-        own += Cost(words=_searches(subsets, [len(clusters) for clusters in distinct]))
+        once = sum(subset.size for subset in subsets)
+        own += Cost(words=once if depth in self.registered else _searches(subsets, [len(each) for each in distinct]))
         for cell in product(*distinct):
             own += self._cell(level, s, [subset == c for subset, c in zip(subsets, cell, strict=True)])
         child = level.child
