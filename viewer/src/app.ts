@@ -65,6 +65,7 @@ export class App {
   original: Reading | null = null;
   private readonly decoder: Decoder;
   private originalDecoder: Decoder | null = null;
+  private screen!: Screen; // there before anything is drawn
   private renderer: Renderer | null = null;
   private white = 1;
   private dirty = false;
@@ -80,8 +81,8 @@ export class App {
   private fixedSize: [number, number] | null = null;
 
   private constructor(
-    private readonly gpu: Gpu, private readonly canvas: HTMLCanvasElement, private readonly screen: Screen,
-    readonly reading: Reading, private readonly watcher: Watcher,
+    private readonly gpu: Gpu, private readonly canvas: HTMLCanvasElement, readonly reading: Reading,
+    private readonly watcher: Watcher,
   ) {
     this.metadata = reading.metadata;
     this.decoder = new Decoder(gpu.device, reading.metadata, reading.levels);
@@ -90,11 +91,11 @@ export class App {
   }
 
   /** Prepare to show a model whose tables are there. */
-  static make(gpu: Gpu, canvas: HTMLCanvasElement, screen: Screen, reading: Reading, watcher: Watcher): Promise<App> {
+  static make(gpu: Gpu, canvas: HTMLCanvasElement, screen: Promise<Screen>, reading: Reading, watcher: Watcher): Promise<App> {
     return guarded(gpu.device, "preparing the model", async () => {
-      const app = new App(gpu, canvas, screen, reading, watcher);
+      const app = new App(gpu, canvas, reading, watcher);
       app.startAxes();
-      await app.showAs(reading.metadata.kind);
+      [app.screen] = await Promise.all([screen, app.showAs(reading.metadata.kind)]);
       return app;
     });
   }

@@ -42,7 +42,7 @@ class Page {
   private panel: Panel | null = null;
   private gpu: Gpu | null = null;
   private opening: Promise<void> = Promise.resolve();
-  private screen: Screen | null = null;
+  private screen: Promise<Screen> | null = null;
   private session = new AbortController();
   private timer = 0;
   private last: Statistics | null = null;
@@ -64,11 +64,13 @@ class Page {
 
   /** Opens the adapter while the file begins to arrive. */
   private async openGpu(): Promise<void> {
-    this.gpu = await openGpu((problem) => {
+    const gpu = await openGpu((problem) => {
       this.app?.close();
       this.fail(problem);
     });
-    this.screen = await Screen.make(this.gpu.device, this.canvas);
+    this.gpu = gpu;
+    this.screen = Screen.make(gpu.device, this.canvas); // compiled beside what the model needs
+    this.screen.catch(() => undefined); // whoever waits for it hears of the failure
     performance.mark("gpu");
   }
 

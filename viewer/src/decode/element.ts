@@ -41,20 +41,38 @@ function clustersOf(level: PackedLevel, s: number, n: number): number {
   return level.shape[3 * s * level.order + n]!;
 }
 
+const MOST_MODES = 32;
+
+/** The node at hand, and its cell at hand, mode by mode: one element is nothing beside thousands, so nothing is made anew. */
+const node = {
+  clusters: new Int32Array(MOST_MODES), mixture: new Int32Array(MOST_MODES), ranks: new Int32Array(MOST_MODES),
+  choice: new Int32Array(MOST_MODES), cell: new Int32Array(MOST_MODES),
+  weights: Array.from({ length: MOST_MODES }, () => new Float64Array(0)), // the basis row; none in an undecomposed mode
+};
+
 /** What a node adds: the sum over all choices of one cluster subset a mode. */
 function nodeValue(level: PackedLevel, s: number, pos: number[]): number {
   const { order, shape } = level;
-  const at = (which: number): number[] =>
-    Array.from({ length: order }, (_, n) => shape[(3 * s + which) * order + n]!);
-  const [clusters, mixture, ranks] = [at(0), at(1), at(2)];
-  const choice = new Array<number>(order).fill(0);
+  const { clusters, mixture, ranks, choice, cell } = node;
+  let cells = 1;
+  for (let n = 0; n < order; n += 1) {
+    const at = 3 * s * order + n;
+    clusters[n] = shape[at]!;
+    mixture[n] = shape[at + order]!;
+    ranks[n] = shape[at + 2 * order]!;
+    choice[n] = 0;
+    cells *= clusters[n]!;
+    if (node.weights[n]!.length < ranks[n]!) {
+      node.weights[n] = new Float64Array(ranks[n]!);
+    }
+  }
   let sum = 0;
   for (;;) {
-    const cell = choice.map((k, n) => {
+    for (let n = 0; n < order; n += 1) {
       const table = level.cluster[n];
-      return table == null ? 0 : table[level.clusterOffset[n]![s]! + pos[n]! * mixture[n]! + k]!;
-    });
-    sum += cellValue(level, s, pos, choice, cell, clusters, mixture, ranks);
+      cell[n] = table == null ? 0 : table[level.clusterOffset[n]![s]! + pos[n]! * mixture[n]! + choice[n]!]!;
+    }
+    sum += cellValue(level, s, pos, cells);
     let n = order - 1;
     while (n >= 0 && (choice[n]! += 1) === mixture[n]) {
       choice[n] = 0;
@@ -66,36 +84,57 @@ function nodeValue(level: PackedLevel, s: number, pos: number[]): number {
   }
 }
 
-function flatten(cell: number[], clusters: number[], without = -1): number {
-  return cell.reduce((flat, c, n) => (n === without ? flat : flat * clusters[n]! + c), 0);
+/** The number of the cell at hand among those of its node, or among the others' combinations without a mode. */
+function flatCell(order: number, without: number): number {
+  let flat = 0;
+  for (let n = 0; n < order; n += 1) {
+    flat = n === without ? flat : flat * node.clusters[n]! + node.cell[n]!;
+  }
+  return flat;
 }
 
-function cellValue(
-  level: PackedLevel, s: number, pos: number[], choice: number[], cell: number[], clusters: number[],
-  mixture: number[], ranks: number[],
-): number {
+function cellValue(level: PackedLevel, s: number, pos: number[], cells: number): number {
+  const { order } = level;
   const half = halfValues();
-  const flat = flatten(cell, clusters);
-  const cells = clusters.reduce((all, each) => all * each, 1);
-  const core = level.coreOffset[s]! + flat * ranks.reduce((all, each) => all * each, 1);
-  const contract = (n: number, address: number): number => {
-    if (n === level.order) {
-      return half[level.core[core + address]!]!;
-    }
-    const rank = ranks[n]!;
+  let numbers = 1;
+  for (let n = 0; n < order; n += 1) {
+    const rank = node.ranks[n]!;
     const basis = level.basis[n];
-    if (basis == null) {
-      return contract(n + 1, address * rank + pos[n]!);
+    numbers *= rank;
+    if (basis != null) {
+      const row = (pos[n]! * node.mixture[n]! + node.choice[n]!) * (cells / node.clusters[n]!) + flatCell(order, n);
+      const first = level.basisOffset[n]![s]! + row * rank;
+      for (let r = 0; r < rank; r += 1) {
+        node.weights[n]![r] = half[basis[first + r]!]!;
+      }
     }
-    const row = (pos[n]! * mixture[n]! + choice[n]!) * (cells / clusters[n]!) + flatten(cell, clusters, n);
-    const first = level.basisOffset[n]![s]! + row * rank;
-    let sum = 0;
+  }
+  const flat = flatCell(order, -1);
+  return level.coreScale[level.cellOffset[s]! + flat]! * contracted(level, pos, 0, level.coreOffset[s]! + flat * numbers, numbers, half);
+}
+
+/** The core at `at`, of which so many numbers belong to modes from n on, times their weights. */
+function contracted(level: PackedLevel, pos: number[], n: number, at: number, numbers: number, half: Float32Array): number {
+  const rank = node.ranks[n]!;
+  const stride = numbers / rank;
+  const { core } = level;
+  const last = n === level.order - 1;
+  if (level.basis[n] == null) {
+    const place = at + pos[n]! * stride;
+    return last ? half[core[place]!]! : contracted(level, pos, n + 1, place, stride, half);
+  }
+  const weights = node.weights[n]!;
+  let sum = 0;
+  if (last) {
     for (let r = 0; r < rank; r += 1) {
-      sum += half[basis[first + r]!]! * contract(n + 1, address * rank + r);
+      sum += weights[r]! * half[core[at + r]!]!;
     }
     return sum;
-  };
-  return level.coreScale[level.cellOffset[s]! + flat]! * contract(0, 0);
+  }
+  for (let r = 0; r < rank; r += 1) {
+    sum += weights[r]! * contracted(level, pos, n + 1, at + r * stride, stride, half);
+  }
+  return sum;
 }
 
 /** The source value behind a decoded one. */
