@@ -146,25 +146,28 @@ def in_parallel(
     """
     outside = residual if isinstance(residual, Streamed) else None
     grouped = groupby(range(len(nodes)), key=lambda s: s if outside is None else id(nodes[s].piece))
-    groups = [list(group) for _, group in grouped]
-    sizes = [sum(nodes[s].elements for s in group) for group in groups]
-    gate = Gate(max(1, sum(sizes)) if outside is None else outside.limit)
+    weighed = [(sum(nodes[s].elements for s in group), group) for group in (list(g) for _, g in grouped)]
+    weighed.sort(key=lambda each: -each[0])
+    total, done = max(1, sum(size for size, _ in weighed)), 0
+    gate = Gate(total if outside is None else outside.limit)
 
-    def together(group: Sequence[int], size: int) -> None:
+    def together(number: int) -> None:
+        size, group = weighed[number]
         piece = nodes[group[0]].piece
+        for _, soon in weighed[number + run.threads : number + run.threads + 1]:
+            if outside is not None and (following := nodes[soon[0]].piece) is not None:
+                outside.expect(following)
         with gate.inside(size), nullcontext() if outside is None or piece is None else outside.holding(piece):
             for s in group:
                 work(s)
 
-    order = sorted(range(len(groups)), key=lambda g: -sizes[g])
-    total, done = max(1, sum(sizes)), 0
     run.progress(stage, 0.0)
     with Pool(max_workers=run.threads) as pool:
-        futures = [(g, pool.submit(together, groups[g], sizes[g])) for g in order]
+        futures = [pool.submit(together, number) for number in range(len(weighed))]
         try:
-            for g, future in futures:
+            for (size, _), future in zip(weighed, futures, strict=True):
                 future.result()
-                done += sizes[g]
+                done += size
                 run.progress(stage, done / total)
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)

@@ -91,7 +91,7 @@ def measure_streamed(
         errors.below(root, 0, tuple(rows), values, left)
         return errors
 
-    slab = min(SLAB, max(SLAB // 8, residual.limit))
+    slab = min(SLAB, max(SLAB // 8, residual.limit // (4 * residual.threads)))
     parts = source.parts(slab)
     for number, errors in enumerate(in_order(measured, parts, residual.workers(4 * slab)), start=1):
         total[0].merge(errors.plain)

@@ -82,6 +82,11 @@ class Scratch:
             raise _io("scratch", self.folder, error.strerror or error, "scratch space that can be read") from error
         return values
 
+    def expect(self, start: int, count: int) -> None:
+        """Numbers from `start` on will be read soon: the system may fetch them meanwhile."""
+        if hasattr(os, "posix_fadvise"):
+            os.posix_fadvise(self._file.fileno(), 4 * start, 4 * count, os.POSIX_FADV_WILLNEED)
+
     def write(self, start: int, values: NDArray[Any]) -> None:
         """Put contiguous float32 numbers from `start` on."""
         left, at = memoryview(values.reshape(-1).data).cast("B"), 4 * start

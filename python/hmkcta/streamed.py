@@ -132,6 +132,10 @@ class Streamed:
         """A piece as it lies in the scratch file."""
         return self._scratch.read(piece.start, piece.elements).reshape(piece.sizes)
 
+    def expect(self, piece: Piece) -> None:
+        """The piece will be read soon."""
+        self._scratch.expect(piece.start, piece.elements)
+
     def settled(self, block: Block, without: int | None = None, steps: Sequence[int] | None = None) -> F32:
         """The block, in place, with the terms added."""
         if block.tensor.size:
