@@ -35,9 +35,10 @@ ORGANISATIONS, FINALISTS, MATRICES, CLIMBS = (12, 4), 4, 2, 2
 
 #: Elements of all the samples that are worked on at once.
 TOGETHER = 1 << 24
-#: In dB or octaves of bytes: twice as many blocks are tried where one more loses no more than the first; a second start
-#: is left where it is if it lies the second behind the first, once that has climbed.
-STEEP, FAR = 0.05, 1.0
+#: In dB or octaves of bytes: twice as many blocks are tried where one more loses no more than the first, and none again
+#: where one loses more than the second; a second start is left where it is if it lies the last behind the first, once
+#: that has climbed.
+STEEP, HOPELESS, FAR = 0.05, 0.5, 1.0
 
 Ranked = list[tuple[float, Candidate]]
 Choice = tuple[Organisation, tuple[int, ...]]
@@ -184,17 +185,14 @@ def _worth(item: tuple[float, Candidate]) -> float:
 
 def _climbed(search: Search, start: Candidate, sample: int) -> tuple[float, Candidate]:
     """Change the blocks along one axis after the other while that helps."""
-    worth, best = search.best([(start.organisation, start.grid)], sample)[0]
-    shape, idle, n = search.trial.source.shape, 0, 0
-    while idle < len(shape):
-        found = max([(worth, best), *_around(search, (worth, best), n, sample)], key=_worth)
-        if found[0] > worth + WORTHWHILE:
-            worth, best = found
-            idle = 0
-        else:
-            idle += 1
-        n = (n + 1) % len(shape)
-    return worth, best
+    now = search.best([(start.organisation, start.grid)], sample)[0]
+    idle, n, hopeless = 0, 0, set[tuple[int, int]]()
+    while idle < len(start.grid):
+        found = max([now, *_around(search, now, n, sample, hopeless)], key=_worth)
+        idle = 0 if found[0] > now[0] + WORTHWHILE else idle + 1
+        now = now if idle else found
+        n = (n + 1) % len(start.grid)
+    return now
 
 
 def _few_grids(shape: Sequence[int]) -> list[tuple[int, ...]]:
@@ -228,19 +226,23 @@ def _many_grids(shape: Sequence[int]) -> Iterator[tuple[int, ...]]:
             yield tuple(grid)
 
 
-def _around(search: Search, now: tuple[float, Candidate], n: int, sample: int) -> Ranked:
-    """Candidates with one block more or less along axis n; where that does little harm, twice or half as many."""
+def _around(
+    search: Search, now: tuple[float, Candidate], n: int, sample: int, hopeless: set[tuple[int, int]]
+) -> Ranked:
+    """Candidates with one block more or less along axis n; where that does little harm, twice or half as many.
+
+    Directions that are `hopeless` are left out, and those that turn out so are added.
+    """
     worth, (modes, grid) = now[0], (now[1].organisation, now[1].grid)
     shape, count = search.trial.source.shape, grid[n]
-    ones = [_changed(grid, n, one) for one in (count + 1, count - 1) if _allowed(one, n, grid, shape)]
-    search.best([(modes, one) for one in ones], sample)  # side by side
-    found: Ranked = []
-    for one, many in ((count + 1, 2 * count), (count - 1, count // 2)):
-        if _allowed(one, n, grid, shape):
-            found += search.best([(modes, _changed(grid, n, one))], sample)
-            if found[-1][0] > worth - STEEP and _allowed(many, n, grid, shape):
-                found += search.best([(modes, _changed(grid, n, many))], sample)
-    return found
+    steps = [step for step in (1, -1) if (n, step) not in hopeless and _allowed(count + step, n, grid, shape)]
+    found = search.best([(modes, _changed(grid, n, count + step)) for step in steps], sample)
+    hopeless |= {(n, step) for step, (reached, _) in zip(steps, found, strict=True) if reached < worth - HOPELESS}
+    near = [step for step, (reached, _) in zip(steps, found, strict=True) if reached > worth - STEEP]
+    further = [2 * count if step > 0 else count // 2 for step in near]
+    return found + search.best(
+        [(modes, _changed(grid, n, many)) for many in further if _allowed(many, n, grid, shape)], sample
+    )
 
 
 def _changed(grid: tuple[int, ...], n: int, count: int) -> tuple[int, ...]:
