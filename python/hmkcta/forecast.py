@@ -20,8 +20,10 @@ _MEASURING, _MEASURED = 36, 1 << 22
 _BASE = 90 * 2**20
 #: Copies of a slab that are made while it is read and worked on.
 _SLAB_COPIES = 4
-#: How much larger than the average the largest sub-tensors get.
-_UNEVEN = 8
+#: How much larger than the average the largest sub-tensors get for each mode of two, or of more clusters.
+_UNEVEN_TWO, _UNEVEN_MORE = 1.1, 1.8
+#: Bytes for each element of the sub-tensors in memory: as they are, and what is made of them.
+_PIECES = 16
 #: Nanoseconds of one core for each element: to read, hash, look at and measure the source; to find a start; of a
 #: sweep; of HOOI; to write a piece and read it. One core of a 2023 server.
 _SOURCE_NS, _START_NS, _SWEEP_NS, _HOOI_NS, _PIECE_NS = 35.0, 25.0, 15.0, 10.0, 15.0
@@ -58,12 +60,17 @@ def forecast(plan: Plan, sizes: Sequence[int], effort: Effort, threads: int, mem
     held = max(_workset(sizes, level, limit) for level in wholes)
     if limit == elements:  # fitted in place
         return Forecast(_BASE + FLAT * elements, 0, _seconds(plan, sizes, effort, threads))
-    if cut is not None:
-        held = max(held, min(limit, _UNEVEN * threads * elements // plan.levels[cut].cells))
+    pieces = 0 if cut is None else min(limit, threads * _largest(elements, plan.levels[cut]))
     slabs = _SLAB_COPIES * 4 * SLAB * max(1, min(threads, limit // SLAB))
     scratch = 0 if cut is None else 4 * elements * (2 if own else 1)
-    working = max(WORKING * held, slabs) if cut is None else WORKING * held + slabs  # which stay in the heaps
+    working = max(WORKING * held, slabs, _PIECES * pieces)
     return Forecast(_BASE + working, scratch, _seconds(plan, sizes, effort, threads, cut=cut))
+
+
+def _largest(elements: int, level: LevelSpec) -> int:
+    """Elements of the largest sub-tensors that a level is cut into."""
+    uneven = prod(_UNEVEN_TWO if c == 2 else _UNEVEN_MORE for c in level.clusters if c > 1)
+    return int(uneven * elements / level.cells)
 
 
 def _workset(sizes: Sequence[int], level: LevelSpec, limit: int) -> int:
