@@ -8,10 +8,12 @@ import re
 import shlex
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import hmkcta
 from cli_tools import finish, report, run, saved, smooth, start
@@ -131,6 +133,35 @@ def test_what_a_file_says_of_its_source_may_be_anything(told: object, shown: str
     text = run("info", tmp_path / "a.hmk", "-v").stdout
     assert ("SNR of sqrt" in text) == (shown is not None)
     assert (shown or "") in text
+
+
+@pytest.mark.parametrize(("array", "sentence"), [
+    (np.sin(np.arange(2000) / 9), "make windows of a signal"),
+    (1e6 + smooth(12, 14, 16), "subtract the mean first"),
+    (smooth(3, 4, 5), "no smaller than its source of 240 bytes"),
+    (smooth(16, 20, 24), None),
+], ids=["vector", "offset", "tiny", "none"])
+def test_what_figures_do_not_tell_is_said(array: NDArray[Any], sentence: str | None, tmp_path: Path) -> None:
+    path, words = saved(tmp_path / "a.npy", array), ("--quality", "fast", "--overwrite")
+    result = run("compress", path, "-o", tmp_path / "a.hmk", *words)
+    assert result.stderr.count("hmkcta: ") == (sentence is not None)
+    assert sentence is None or sentence in result.stderr
+    assert run("compress", path, "-o", tmp_path / "a.hmk", *words, "--quiet").stderr == ""
+    assert len(report("compress", path, "-o", tmp_path / "a.hmk", *words)["notes"]) == (sentence is not None)
+
+
+def test_advice_fits_what_was_asked(source: Path, tmp_path: Path) -> None:
+    text = run("compress", source, "-o", tmp_path / "a.hmk", "--plan", "R=1", "--snr", 60, code=7).stderr
+    assert "add ranks or a level" in text
+    text = run("compress", source, "-o", tmp_path / "b.hmk", "--decode-cost", 1, "--snr", 60, code=7).stderr
+    assert "--decode-cost" in text
+
+
+def test_one_multiply_add_is_one(tmp_path: Path) -> None:
+    path = saved(tmp_path / "a.npy", smooth(6, 8))
+    assert "1 multiply-add an element" in run("compress", path, "-o", tmp_path / "a.hmk", "--plan", "R=1").stdout
+    assert "1 multiply-add an element" in run("info", tmp_path / "a.hmk").stdout
+    assert "up to 1 multiply-add an element" in run("plan", path, "--plan", "R=1").stdout
 
 
 def test_verify_measures_again(source: Path, packed: Path) -> None:

@@ -127,8 +127,12 @@ def test_level_that_is_not_there(packed: Path, tmp_path: Path) -> None:
 
 
 def test_more_memory_than_allowed(source: Path, packed: Path, tmp_path: Path) -> None:
-    sentence = refused("compress", source, "-o", tmp_path / "a.hmk", *PLAN, "--max-memory", "1KiB", code=6)
-    assert "1.00 KiB" in sentence
+    for plan in (PLAN, ()):
+        sentence = refused("compress", source, "-o", tmp_path / "a.hmk", *plan, "--max-memory", "1KiB", code=6)
+        assert "1.00 KiB" in sentence
+        assert "--resume" not in sentence
+    sentence = refused("compress", source, "-o", tmp_path / "a.hmk", "--max-memory", "1MB", code=6)
+    assert "--resume" not in sentence  # the plan that was chosen is no help with less memory than any takes
     refused("decompress", packed, "-o", tmp_path / "a.npy", "--max-memory", "1KiB", code=6)
     assert not list(tmp_path.iterdir())
 

@@ -14,6 +14,7 @@ from ..hmkfile import KINDS, check_output
 from ..model import Model
 from .failure import Exit
 from .goal import Goal, goal_from, goal_options
+from .notes import notes
 from .options import (
     Command,
     File,
@@ -67,9 +68,9 @@ def compress_command(source: str, output: str, plan: str | None, kind: str | Non
                          journal=journal, **goal.settings)
         model.save(output, overwrite=overwrite)
     report = {**describe(model, array, progress), "device": asdict(where), "nodes_resumed": journal.found}
-    missed = missed_goal(model, goal)
+    missed, said = missed_goal(model, goal), notes(model, array)
     if as_json:
-        emit({"output": output, **report, "reached": missed is None})
+        emit({"output": output, **report, "reached": missed is None, "notes": said})
     elif not quiet:
         click.echo(as_text(report))
         if where.name != "cpu":
@@ -77,6 +78,8 @@ def compress_command(source: str, output: str, plan: str | None, kind: str | Non
         click.echo(f"{output}: {model!r}")
         if verbose:
             click.echo("\n".join(f"  {stage}: {seconds(time)}" for stage, time in progress.stages.items()), err=True)
+    for sentence in [] if quiet else said:
+        click.echo(f"hmkcta: {sentence}.", err=True)
     if missed is not None:
         better = "allow a higher --decode-cost, or try --quality thorough" if plan is None else "add ranks or a level"
         click.echo(f"hmkcta: {missed} {output} is written, and is the best found. Next: {better}.", err=True)

@@ -1,0 +1,49 @@
+"""What somebody should know of a result that its figures do not tell: that it is larger, or holds an offset alone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model import Model
+
+#: Elements that mean and deviation are told from.
+SAMPLE = 1 << 20
+#: An offset counts as one beyond so many deviations, and hides the values where the error is this share of one.
+OFFSET, HIDDEN = 3.0, 0.5
+
+
+def notes(model: Model, array: NDArray[Any]) -> list[str]:
+    """Sentences about a model of an array, each with what to do next; mostly none.
+
+    >>> import hmkcta
+    >>> signal = np.sin(np.arange(3000) / 9)
+    >>> notes(hmkcta.compress(signal, quality="fast"), signal)[0][:60]
+    'one axis has nothing to share: every number takes two bytes.'
+    """
+    found: list[str] = []
+    if sum(size > 1 for size in array.shape) < 2:
+        found.append("one axis has nothing to share: every number takes two bytes. "
+                     "Next: make windows of a signal, array.reshape(-1, 256)")
+    elif model.nbytes >= array.nbytes:
+        found.append(f"the file is no smaller than its source of {array.nbytes} bytes; header and tables alone take "
+                     "some KiB. Next: compress more data as one array")
+    mean, deviation = _moments(array)
+    rmse = model.quality[-1].rmse if model.quality else 0.0
+    if abs(mean) > OFFSET * deviation and rmse > HIDDEN * deviation > 0:
+        found.append(f"the values are {mean:.6g} give or take {deviation:.3g}, and the RMSE is {rmse:.3g}: of what "
+                     "varies the file holds little, whatever the SNR. Next: subtract the mean first")
+    return found
+
+
+def _moments(array: NDArray[Any]) -> tuple[float, float]:
+    """Mean and standard deviation of the finite numbers of a sample."""
+    steps = [1] * array.ndim
+    while np.prod([-(-size // step) for size, step in zip(array.shape, steps, strict=True)], dtype=float) > SAMPLE:
+        longest = max(range(array.ndim), key=lambda n: array.shape[n] / steps[n])
+        steps[longest] += 1
+    sample = np.asarray(array[tuple(slice(None, None, step) for step in steps)], np.float64)
+    finite = sample[np.isfinite(sample)]
+    return (float(finite.mean()), float(finite.std())) if finite.size else (0.0, 0.0)
