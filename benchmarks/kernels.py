@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 
 from benchmarks.machine import best_of
 from benchmarks.report import Row
-from benchmarks.work import accumulate_flops, project_flops, sweep_flops
+from benchmarks.work import accumulate_flops, pair_flops, project_flops, sweep_flops
 from hmkcta.backends import Device, Kernels, native, reference
 from hmkcta.backends.cuda import Cuda
 from hmkcta.cells import Cells, empty_cells
 from hmkcta.plan import LevelSpec
+from hmkcta.projection import passes, project
 
 #: Seconds and runs spent on a kernel at least, for the best run to be found.
 SECONDS, RUNS = 0.5, 3
@@ -70,6 +71,10 @@ def measure(name: str, threads: int, kernels: Kernels = native) -> Iterator[Row]
         yield row(f"project_cells, mode {n + 1}",
                   best_of(lambda n=n: kernels.project_cells(cells, data, n), RUNS, SECONDS),
                   project_flops(cells, n), 4.0 * elements)
+    for pair in sorted(p for p in (project(cells, data, kept).pair for kept in passes(cells)) if p is not None):
+        yield row(f"project_pair, modes {pair[0] + 1} and {pair[1] + 1}",
+                  best_of(lambda pair=pair: kernels.project_pair(cells, data, pair), RUNS, SECONDS),
+                  pair_flops(cells, pair), 4.0 * elements)
     # Each cell changes the residual that the next one reads.
     yield row("fit_cells, a sweep", best_of(lambda: kernels.fit_cells(cells, data, 1, 2), RUNS, SECONDS),
               sweep_flops(cells), 8.0 * visits)

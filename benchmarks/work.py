@@ -54,6 +54,18 @@ def project_flops(cells: Cells, n: int) -> float:
     return 2.0 * total
 
 
+def pair_flops(cells: Cells, pair: tuple[int, int]) -> float:
+    """Projection of all cells on two modes, for all rows of the others, the cheaper mode first."""
+    a, b = pair
+    rows = [[int(np.count_nonzero(cells.members[n] == c)) for c in range(cells.spec.clusters[n])] for n in pair]
+    total = 0
+    for i, j in product(*rows):
+        total += min(i * j * cells.ranks[b] + i * cells.ranks[b] * cells.ranks[a],
+                     i * j * cells.ranks[a] + j * cells.ranks[a] * cells.ranks[b])
+    tuples = prod(size for n, size in enumerate(cells.sizes) if n not in pair)
+    return 2.0 * total * tuples * (cells.spec.cells // (cells.spec.clusters[a] * cells.spec.clusters[b]))
+
+
 def sweep_flops(cells: Cells) -> float:
     """A Gauss-Seidel sweep: every cell is taken back in, projected once for each half of its modes, and given away."""
     modes = _decomposed(cells)
