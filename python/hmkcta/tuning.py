@@ -189,8 +189,11 @@ def _climbed(search: Search, start: Candidate, sample: int) -> tuple[float, Cand
     idle, n, hopeless = 0, 0, set[tuple[int, int]]()
     while idle < len(start.grid):
         found = max([now, *_around(search, now, n, sample, hopeless)], key=_worth)
-        idle = 0 if found[0] > now[0] + WORTHWHILE else idle + 1
-        now = now if idle else found
+        if found[0] > now[0] + WORTHWHILE:
+            now, idle = found, 0
+            hopeless -= {(n, 1), (n, -1)}
+        else:
+            idle += 1
         n = (n + 1) % len(start.grid)
     return now
 
