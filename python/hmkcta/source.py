@@ -21,6 +21,8 @@ F32 = NDArray[np.float32]
 _SLAB = 1 << 22
 #: Magnitudes of which the numbers that are stored, and sums of them, keep clear of float32's ends.
 _SMALLEST, _LARGEST = 1e-38, 1e32
+#: What is below this share of the unit is taken for zero.
+TINY = 2.0**-60
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +37,7 @@ class Source:
         value_transform: applied before fitting.
         fingerprint: identifies the values, stored in the file.
         unit: power of two near the largest transformed value; fitting works in multiples of it.
+        tiny: whether there are values below 2^-60 of the unit, which are taken for zero: their squares would underflow.
     """
 
     array: NDArray[Any]
@@ -44,6 +47,7 @@ class Source:
     value_transform: Transform
     fingerprint: dict[str, Any]
     unit: float = 1.0
+    tiny: bool = True
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -71,15 +75,11 @@ class Source:
         return separate(self.axes) if text is None else parse_organisation(text, self.axes)
 
     def values(self, part: tuple[slice, ...] = ()) -> F32:
-        """The transformed values of a slab or strided block in multiples of the unit, float32, in the array's axes.
-
-        What is below 2^-60 of the unit is zero: its squares would underflow.
-        """
-        # Dividing by a power of two rounds nothing, except what float32 does to float64.
-        scaled = np.asarray(self.transformed(part) / self.unit, np.float32, order="C")
-        tiny = np.abs(scaled) < 2.0**-60
-        if tiny.any():
-            scaled[tiny] = 0
+        """The transformed values of a slab or strided block in multiples of the unit, float32, in the array's axes."""
+        # Scaling by a power of two rounds nothing, except what float32 does to float64.
+        scaled = np.asarray(self.transformed(part) * (1 / self.unit), np.float32, order="C")
+        if self.tiny:
+            scaled[np.abs(scaled) < TINY] = 0
         drop_pages(self.array)
         return scaled
 
@@ -91,12 +91,11 @@ class Source:
             values = np.where(np.isfinite(values), values, self.nan)
         return values if self.value_transform.name == "identity" else self.value_transform.forward(values)
 
-    def peak(self, part: tuple[slice, ...]) -> float:
-        """The largest magnitude of a slab's transformed values."""
-        values = self.transformed(part)
-        peak = max(float(values.max()), -float(values.min()))
+    def extent(self, part: tuple[slice, ...]) -> tuple[float, float]:
+        """The largest magnitude of a slab's transformed values, and the smallest but zero."""
+        values = np.abs(self.transformed(part))
         drop_pages(self.array)
-        return peak
+        return float(values.max()), float(values.min(where=values > 0, initial=np.inf))
 
     def tensor(self, organisation: Organisation) -> F32:
         """The whole tensor of the organisation's modes."""
@@ -166,11 +165,13 @@ def prepare(array: Any, axes: Sequence[Axis] | Sequence[str] | None, transform: 
     digest, bad = _scan(source.array, nan)
     source = replace(source, nan=nan if bad else None, fingerprint={"sha256": digest})
     with ThreadPoolExecutor() as pool:
-        peak = max(pool.map(source.peak, source.parts(_SLAB)))
+        extents = list(pool.map(source.extent, source.parts(_SLAB)))
+    peak, least = max(high for high, _ in extents), min(low for _, low in extents)
     if 0 < peak < _SMALLEST:
         allowed = f"{_SMALLEST:.0e} or more, or 0, as float32 keeps few digits below"
         raise invalid("too-small", "largest magnitude of the array", f"{peak:.3g}", allowed, "scale the array")
-    return replace(source, unit=2.0 ** float(np.floor(np.log2(peak))) if peak > 0 else 1.0)
+    unit = 2.0 ** float(np.floor(np.log2(peak))) if peak > 0 else 1.0
+    return replace(source, unit=unit, tiny=least < TINY * unit)
 
 
 def _named(shape: tuple[int, ...], axes: Sequence[Axis] | Sequence[str] | None) -> tuple[Axis, ...]:
