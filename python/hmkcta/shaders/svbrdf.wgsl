@@ -88,10 +88,16 @@ fn pick_all(local: vec3f, view: vec3f, place: vec2f) -> f32 {
     let lit = axis == svbrdf.light_table.w;
     if (lit || axis == svbrdf.view_table.w) {
       let found = interpolate_direction(select(svbrdf.view_table, svbrdf.light_table, lit), select(view, local, lit));
-      picks.count = 3u;
-      for (var k = 0u; k < 3u; k++) {
-        picks.index[k] = found.corners[k];
-        picks.weight[k] = Value(found.weight[k]);
+      picks.count = 0u;
+      for (var k = 0u; k < 3u; k++) {  // beyond the measured directions corners are the same
+        var at = 0u;
+        while (at < picks.count && picks.index[at] != found.corners[k]) { at += 1u; }
+        if (at == picks.count) {
+          picks.index[at] = found.corners[k];
+          picks.weight[at] = Value(0.0);
+          picks.count += 1u;
+        }
+        picks.weight[at] += Value(found.weight[k]);
       }
       height = select(height, found.height, lit);
     } else if (axis == svbrdf.x_axis || axis == svbrdf.y_axis) {
