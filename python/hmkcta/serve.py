@@ -111,15 +111,15 @@ def serve(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | ND
     """Serve the viewer and a file on 127.0.0.1.
 
     Args:
-        path: the `.hmk` file. It is checked here as `hmkcta.open` does, and again by the page, which reads it anew at each
-            reload.
+        path: the `.hmk` file. It is checked here as `hmkcta.open` does, and again by the page, which reads it anew
+            at each reload.
         original: what to compare with: an array of the model's shape, its `.npy` file, or another `.hmk` file.
         port: 0 takes a free one.
         page: the page's files by path; by default the one that is installed.
 
     Raises:
-        HmkctaError: the file cannot be read or is no `.hmk` file, as `hmkcta.open` has it; the original does not fit, the
-            port is taken, or the page was not built.
+        HmkctaError: the file cannot be read or is no `.hmk` file, as `hmkcta.open` has it; the original does not fit,
+            the port is taken, or the page was not built.
     """
     file = Path(path)
     metadata = open_model(file).metadata
