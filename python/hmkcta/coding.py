@@ -119,5 +119,17 @@ class Coding:
             q = self.h.shape[1]
             w = np.concatenate([np.zeros((0, q)), *self._forward(subset[:-1], self.h[:, :, k])])
             corner = np.linalg.cholesky(self.h[k, :, k] - w.T @ w)
-            self._factors[subset] = w, np.asarray(np.linalg.inv(corner), np.float64)
+            self._factors[subset] = w, _inverse(np.asarray(corner, np.float64))
         return self._factors[subset]
+
+
+def _inverse(low: F64) -> F64:
+    """Of a lower triangular matrix, by halves: faster than a solver that does not know of the zeros."""
+    half = len(low) // 2
+    if half < 16:
+        return np.asarray(np.linalg.inv(low), np.float64)
+    inverse = np.zeros(low.shape)
+    inverse[:half, :half] = first = _inverse(low[:half, :half])
+    inverse[half:, half:] = last = _inverse(low[half:, half:])
+    inverse[half:, :half] = -last @ (low[half:, :half] @ first)
+    return inverse
