@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dense_reference import energy, snr, tucker_product
 from hmkcta import choose_plan
-from hmkcta.allocation import spectrum
+from hmkcta.allocation import allocate, spectrum
 from hmkcta.source import prepare
 from hmkcta.synthetic import light_field
 from hmkcta.trial import Trial, trial_of
@@ -69,6 +69,21 @@ def test_a_spectrums_steps_are_the_corners_of_its_hull() -> None:
     assert 4 < len(found.steps) < len(found.nbytes)
     below = np.interp(found.nbytes, nbytes, error) - 1e-6 * found.error[0]
     assert (found.error >= below).all()  # no choice lies below the hull
+
+
+def test_few_nodes_use_their_bytes() -> None:
+    """Steps along the hulls of two nodes are large ones: what the last leaves goes to choices off the hulls."""
+    nodes = [noise(8, 9, 10), 3 * noise(9, 8, 10)]
+    spectra = [
+        spectrum(core_energies(node, node.shape, np.random.default_rng(0)), energy(node), node.shape, [False] * 3, 4096)
+        for node in nodes
+    ]
+    for nbytes in (600.0, 1000.0, 1500.0, 2200.0):
+        chosen = allocate(spectra, nbytes=nbytes)
+        assert 0.97 * nbytes < chosen.nbytes <= nbytes
+        each = list(zip(spectra, chosen.choice, strict=True))
+        assert chosen.nbytes == pytest.approx(sum(s.nbytes[c] for s, c in each))
+        assert chosen.error == pytest.approx(sum(s.error[c] for s, c in each))
 
 
 @pytest.mark.parametrize(("snr", "size"), [(30.0, None), (None, 20000), (None, None)])

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 F64 = NDArray[np.float64]
 Ranks = tuple[int | None, ...]
 
-#: Most nodes that give back what the last step of all hulls leaves unused.
-TRIMS = 8
+#: Most nodes that give back what the last step of all hulls leaves unused, or use it; of more nodes than these the last
+#: step is a small one.
+TRIMS, FEW = 8, 256
 
 
 def empty_node_bytes(order: int, stored: int) -> float:
@@ -163,7 +164,29 @@ def allocate(spectra: Sequence[Spectrum], *, nbytes: float | None = None, error:
     taken = max(taken, 0)
     counts = np.bincount(node[order[:taken]], minlength=len(spectra))
     choice = np.array([s.steps[count] for s, count in zip(spectra, counts, strict=True)], np.intp)
-    return Allocation(choice, float(spent[taken]), float(left[taken]))
+    chosen = Allocation(choice, float(spent[taken]), float(left[taken]))
+    return chosen if nbytes is None or len(spectra) == 1 else _filled(spectra, chosen, nbytes)
+
+
+def _filled(spectra: Sequence[Spectrum], chosen: Allocation, nbytes: float) -> Allocation:
+    """Better choices off the hulls for a few nodes, as far as no more than `nbytes` are spent.
+
+    Hulls of a few nodes come in steps of several percent of all bytes, and the next one may not fit.
+    """
+    choice, spent, left = chosen.choice.copy(), chosen.nbytes, chosen.error
+    for _ in range(TRIMS if len(spectra) <= FEW else 0):
+        slack, best, node, other = nbytes - spent, 0.0, -1, -1
+        for number, (s, now) in enumerate(zip(spectra, choice, strict=True)):
+            dearest = int(np.searchsorted(s.nbytes, s.nbytes[now] + slack, side="right")) - 1
+            saved = float(s.error[now] - s.error[max(dearest, now)])
+            if saved > best:
+                best, node, other = saved, number, dearest
+        if node < 0:
+            break
+        spent += float(spectra[node].nbytes[other] - spectra[node].nbytes[choice[node]])
+        left -= best
+        choice[node] = other
+    return Allocation(choice, spent, left)
 
 
 def trimmed(spectra: Sequence[Spectrum], chosen: Allocation, error: float) -> Allocation:
