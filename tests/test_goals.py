@@ -150,6 +150,13 @@ def test_what_has_one_long_mode_takes_two_bytes_a_row_at_rank_one() -> None:
     assert two.decode_cost == 2
 
 
+def test_a_long_mode_is_left_undecomposed_where_nothing_else_fits() -> None:
+    array = np.outer([1.0, 2.0], np.sin(np.arange(20_000) / 50))
+    model = compress(array, size=45_000, quality="fast")
+    assert model.metadata.undecomposed == (1,)
+    assert model.snr > 60
+
+
 def test_the_default_goal_spends_no_bytes_beyond_50_db() -> None:
     ramp = np.add.outer(np.arange(200.0), np.arange(300.0)) + 40.0 * np.outer(np.sin(np.arange(200)), np.ones(300))
     model = compress(ramp, threads=1)

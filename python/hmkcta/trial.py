@@ -128,7 +128,7 @@ class Trial:
         one = Candidate(cut.organisation, cut.grid, choice, carried=False)
         worth, chosen = self._worth([whole], 1.0, self._beside(one, cut), single=True)
         found = [(worth, one)]
-        ranks = [int(rank) for rank in whole.ranks[chosen.choice[0]]]
+        ranks = [max(1, int(rank)) for rank in whole.ranks[chosen.choice[0]]]
         if prod(cut.clusters) > 1 and self.decode_cost > 1:
             nodes = [
                 spectrum(table, part.energy, part.sizes, flags, self.decode_cost - 1)
@@ -247,7 +247,7 @@ def _promising(cut: _Cut, ranks: Sequence[int]) -> Iterator[int]:
     """
     others = prod(ranks)
     for n, (size, clusters, rank) in enumerate(zip(cut.sizes, cut.clusters, ranks, strict=True)):
-        if clusters > 1 or rank == 0 or (size == 1 and len(cut.sizes) > 1):
+        if clusters > 1 or (size == 1 and len(cut.sizes) > 1):
             continue
         core, basis = size * (others // rank), size * (rank + 1)
         # Thinned blocks flatter it: few numbers are left for each of the mode's rows.
