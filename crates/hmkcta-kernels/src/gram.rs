@@ -110,34 +110,78 @@ fn basis_gram<S: Simd>(
     (cell, other): (usize, usize),
     gram: &mut [S::f64s],
 ) {
-    for q in 0..rank {
-        for r in 0..rank {
-            let mut sum = simd.splat_f64s(0.0);
-            for &i in rows {
-                let row = &basis[i as usize * rank * cells..];
-                sum = simd.mul_add_e_f64s(
-                    simd.splat_f64s(row[r * cells + cell]),
-                    read(simd, row, q * cells + other),
-                    sum,
-                );
+    // Sums of small ranks stay in registers.
+    match rank {
+        1 => small_gram::<S, 1>(simd, basis, rows, cells, (cell, other), gram),
+        2 => small_gram::<S, 2>(simd, basis, rows, cells, (cell, other), gram),
+        3 => small_gram::<S, 3>(simd, basis, rows, cells, (cell, other), gram),
+        4 => small_gram::<S, 4>(simd, basis, rows, cells, (cell, other), gram),
+        _ => {
+            for (at, sum) in gram[..rank * rank].iter_mut().enumerate() {
+                let (r, q) = (at / rank, at % rank);
+                *sum = simd.splat_f64s(0.0);
+                for &i in rows {
+                    let row = &basis[i as usize * rank * cells..];
+                    let value = simd.splat_f64s(row[r * cells + cell]);
+                    *sum = simd.mul_add_e_f64s(value, read(simd, row, q * cells + other), *sum);
+                }
             }
-            gram[r * rank + q] = sum;
         }
     }
+}
+
+#[inline(always)]
+fn small_gram<S: Simd, const R: usize>(
+    simd: S,
+    basis: &[f64],
+    rows: &[u32],
+    cells: usize,
+    (cell, other): (usize, usize),
+    gram: &mut [S::f64s],
+) {
+    let mut sums = [[simd.splat_f64s(0.0); R]; R];
+    for &i in rows {
+        let row = &basis[i as usize * R * cells..];
+        let others: [S::f64s; R] = std::array::from_fn(|q| read(simd, row, q * cells + other));
+        for (r, sums) in sums.iter_mut().enumerate() {
+            let value = simd.splat_f64s(row[r * cells + cell]);
+            sums.iter_mut().zip(others).for_each(|(sum, other)| *sum = simd.mul_add_e_f64s(value, other, *sum));
+        }
+    }
+    gram.iter_mut().zip(sums.into_iter().flatten()).for_each(|(to, sum)| *to = sum);
 }
 
 /// `y = x x_m M` for `x` `[before, R_m, after]`.
 #[inline(always)]
 fn mode_product<S: Simd>(simd: S, x: &[S::f64s], rank: usize, after: usize, gram: &[S::f64s], y: &mut [S::f64s]) {
-    for (x, y) in x.chunks_exact(rank * after).zip(y.chunks_exact_mut(rank * after)) {
-        for q in 0..rank {
-            for a in 0..after {
-                let mut sum = simd.splat_f64s(0.0);
-                for r in 0..rank {
-                    sum = simd.mul_add_e_f64s(x[r * after + a], gram[r * rank + q], sum);
+    match rank {
+        1 => small_product::<S, 1>(simd, x, after, gram, y),
+        2 => small_product::<S, 2>(simd, x, after, gram, y),
+        3 => small_product::<S, 3>(simd, x, after, gram, y),
+        4 => small_product::<S, 4>(simd, x, after, gram, y),
+        _ => {
+            for (x, y) in x.chunks_exact(rank * after).zip(y.chunks_exact_mut(rank * after)) {
+                for (at, y) in y.iter_mut().enumerate() {
+                    let (q, a) = (at / after, at % after);
+                    let products = (0..rank).map(|r| (x[r * after + a], gram[r * rank + q]));
+                    *y = products.fold(simd.splat_f64s(0.0), |sum, (x, m)| simd.mul_add_e_f64s(x, m, sum));
                 }
-                y[q * after + a] = sum;
             }
+        }
+    }
+}
+
+#[inline(always)]
+fn small_product<S: Simd, const R: usize>(simd: S, x: &[S::f64s], after: usize, gram: &[S::f64s], y: &mut [S::f64s]) {
+    let gram: [[S::f64s; R]; R] = std::array::from_fn(|r| std::array::from_fn(|q| gram[r * R + q]));
+    for (x, y) in x.chunks_exact(R * after).zip(y.chunks_exact_mut(R * after)) {
+        for a in 0..after {
+            let mut sums = [simd.splat_f64s(0.0); R];
+            for (r, gram) in gram.iter().enumerate() {
+                let value = x[r * after + a];
+                sums.iter_mut().zip(gram).for_each(|(sum, &m)| *sum = simd.mul_add_e_f64s(value, m, *sum));
+            }
+            sums.into_iter().enumerate().for_each(|(q, sum)| y[q * after + a] = sum);
         }
     }
 }
