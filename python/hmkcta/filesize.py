@@ -131,7 +131,7 @@ def block_sizes(size: int, blocks: int) -> list[int]:
     """Rows of each of so many equal blocks.
 
     >>> block_sizes(8, 3)
-    [3, 2, 3]
+    [3, 3, 2]
     """
     return [int(count) for count in np.bincount(uniform_blocks(size, blocks), minlength=blocks)]
 
