@@ -11,8 +11,9 @@ import pytest
 from numpy.typing import NDArray
 
 from dense_reference import energy, node_rows, unfold
-from hmkcta import compress
-from hmkcta.cells import Cells, dense_basis
+from hmkcta import backends as kernels
+from hmkcta import coding, compress, projection
+from hmkcta.cells import Cells, dense_basis, empty_cells
 from hmkcta.fit import EFFORTS, fit_level, left_by
 from hmkcta.plan import GRAM_CELLS, OPTIMAL_SUBSETS, LevelSpec, parse_level
 from hmkcta.search import extend, joint_rows, orthonormalise
@@ -122,6 +123,40 @@ def test_the_greedy_search_lies_between_one_cluster_and_the_optimum(shape: Seque
     one, greedy, optimal = searched(1, "optimal"), searched(mixture, "greedy"), searched(mixture, "optimal")
     assert optimal * 0.9999 <= greedy <= one
     assert greedy <= 1.1 * optimal
+
+
+def test_factors_that_are_not_kept_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    dictionary, slices = np.random.default_rng(0).standard_normal((2, 60, 40))
+    h, b = dictionary.T @ dictionary, dictionary.T @ slices
+    every, few = (coding.Coding.of(h, b, 10) for _ in range(2))
+    every.search(3)
+    monkeypatch.setattr(coding, "MOST_KEPT", 0)  # but as many numbers as H has
+    few.search(3)
+    assert few.subset == every.subset
+    assert np.array_equal(few.gain, every.gain)
+    first = few.subset[0]
+    assert np.array_equal(few.solve(first, np.array([0])), every.solve(first, np.array([0])))
+
+    def kept(of: coding.Coding) -> int:
+        return sum(w.size + low.size for w, low in of._factors.values())  # pyright: ignore[reportPrivateUsage]
+
+    assert kept(few) <= h.size < kept(every)
+
+
+def test_projections_larger_than_the_tensor_are_not_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(projection, "LARGEST", 0)
+    tensor = np.random.default_rng(0).standard_normal((40, 2, 6, 5), np.float32)
+    for rank, fits in ((2, True), (40, False)):  # of a long mode: lanes for each number of its bases
+        spec = LevelSpec((rank, 1, 1, 1), (2, 1, 1, 1), (2, 1, 1, 1))
+        members = [
+            np.tile(np.arange(k, dtype=np.uint16), (i, 1)) for k, i in zip(spec.mixture, tensor.shape, strict=True)
+        ]
+        cells = empty_cells(tensor.shape, spec, members, np.random.default_rng(1))
+        seen = projection.project(cells, tensor, (0, 1))
+        assert (seen.pair is not None) == fits
+        for n in (0, 1):
+            expected = kernels.project_cells(cells, tensor, n)
+            assert seen.onto(cells, n) == pytest.approx(expected, rel=1e-4, abs=1e-4)
 
 
 def test_greedy_and_fast_searches_are_reached() -> None:

@@ -20,6 +20,9 @@ Subset = tuple[int, ...]
 #: Ridge on H relative to its diagonal: keeps collinear dictionaries solvable, costs nothing visible in SNR.
 RIDGE = 1e-7
 
+#: Numbers of factors that are kept, unless H has more: greedy searches look at more subsets than memory should hold.
+MOST_KEPT = 1 << 24
+
 
 @dataclass(eq=False)
 class Coding:
@@ -39,6 +42,7 @@ class Coding:
     gain: F64
     subset: list[Subset]
     _factors: dict[Subset, tuple[F64, F64]] = field(default_factory=dict[Subset, "tuple[F64, F64]"])
+    _kept: int = 0
 
     @classmethod
     def of(cls, h: F64, b: F64, clusters: int) -> Coding:
@@ -119,7 +123,12 @@ class Coding:
             q = self.h.shape[1]
             w = np.concatenate([np.zeros((0, q)), *self._forward(subset[:-1], self.h[:, :, k])])
             corner = np.linalg.cholesky(self.h[k, :, k] - w.T @ w)
-            self._factors[subset] = w, _inverse(np.asarray(corner, np.float64))
+            low = _inverse(np.asarray(corner, np.float64))
+            if self._kept + w.size + low.size > max(MOST_KEPT, self.h.size):
+                self._factors.clear()
+                self._kept = 0
+            self._factors[subset] = w, low
+            self._kept += w.size + low.size
         return self._factors[subset]
 
 

@@ -21,7 +21,8 @@ F32 = NDArray[np.float32]
 #: I_m, C_m or R_m: what an axis of a projection runs over.
 Axis = tuple[str, int]
 
-#: A projection may have as many numbers as the tensor, or this many; beyond, modes are projected one by one.
+#: A projection, and the bases beside it, may have as many numbers as the tensor, or this many; beyond, modes are
+#: projected one by one.
 LARGEST = 1 << 22
 
 
@@ -57,6 +58,7 @@ class Projection:
         p = p.reshape(_sizes(cells, have)).transpose([have.index(axis) for axis in wanted])
         return p.reshape(cells.spec.cells, cells.sizes[n], -1)
 
+
 def passes(cells: Cells) -> list[tuple[int, ...]]:
     """Decomposed modes by twos where each two leave two to project on, else one by one.
 
@@ -78,8 +80,10 @@ def project(cells: Cells, tensor: F32, kept: Sequence[int]) -> Projection:
         return Projection(tensor, None, None)
     # Few rows beside long columns: what is summed over first should be long.
     a, b = rest if rest[1] == cells.order - 1 else sorted(rest, key=lambda m: cells.sizes[m])
+    # P has all lanes for each tuple of rows of the kept modes, and what it is contracted with for each number of U_n.
     tuples = tensor.size // max(1, cells.sizes[a] * cells.sizes[b])
-    if tuples * cells.spec.cells * cells.ranks[a] * cells.ranks[b] > max(tensor.size, LARGEST):
+    most = max(tuples, *(cells.sizes[n] * cells.ranks[n] for n in kept))
+    if most * cells.spec.cells * cells.ranks[a] * cells.ranks[b] > max(tensor.size, LARGEST):
         return Projection(tensor, None, None)
     return Projection(tensor, (a, b), kernels.project_pair(cells, tensor, (a, b)))
 
