@@ -41,7 +41,7 @@ class Effort:
     backfits: int = 1
 
 
-EFFORTS = {"fast": Effort(2, 3, 2, 0), "medium": Effort(3, 6, 4, 1), "thorough": Effort(13, 12, 8, 4)}
+EFFORTS = {"fast": Effort(2, 3, 2, 0), "medium": Effort(3, 5, 4, 1), "thorough": Effort(13, 12, 8, 4)}
 
 #: Elements that starts are judged on: by what disjoint blocks capture, and by a joint sweep.
 SAMPLE, JUDGED = 2_000_000, 1 << 19

@@ -23,7 +23,7 @@ _SLAB_COPIES = 5
 #: How much larger than the average the largest sub-tensors get for each mode of two, or of more clusters.
 _UNEVEN_TWO, _UNEVEN_MORE = 1.1, 1.8
 #: Bytes for each element of the sub-tensors in memory: as they are, and what is made of them.
-_PIECES = 18
+_PIECES = 21
 #: Nanoseconds of one core for each element: to read, hash, look at and measure the source; to find a start; of a
 #: sweep; of HOOI; to write a piece and read it. One core of a 2023 server.
 _SOURCE_NS, _START_NS, _SWEEP_NS, _HOOI_NS, _PIECE_NS = 35.0, 25.0, 15.0, 10.0, 15.0
