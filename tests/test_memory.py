@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from threading import get_ident
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from hmkcta.forecast import forecast
 from hmkcta.memory import drop_pages
 from hmkcta.plan import parse_plan
 from hmkcta.readers import open_array
-from hmkcta.source import described
+from hmkcta.source import Source, described, prepare
 
 SIDE = 72
 MODES = tuple((f"axis{n}",) for n in range(4))
@@ -124,6 +125,26 @@ def test_bytes_are_what_was_said_of_coordinates_transforms_and_merged_axes() -> 
 def test_less_memory_than_anything_needs_is_refused(waves: Path) -> None:
     with pytest.raises(HmkctaError, match="--max-memory"):
         compress(open_array(waves), "R=2", max_memory=1_000_000)
+
+
+@pytest.mark.parametrize("threads", [1, 4])
+def test_an_array_is_looked_at_by_so_many_threads_within_one_slab(
+    monkeypatch: pytest.MonkeyPatch, threads: int
+) -> None:
+    monkeypatch.setattr("hmkcta.source._SLAB", 1 << 18)
+    extent, workers, sizes = Source.extent, set[int](), list[int]()
+
+    def watched(source: Source, part: tuple[slice, ...]) -> tuple[float, float]:
+        workers.add(get_ident())
+        sizes.append(source.array[part].size)
+        return extent(source, part)
+
+    monkeypatch.setattr(Source, "extent", watched)
+    values = np.arange(1.0, 1 + (1 << 20)).reshape(64, 128, 128)
+    assert prepare(values, None, "identity", None, threads).unit == 1 << 20
+    assert sum(sizes) == values.size
+    assert len(workers) <= threads
+    assert max(sizes) * threads <= 1 << 18
 
 
 def test_pages_of_a_mapped_file_are_let_go_of(waves: Path) -> None:

@@ -74,7 +74,7 @@ def choose_plan(
     run = _run(quality, scheme, decode_cost, seed, threads, progress)
     _check_goal(snr, size)
     with _threads(run.threads):
-        source = prepare(array, axes, transform, nan)
+        source = prepare(array, axes, transform, nan, run.threads)
         return _chosen(source, run, Wanted(snr, size, decode_cost, organisation, max_memory))
 
 
@@ -144,7 +144,7 @@ def compress(
         raise invalid("unknown-kind", "kind", kind, ", ".join(KINDS))
     wanted = Wanted(snr, size, decode_cost, organisation, max_memory)
     with _threads(run.threads):
-        source = prepare(array, axes, transform, nan)
+        source = prepare(array, axes, transform, nan, run.threads)
         if isinstance(plan, str):
             modes = source.organisation(organisation)
             plan = replace(parse_plan(plan, modes, "most" if scheme == "auto" else scheme), snr=snr, size=size)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -18,7 +19,7 @@ from .slabs import slabs
 from .transform import Transform, parse
 
 F32 = NDArray[np.float32]
-_SLAB = 1 << 22
+_SLAB, _SMALL_SLAB = 1 << 22, 1 << 16
 #: Magnitudes of which the numbers that are stored, and sums of them, keep clear of float32's ends.
 _SMALLEST, _LARGEST = 1e-38, 1e32
 #: What is below this share of the unit is taken for zero.
@@ -152,8 +153,14 @@ def described(array: Any, axes: Sequence[Axis] | Sequence[str] | None = None, tr
     return Source(array, named, dtype, None, parse(transform), {"sha256": "0" * 64})
 
 
-def prepare(array: Any, axes: Sequence[Axis] | Sequence[str] | None, transform: str, nan: float | None) -> Source:
-    """Describe an array and check its values.
+def prepare(
+    array: Any,
+    axes: Sequence[Axis] | Sequence[str] | None,
+    transform: str,
+    nan: float | None,
+    threads: int | None = None,
+) -> Source:
+    """Describe an array and check its values, by so many threads (None: all cores).
 
     Raises:
         HmkctaError: what `described` raises; values that are not finite with `nan` None, too large or all too small for
@@ -164,8 +171,9 @@ def prepare(array: Any, axes: Sequence[Axis] | Sequence[str] | None, transform: 
         raise invalid("nan-fill", "nan", nan, f"a number, its magnitude up to {_LARGEST:.0e}")
     digest, bad = _scan(source.array, nan)
     source = replace(source, nan=nan if bad else None, fingerprint={"sha256": digest})
-    with ThreadPoolExecutor() as pool:
-        extents = list(pool.map(source.extent, source.parts(_SLAB)))
+    workers = threads or os.cpu_count() or 1
+    with ThreadPoolExecutor(workers) as pool:  # which hold one slab's memory together
+        extents = list(pool.map(source.extent, source.parts(max(_SMALL_SLAB, _SLAB // workers))))
     peak, least = max(high for high, _ in extents), min(low for _, low in extents)
     if 0 < peak < _SMALLEST:
         allowed = f"{_SMALLEST:.0e} or more, or 0, as float32 keeps few digits below"
