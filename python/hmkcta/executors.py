@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import copy_context
@@ -28,29 +28,40 @@ class Pool(ThreadPoolExecutor):
         return super().submit(copy_context().run, fn, *args, **kwargs)
 
 
-class Gate:
-    """Lets work in as long as what is inside weighs no more than `limit` together; anything may be inside alone.
+class Queue:
+    """Work by weight: the heaviest first that fits beside what is being done.
 
-    >>> gate = Gate(10)
-    >>> with gate.inside(4), gate.inside(6):
-    ...     gate.weight
-    10
+    No more than `limit` is done at once, but anything may be done alone.
+
+    >>> queue = Queue([1, 4, 9, 5], limit=10)
+    >>> with queue.next() as first, queue.next() as second:
+    ...     first, second
+    (2, 0)
     """
 
-    def __init__(self, limit: int) -> None:
-        self.limit, self.weight = limit, 0
+    def __init__(self, weights: Sequence[int], limit: int) -> None:
+        self._weights = [min(weight, limit) for weight in weights]
+        self._left = sorted(range(len(weights)), key=lambda number: -weights[number])
+        self._room = limit
         self._changed = Condition()
 
     @contextmanager
-    def inside(self, weight: int) -> Generator[None]:
-        """Wait for room, and hold it."""
-        weight = min(weight, self.limit)
+    def next(self) -> Generator[int]:
+        """Wait for room, and hold it: the number of a piece of work that nobody else gets."""
         with self._changed:
-            self._changed.wait_for(lambda: self.weight + weight <= self.limit)
-            self.weight += weight
+            self._changed.wait_for(lambda: self.following is not None)
+            number = self.following
+            assert number is not None
+            self._left.remove(number)
+            self._room -= self._weights[number]
         try:
-            yield
+            yield number
         finally:
             with self._changed:
-                self.weight -= weight
+                self._room += self._weights[number]
                 self._changed.notify_all()
+
+    @property
+    def following(self) -> int | None:
+        """What would be next, if there is room for anything that is left."""
+        return next((number for number in self._left if self._weights[number] <= self._room), None)

@@ -15,7 +15,7 @@ from . import backends as kernels
 from .axes import Axis, Organisation
 from .cells import Cells
 from .errors import invalid
-from .executors import Gate, Pool
+from .executors import Pool, Queue
 from .fit import Effort, Labels, fit_level, refit_level
 from .journal import NoJournal
 from .memberships import uniform_blocks
@@ -146,28 +146,27 @@ def in_parallel(
     """
     outside = residual if isinstance(residual, Streamed) else None
     grouped = groupby(range(len(nodes)), key=lambda s: s if outside is None else id(nodes[s].piece))
-    weighed = [(sum(nodes[s].elements for s in group), group) for group in (list(g) for _, g in grouped)]
-    weighed.sort(key=lambda each: -each[0])
-    total, done = max(1, sum(size for size, _ in weighed)), 0
-    gate = Gate(total if outside is None else outside.limit)
+    groups = [list(group) for _, group in grouped]
+    sizes = [sum(nodes[s].elements for s in group) for group in groups]
+    total, done = max(1, sum(sizes)), 0
+    queue = Queue(sizes, total if outside is None else outside.limit)
 
-    def together(number: int) -> None:
-        size, group = weighed[number]
-        piece = nodes[group[0]].piece
-        for _, soon in weighed[number + run.threads : number + run.threads + 1]:
-            if outside is not None and (following := nodes[soon[0]].piece) is not None:
+    def together() -> int:
+        with queue.next() as number:
+            piece, soon = nodes[groups[number][0]].piece, queue.following
+            if outside is not None and soon is not None and (following := nodes[groups[soon][0]].piece) is not None:
                 outside.expect(following)
-        with gate.inside(size), nullcontext() if outside is None or piece is None else outside.holding(piece):
-            for s in group:
-                work(s)
+            with nullcontext() if outside is None or piece is None else outside.holding(piece):
+                for s in groups[number]:
+                    work(s)
+            return sizes[number]
 
     run.progress(stage, 0.0)
     with Pool(max_workers=run.threads) as pool:
-        futures = [pool.submit(together, number) for number in range(len(weighed))]
+        futures = [pool.submit(together) for _ in groups]
         try:
-            for (size, _), future in zip(weighed, futures, strict=True):
-                future.result()
-                done += size
+            for future in futures:
+                done += future.result()
                 run.progress(stage, done / total)
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)
