@@ -147,6 +147,25 @@ def test_an_array_is_looked_at_by_so_many_threads_within_one_slab(
     assert max(sizes) * threads <= 1 << 18
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_notes_on_a_mapped_file_keep_little_of_it(waves: Path) -> None:
+    program = """
+import sys
+import numpy as np
+from pathlib import Path
+from hmkcta import compress
+from hmkcta.cli.notes import notes
+peak = lambda: [int(line.split()[1]) for line in Path("/proc/self/status").read_text().splitlines() if "VmHWM" in line]
+array, model = np.load(sys.argv[1], mmap_mode="r"), compress(np.eye(40), "R=2")
+array[0, 0, 0, 0]
+before = peak()[0]
+notes(model, array)
+print(peak()[0] - before)
+"""
+    ran = subprocess.run([sys.executable, "-c", program, str(waves)], capture_output=True, text=True, check=True)
+    assert int(ran.stdout) * 1024 < waves.stat().st_size / 4
+
+
 def test_pages_of_a_mapped_file_are_let_go_of(waves: Path) -> None:
     if not Path("/proc/self/statm").exists():
         pytest.skip("only Linux says how much of a process is in memory")

@@ -30,7 +30,7 @@ class Effort:
 
     Attributes:
         candidates: disjoint starts tried for each node's memberships.
-        sweeps: over all modes, the first of them with a search for cluster subsets.
+        sweeps: over all modes; those of joint rows, which come first, search for cluster subsets.
         hooi: HOOI rounds where there is nothing to search (0: plain HOSVD), or too much.
         backfits: rounds in which every level is refitted to what the others leave.
     """

@@ -7,10 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..memory import drop_pages
 from ..model import Model
 
 #: Elements that mean and deviation are told from.
 SAMPLE = 1 << 20
+#: Parts of a mapped file that are looked at one after another, as even a sample touches most of its pages.
+PARTS = 64
 #: An offset counts as one beyond so many deviations, and hides the values where the error is this share of one.
 OFFSET, HIDDEN = 3.0, 0.5
 
@@ -44,6 +47,12 @@ def _moments(array: NDArray[Any]) -> tuple[float, float]:
     while np.prod([-(-size // step) for size, step in zip(array.shape, steps, strict=True)], dtype=float) > SAMPLE:
         longest = max(range(array.ndim), key=lambda n: array.shape[n] / steps[n])
         steps[longest] += 1
-    sample = np.asarray(array[tuple(slice(None, None, step) for step in steps)], np.float64)
-    finite = sample[np.isfinite(sample)]
+    parts: list[NDArray[np.float64]] = []
+    length = steps[0] * -(-array.shape[0] // (steps[0] * PARTS))
+    for start in range(0, array.shape[0], length):
+        spans = (slice(start, start + length, steps[0]), *(slice(None, None, step) for step in steps[1:]))
+        sample = np.asarray(array[spans], np.float64)
+        parts.append(sample[np.isfinite(sample)])
+        drop_pages(array)
+    finite = np.concatenate(parts)
     return (float(finite.mean()), float(finite.std())) if finite.size else (0.0, 0.0)
