@@ -55,7 +55,8 @@ class Coding:
         """
         squared = np.einsum("ii->i", h)
         length = np.sqrt(np.where(squared > 0, squared, 1.0))
-        unit = h / length / length[:, None]
+        unit = h / length
+        unit /= length[:, None]  # in place: H may be the largest array of a fit
         np.einsum("ii->i", unit)[:] += RIDGE
         q, size = len(h) // clusters, b.shape[1]
         scaled = (b / length[:, None]).reshape(clusters, q, size)
