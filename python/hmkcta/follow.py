@@ -62,6 +62,7 @@ def follow(task: Task) -> Model:
     plan, run = task.plan, task.run
     check_plan(plan, mode_sizes(task.source.axes, plan.organisation))
     tree, goal = _begun(task)
+    rounds = run.effort.backfits if len(plan.levels) > 1 and not plan.levels[-1].own else 0
     for number, spec in enumerate(plan.levels):
         if number:
             _descend(task, tree, plan.levels[number - 1], spec)
@@ -73,12 +74,13 @@ def follow(task: Task) -> Model:
             above = sum(level.decode_cost() for level in plan.levels[:number])
             fit_to_goal(tree, spec, goal, max(1, task.decode_cost - above), run, labels)
         else:
-            fit_nodes(tree, [spec] * len(tree.levels[-1]), run, labels)
+            last = number == len(plan.levels) - 1 and rounds == 0
+            fit_nodes(tree, [spec] * len(tree.levels[-1]), run, labels, last=last)
             if plan.snr is not None and goal.snr_now(tree) >= plan.snr:
                 break
-    if not plan.levels[-1].own and len(tree.levels) > 1:
-        for _ in range(run.effort.backfits):
-            backfit(tree, run)
+    if len(tree.levels) > 1:
+        for number in range(rounds):
+            backfit(tree, run, last=number == rounds - 1)
     return _measured(task, tree)
 
 

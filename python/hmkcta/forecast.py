@@ -19,7 +19,7 @@ _MEASURING, _MEASURED = 36, 1 << 22
 #: Bytes of the interpreter with everything loaded.
 _BASE = 90 * 2**20
 #: Copies of a slab that are made while it is read and worked on.
-_SLAB_COPIES = 5
+_SLAB_COPIES = 4
 #: How much larger than the average the largest sub-tensors get for each mode of two, or of more clusters.
 _UNEVEN_TWO, _UNEVEN_MORE = 1.1, 1.8
 #: Bytes for each element of the sub-tensors in memory: as they are, and what is made of them.

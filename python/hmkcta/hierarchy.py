@@ -183,8 +183,19 @@ def streamed(tree: Hierarchy, node: Node) -> Streamed | None:
     return residual if node.piece is None else residual.large(node.piece)
 
 
-def fit_nodes(tree: Hierarchy, specs: Sequence[LevelSpec | None], run: Run, labels: LabelsOf = lambda _: None) -> None:
-    """Fit the deepest level, each node by its own spec (None: it stays empty), from given disjoint memberships."""
+def fit_nodes(
+    tree: Hierarchy,
+    specs: Sequence[LevelSpec | None],
+    run: Run,
+    labels: LabelsOf = lambda _: None,
+    *,
+    last: bool = False,
+) -> None:
+    """Fit the deepest level, each node by its own spec (None: it stays empty), from given disjoint memberships.
+
+    With `last` nobody wants the residual afterwards, but its norm.
+    """
+    _is_last(tree, last)
     nodes, depth, step = tree.levels[-1], len(tree.levels), run.journal.step()
 
     def work(s: int) -> None:
@@ -297,9 +308,15 @@ def ascend(tree: Hierarchy) -> None:
         node.parts, node.children = None, []
 
 
-def backfit(tree: Hierarchy, run: Run, sweeps: int = 1) -> None:
-    """Refit every level in turn to what all the others leave; memberships stay."""
+def _is_last(tree: Hierarchy, last: bool) -> None:
+    if isinstance(tree.residual, Streamed):
+        tree.residual.lasting = not last
+
+
+def backfit(tree: Hierarchy, run: Run, sweeps: int = 1, *, last: bool = False) -> None:
+    """Refit every level in turn to what all the others leave; memberships stay. `last`: as of `fit_nodes`."""
     for number, nodes in enumerate(tree.levels, start=1):
+        _is_last(tree, last and number == len(tree.levels))
         step = run.journal.step()
 
         def work(s: int, nodes: list[Node] = nodes, step: int = step, number: int = number) -> None:

@@ -70,6 +70,7 @@ class Streamed:
         wholes: the cells of the levels whose node is the whole tensor, as they are now.
         stored: of those, the cells that what lies in the pieces was computed with.
         pieces: empty as long as the source is read.
+        lasting: False while nobody will read the pieces again: they are not written back, and gone afterwards.
     """
 
     source: Source
@@ -80,6 +81,7 @@ class Streamed:
     stored: list[Cells | None] = field(default_factory=list["Cells | None"])
     pieces: list[Piece] = field(default_factory=list[Piece])
     scratch: Scratch | None = None
+    lasting: bool = True
     _held: local = field(default_factory=local)
 
     @property
@@ -208,7 +210,8 @@ class Streamed:
         try:
             yield
             if self._held.changed and piece.elements:
-                self._scratch.write(piece.start, tensor)
+                if self.lasting:
+                    self._scratch.write(piece.start, tensor)
                 piece.energy = squared_norm(tensor)
         finally:
             self._held.piece = self._held.tensor = None
@@ -234,6 +237,8 @@ class Streamed:
     def settle(self) -> None:
         """All pieces have been held with the present terms: there are none any more."""
         self.stored = list(self.wholes)
+        if not self.lasting:
+            self._scratch.close()
 
     def saved(self) -> Saved:
         """All that changes, to go back to; what lies in pieces is copied to a second scratch file."""
