@@ -22,8 +22,8 @@ _BASE = 90 * 2**20
 _SLAB_COPIES = 4
 #: How much larger than the average the largest sub-tensors get for each mode of two, or of more clusters.
 _UNEVEN_TWO, _UNEVEN_MORE = 1.1, 1.8
-#: Bytes for each element of the sub-tensors in memory: as they are, and what is made of them.
-_PIECES = 21
+#: Bytes that the heaps of threads keep while sub-tensors come and go.
+_HEAPS = 40 * 2**20
 #: Nanoseconds of one core for each element: to read, hash, look at and measure the source; to find a start; of a
 #: sweep; of HOOI; to write a piece and read it. One core of a 2023 server.
 _SOURCE_NS, _START_NS, _SWEEP_NS, _HOOI_NS, _PIECE_NS = 35.0, 25.0, 15.0, 10.0, 15.0
@@ -63,7 +63,7 @@ def forecast(plan: Plan, sizes: Sequence[int], effort: Effort, threads: int, mem
     pieces = 0 if cut is None else min(limit, threads * _largest(elements, plan.levels[cut]))
     slabs = _SLAB_COPIES * 4 * SLAB * max(1, min(threads, limit // SLAB))
     scratch = 0 if cut is None else 4 * elements * (2 if own else 1)
-    working = max(WORKING * held, slabs, _PIECES * pieces)
+    working = max(WORKING * held, slabs, 0 if cut is None else WORKING * pieces + _HEAPS)
     return Forecast(_BASE + working, scratch, _seconds(plan, sizes, effort, threads, cut=cut))
 
 
