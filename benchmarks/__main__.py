@@ -109,7 +109,8 @@ def _paper(scratch: Path, folder: Path | None, threads: list[int], only: list[st
     wanted = [fit for fit in fits if not only or fit[0].startswith(tuple(only))]
     name = data.sheet(path, 400, 380, folder) if wanted else ""
     for label, plan, backfits in wanted:
-        case = Case(f"compress, {label}", str(path), plan, SHEET, backfits=backfits, threads=count, memory=MEMORY)
+        memory = None if plan == WM1 else MEMORY  # flat MK-CTA keeps its residual in memory
+        case = Case(f"compress, {label}", str(path), plan, SHEET, backfits=backfits, threads=count, memory=memory)
         yield compressing.run(case, f"{name}, 58 x 58 x 400 x 380 rgb")
     if not only or "TVVD".startswith(tuple(only)):
         path = scratch / "volume-258.npy"
