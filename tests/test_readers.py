@@ -115,13 +115,13 @@ def test_wrong_description_of_raw(tmp_path: Path, options: dict[str, Any], reaso
 
 
 @pytest.mark.parametrize("array", [
-    np.zeros(3, np.complex64), np.zeros(3, bool), np.zeros(3, "M8[s]"), np.zeros(3, "U4"), np.zeros(3, "S4"),
+    np.zeros(3, np.complex64), np.zeros(3, "M8[s]"), np.zeros(3, "U4"), np.zeros(3, "S4"),
     np.zeros(3, [("a", "f4")]), np.zeros(3, np.longdouble),
 ], ids=lambda array: str(array.dtype))
 def test_numbers_that_are_not_real_are_refused(tmp_path: Path, array: Any) -> None:
     error = refusal(saved(tmp_path / "a.npy", array))
     assert (error.kind, error.reason) == (Kind.INVALID_ARGUMENT, "source-dtype")
-    assert "integers, or float16 to float64" in str(error)
+    assert "integers, booleans, or float16 to float64" in str(error)
 
 
 def test_pickled_objects_are_refused_unread(tmp_path: Path) -> None:

@@ -6,7 +6,8 @@ import os
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
-from math import isfinite, prod
+from math import inf, isfinite, prod
+from numbers import Integral, Real
 from typing import Any
 from warnings import warn
 
@@ -72,10 +73,11 @@ def choose_plan(
     See `compress` for the arguments and what is raised.
     """
     run = _run(quality, scheme, decode_cost, seed, threads, progress)
-    _check_goal(snr, size)
+    snr, size = _goal(snr, size)
+    _check_types(organisation, transform, nan, max_memory)
     with _threads(run.threads):
         source = prepare(array, axes, transform, nan, run.threads)
-        return _chosen(source, run, Wanted(snr, size, decode_cost, organisation, max_memory))
+        return _chosen(source, run, _wanted(snr, size, decode_cost, organisation, max_memory))
 
 
 def compress(
@@ -102,9 +104,10 @@ def compress(
     """Approximate an array by HMK-CTA.
 
     Args:
-        array: real numbers of any dtype, order and layout, 1 to 8 modes; NumPy array or memory map.
+        array: real numbers or booleans of any dtype, order and layout, 1 to 8 axes; NumPy array or memory map.
         plan: levels as `parse_plan` reads them, or a `Plan`; None: chosen for the goal on a sample of the data.
-        axes: names (``light``, or ``gloss:space`` with a role) or `Axis` objects, in array order.
+        axes: names (``light``, or ``gloss:space`` with a role) or `Axis` objects, in array order; or the names as one
+            text, ``"light, view, y, x"``.
         snr: least SNR in dB of the stored numbers. With explicit levels: no deeper than needed.
         size: most bytes of the whole file. Neither: 1/100 of the float32 bytes or 50 dB, whichever is less.
         decode_cost: most multiply-adds for one scattered element, for a chosen plan.
@@ -129,7 +132,7 @@ def compress(
 
     Raises:
         HmkctaError: an argument is out of range, the array holds NaN or infinity, memory would not do, or the journal
-            is of another call.
+            is of another call. A goal that is out of reach is no error: the model is the best found, see `Model.snr`.
 
     >>> import numpy as np
     >>> ramp = np.add.outer(np.arange(32.0), np.arange(24.0))
@@ -139,10 +142,12 @@ def compress(
     """
     device = _found(device)
     run = replace(_run(quality, scheme, decode_cost, seed, threads, progress), device=device.name)
-    _check_goal(snr, size)
+    snr, size = _goal(snr, size)
+    _check_types(organisation, transform, nan, max_memory)
+    _expect("plan", plan, Plan | str | None, "text such as R=4,4,6,6, or a Plan")
     if kind is not None and kind not in KINDS:
         raise invalid("unknown-kind", "kind", kind, ", ".join(KINDS))
-    wanted = Wanted(snr, size, decode_cost, organisation, max_memory)
+    wanted = _wanted(snr, size, decode_cost, organisation, max_memory)
     with _threads(run.threads):
         source = prepare(array, axes, transform, nan, run.threads)
         if isinstance(plan, str):
@@ -151,11 +156,11 @@ def compress(
         check_least_memory(prod(source.shape), max_memory)  # before anything is kept of a run that cannot be
         if journal is not None:
             run = replace(run, journal=journal)
-            journal.begin(decisive(source, plan, kind=kind, quality=quality, scheme=scheme, seed=seed,
+            journal.begin(decisive(source, plan, kind=kind, quality=quality, scheme=scheme, seed=run.seed,
                                    device=device.described, **asdict(wanted)))
         plan = plan or run.journal.plan(lambda: _chosen(source, run, wanted))
         with kernels.use(device):
-            return follow(Task(source, plan, scheme, decode_cost, kind or source.kind, run, max_memory))
+            return follow(Task(source, plan, scheme, wanted.decode_cost, kind or source.kind, run, wanted.max_memory))
 
 
 @contextmanager
@@ -189,22 +194,48 @@ def _run(quality: str, scheme: str, decode_cost: int, seed: int, threads: int | 
         raise invalid("unknown-quality", "quality", quality, ", ".join(EFFORTS))
     if scheme not in (*SCHEMES, "auto"):
         raise invalid("unknown-scheme", "scheme", scheme, ", ".join((*SCHEMES, "auto")))
+    _expect("threads", threads, Integral | None, "a whole number")
+    _expect("decode_cost", decode_cost, Integral, "a whole number")
+    _expect("seed", seed, Integral, "a whole number")
     if threads is not None and threads < 1:
         raise invalid("threads", "threads", threads, "1 or more")
     if decode_cost < 1:
         raise invalid("decode-cost", "decode_cost", decode_cost, "1 or more multiply-adds")
     if not 0 <= seed < 2**53:
         raise invalid("seed", "seed", seed, "0 to 2^53 - 1")
-    return Run(EFFORTS[quality], seed, threads or os.cpu_count() or 1, progress or _silent)
+    return Run(EFFORTS[quality], int(seed), threads or os.cpu_count() or 1, progress or _silent)
 
 
-def _check_goal(snr: float | None, size: int | None) -> None:
+def _expect(name: str, value: object, types: Any, words: str) -> None:
+    """Refuse an argument of another type by its name, before something deep inside stumbles over it."""
+    if not isinstance(value, types):
+        raise invalid("argument-type", name, repr(value), words)
+
+
+def _check_types(organisation: object, transform: object, nan: object, max_memory: object) -> None:
+    _expect("organisation", organisation, str | None, 'text such as "light+rgb, view, y+x"')
+    _expect("transform", transform, str, 'text such as "log1p:0.5"')
+    _expect("nan", nan, Real | None, "a number")
+    _expect("max_memory", max_memory, Integral | None, "a whole number of bytes")
+
+
+def _goal(snr: float | None, size: int | None) -> tuple[float | None, int | None]:
+    """The goal in Python's own numbers, whose range NumPy's may not have."""
+    _expect("snr", snr, Real | None, "a number of dB")
+    _expect("size", size, Real | None, "a number of bytes")
     if snr is not None and size is not None:
         raise invalid("two-goals", "goal", "snr and size", "one of them", "drop --snr or --size")
     if snr is not None and not isfinite(snr):
         raise invalid("snr", "snr", snr, "a finite number of dB")
-    if size is not None and size < 1:
+    if size is not None and not 1 <= size < inf:
         raise invalid("size", "size", size, "a positive number of bytes")
+    return None if snr is None else float(snr), None if size is None else int(size)
+
+
+def _wanted(
+    snr: float | None, size: int | None, decode_cost: int, organisation: str | None, max_memory: int | None
+) -> Wanted:
+    return Wanted(snr, size, int(decode_cost), organisation, None if max_memory is None else int(max_memory))
 
 
 def _chosen(source: Source, run: Run, wanted: Wanted) -> Plan:

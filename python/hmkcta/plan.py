@@ -44,6 +44,9 @@ class LevelSpec:
     def __post_init__(self) -> None:
         if self.scheme not in SCHEMES:
             raise invalid("unknown-scheme", "scheme", self.scheme, ", ".join(SCHEMES))
+        if not len(self.ranks) == len(self.clusters) == len(self.mixture):
+            found = f"{len(self.ranks)} R, {len(self.clusters)} C, {len(self.mixture)} K"
+            raise invalid("level-modes", "level", found, "as many of each as there are modes")
         for n, (rank, clusters, mixture) in enumerate(zip(self.ranks, self.clusters, self.mixture, strict=True)):
             mode = f"mode {n + 1}"
             if rank is not None and rank < 1:

@@ -142,11 +142,17 @@ def described(array: Any, axes: Sequence[Axis] | Sequence[str] | None = None, tr
     """An array with its description; its values are not looked at, so its fingerprint is a stand-in.
 
     Raises:
-        HmkctaError: not an array of 1 to 8 axes of real numbers, empty, names that do not fit, or no such transform.
+        HmkctaError: not an array of 1 to 8 axes of real numbers, empty, masked, names that do not fit, or no such
+            transform.
     """
     array = cast(NDArray[Any], np.asanyarray(array))
-    if array.dtype.kind not in "fiu":
-        raise invalid("dtype", "array", f"dtype {array.dtype}", "floating point or integers")
+    if array.dtype.kind not in "bfiu":
+        raise invalid("dtype", "array", f"dtype {array.dtype}", "floating point, integers or booleans")
+    if np.ma.is_masked(array):  # what is behind a mask would be compressed as if it were data
+        found = f"{int(np.ma.getmaskarray(array).sum())} masked values"
+        raise invalid("masked", "array", found, "no mask", "give a value to put there, array.filled(0)")
+    if array.dtype.kind == "f" and array.dtype.itemsize > 8:  # no file records more
+        array = array.astype(np.float64)
     if not 1 <= array.ndim <= 8 or array.size == 0:
         raise invalid("array-shape", "array", f"shape {array.shape}", "1 to 8 axes, none of them empty")
     named, dtype = _named(array.shape, axes), array.dtype.newbyteorder("=").name
@@ -183,15 +189,14 @@ def prepare(
 
 
 def _named(shape: tuple[int, ...], axes: Sequence[Axis] | Sequence[str] | None) -> tuple[Axis, ...]:
-    given = list(axes or [])
-    described = [axis for axis in given if isinstance(axis, Axis)]
-    if len(described) != len(given) or not given:
-        return name_axes(shape, [str(name) for name in given] or None)
-    name_axes(shape, [axis.name for axis in described])
-    for axis, size in zip(described, shape, strict=True):
-        if axis.size != size:
+    given = axes.split(",") if isinstance(axes, str) else list(axes or [])  # as on the command line
+    named = name_axes(shape, [axis.name if isinstance(axis, Axis) else str(axis) for axis in given] or None)
+    if not given:
+        return named
+    for axis, size in zip(given, shape, strict=True):
+        if isinstance(axis, Axis) and axis.size != size:
             raise invalid("axis-size", f"size of axis {axis.name!r}", axis.size, f"{size}, as the array has")
-    return tuple(described)
+    return tuple(axis if isinstance(axis, Axis) else by_name for axis, by_name in zip(given, named, strict=True))
 
 
 def _scan(array: NDArray[Any], nan: float | None) -> tuple[str, bool]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..errors import HmkctaError, Kind, invalid
 
-KINDS_TAKEN = "integers, or float16 to float64"
+KINDS_TAKEN = "integers, booleans, or float16 to float64"
 
 
 @dataclass(frozen=True)
@@ -66,13 +66,13 @@ def check_numbers(dtype: np.dtype[Any], where: str) -> None:
     >>> check_numbers(np.dtype("c8"), "field.npy")
     Traceback (most recent call last):
         ...
-    hmkcta.errors.HmkctaError: number type of field.npy: found complex64, allowed integers, or float16 to \
-float64. Next: compress real and imaginary part as an axis of two. [InvalidArgument/source-dtype]
+    hmkcta.errors.HmkctaError: number type of field.npy: found complex64, allowed integers, booleans, or \
+float16 to float64. Next: compress real and imaginary part as an axis of two. [InvalidArgument/source-dtype]
     """
-    if dtype.kind in "iu" or (dtype.kind == "f" and dtype.itemsize <= 8):
+    if dtype.kind in "biu" or (dtype.kind == "f" and dtype.itemsize <= 8):
         return
-    hints = {"b": "convert it to uint8 first", "c": "compress real and imaginary part as an axis of two",
-             "f": "convert it to float64 first", "V": "compress one field of it"}
+    hints = {"c": "compress real and imaginary part as an axis of two", "f": "convert it to float64 first",
+             "V": "compress one field of it"}
     raise invalid("source-dtype", f"number type of {where}", dtype.name if dtype.kind != "V" else "a structured type",
                   KINDS_TAKEN, hints.get(dtype.kind, "convert it to numbers first"))
 

@@ -1,0 +1,81 @@
+"""What callers from Python hand over: arrays of every kind, names and numbers in the forms that are at hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import hmkcta
+from hmkcta import Axis, HmkctaError, Journal, LevelSpec, compress
+
+WAVE: NDArray[np.float64] = np.add.outer(np.sin(np.arange(20) / 3), np.arange(18.0) / 9)
+
+
+def refused(array: Any = WAVE, **options: Any) -> HmkctaError:
+    with pytest.raises(HmkctaError) as caught:
+        compress(array, **options)
+    return caught.value
+
+
+def test_booleans_are_zeros_and_ones(tmp_path: Path) -> None:
+    model = compress(WAVE > 1, "R=9")
+    model.save(tmp_path / "a.hmk")
+    assert hmkcta.open(tmp_path / "a.hmk").metadata.source_dtype == "bool"
+    assert np.array_equal(np.asarray(model), np.asarray(compress((WAVE > 1).astype(np.float32), "R=9")))
+
+
+def test_of_long_floats_a_file_records_what_it_can(tmp_path: Path) -> None:
+    model = compress(WAVE.astype(np.longdouble), "R=2")
+    model.save(tmp_path / "a.hmk")
+    assert hmkcta.open(tmp_path / "a.hmk").metadata.source_dtype == "float64"
+    assert model.snr > 60
+
+
+def test_what_a_mask_hides_is_not_compressed_as_data() -> None:
+    error = refused(np.ma.masked_array(WAVE, WAVE > 1.5), plan="R=2")
+    assert (error.reason, error.found) == ("masked", f"{(WAVE > 1.5).sum()} masked values")
+    assert compress(np.ma.masked_array(WAVE, False), "R=2").snr == compress(WAVE, "R=2").snr
+
+
+@pytest.mark.parametrize("axes", ["y, x", ["y", "x"], ("y", Axis("x", 18, "space")), [Axis("y", 20, "space"), "x"]],
+                         ids=str)
+def test_axes_are_named_in_many_ways(axes: Any) -> None:
+    named = compress(WAVE, "R=1", axes=axes).metadata.axes
+    assert [(axis.name, axis.size, axis.role) for axis in named] == [("y", 20, "space"), ("x", 18, "space")]
+
+
+def test_an_axis_of_another_size_is_named() -> None:
+    error = refused(axes=["y", Axis("x", 17)])
+    assert (error.reason, error.found) == ("axis-size", 17)
+
+
+@pytest.mark.parametrize("options", [
+    {"snr": "30"}, {"size": "20MiB"}, {"decode_cost": 1.5}, {"seed": None}, {"threads": 2.5}, {"nan": "0"},
+    {"max_memory": "1GB"}, {"organisation": [["axis0"], ["axis1"]]}, {"transform": None}, {"plan": ["R=2"]},
+], ids=str)
+def test_arguments_of_another_type_are_named(options: dict[str, Any]) -> None:
+    error = refused(**options)
+    assert (error.reason, error.where) == ("argument-type", next(iter(options)))
+    assert error.allowed
+
+
+def test_numbers_may_be_numpys(tmp_path: Path) -> None:
+    """Their range is not that of Python's, and JSON does not know them."""
+    given: dict[str, Any] = {"snr": 20, "decode_cost": 400, "seed": 3, "max_memory": 10**9}
+    types = (np.float16, np.int32, np.int64, np.int64)
+    compress(WAVE, **given).save(tmp_path / "own.hmk")
+    with Journal(tmp_path / "a.partial") as journal:
+        made = zip(given.items(), types, strict=True)
+        numpys: dict[str, Any] = {name: make(value) for (name, value), make in made}
+        compress(WAVE, journal=journal, **numpys).save(tmp_path / "numpys.hmk")
+    assert (tmp_path / "numpys.hmk").read_bytes() == (tmp_path / "own.hmk").read_bytes()
+
+
+def test_a_level_has_one_of_each_for_every_mode() -> None:
+    with pytest.raises(HmkctaError) as caught:
+        LevelSpec((2, 2), (1, 1), (1,))
+    assert caught.value.reason == "level-modes"
