@@ -44,6 +44,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
 type Members<'py> = Vec<PyReadonlyArray1<'py, u16>>;
+type Floats<'py> = PyReadonlyArray1<'py, f32>;
 
 fn node<'a>(shape: Shape, members: &'a Members) -> PyResult<Node<'a>> {
     let members = members.iter().map(|m| m.as_slice()).collect::<Result<_, _>>()?;
@@ -58,12 +59,12 @@ fn check_length(what: &str, length: usize, expected: usize) -> PyResult<()> {
     Err(PyValueError::new_err(format!("{what} must hold {expected} numbers, got {length}")))
 }
 
-fn check_bases(node: &Node, lengths: &[usize]) -> PyResult<()> {
-    check_length("the list of bases", lengths.len(), node.order())?;
-    lengths
+fn check_bases<B: AsRef<[f32]>>(node: &Node, bases: &[B]) -> PyResult<()> {
+    check_length("the list of bases", bases.len(), node.order())?;
+    bases
         .iter()
         .enumerate()
-        .try_for_each(|(n, &length)| check_length(&format!("basis {}", n + 1), length, node.basis_size(n)))
+        .try_for_each(|(n, basis)| check_length(&format!("basis {}", n + 1), basis.as_ref().len(), node.basis_size(n)))
 }
 
 fn check_tensor(node: &Node, length: usize) -> PyResult<()> {
@@ -72,6 +73,31 @@ fn check_tensor(node: &Node, length: usize) -> PyResult<()> {
 
 fn check_cores(node: &Node, length: usize) -> PyResult<()> {
     check_length("the cores", length, node.cells() * node.core_size())
+}
+
+fn check_mode(node: &Node, mode: usize) -> PyResult<()> {
+    if mode < node.order() {
+        return Ok(());
+    }
+    Err(PyValueError::new_err(format!("mode must be below {}, got {mode}", node.order())))
+}
+
+fn tensor_of<'a>(node: &Node, tensor: &'a Floats) -> PyResult<&'a [f32]> {
+    let tensor = tensor.as_slice()?;
+    check_tensor(node, tensor.len())?;
+    Ok(tensor)
+}
+
+fn bases_of<'a>(node: &Node, bases: &'a [Floats]) -> PyResult<Vec<&'a [f32]>> {
+    let bases = bases.iter().map(|b| b.as_slice()).collect::<Result<Vec<_>, _>>()?;
+    check_bases(node, &bases)?;
+    Ok(bases)
+}
+
+fn cores_of<'a>(node: &Node, cores: &'a Floats) -> PyResult<&'a [f32]> {
+    let cores = cores.as_slice()?;
+    check_cores(node, cores.len())?;
+    Ok(cores)
 }
 
 /// Fit all cells by Gauss-Seidel sweeps in place; `residual` is data minus model on entry and on return.
@@ -92,7 +118,7 @@ fn fit_cells(
     let mut bases = bases.iter_mut().map(|b| b.as_slice_mut()).collect::<Result<Vec<_>, _>>()?;
     let cores = cores.as_slice_mut()?;
     check_tensor(&node, residual.len())?;
-    check_bases(&node, &bases.iter().map(|b| b.len()).collect::<Vec<_>>())?;
+    check_bases(&node, &bases)?;
     check_cores(&node, cores.len())?;
     py.detach(|| gauss_seidel::fit(node, residual, &mut bases, cores, Effort { sweeps, iterations }));
     Ok(())
@@ -105,17 +131,14 @@ fn accumulate(
     shape: Shape,
     members: Members,
     mut tensor: PyReadwriteArray1<f32>,
-    bases: Vec<PyReadonlyArray1<f32>>,
-    cores: PyReadonlyArray1<f32>,
+    bases: Vec<Floats>,
+    cores: Floats,
     weight: f32,
 ) -> PyResult<()> {
     let node = node(shape, &members)?;
     let tensor = tensor.as_slice_mut()?;
-    let bases = bases.iter().map(|b| b.as_slice()).collect::<Result<Vec<_>, _>>()?;
-    let cores = cores.as_slice()?;
     check_tensor(&node, tensor.len())?;
-    check_bases(&node, &bases.iter().map(|b| b.len()).collect::<Vec<_>>())?;
-    check_cores(&node, cores.len())?;
+    let (bases, cores) = (bases_of(&node, &bases)?, cores_of(&node, &cores)?);
     py.detach(|| reconstruct::accumulate(node, tensor, &bases, cores, weight));
     Ok(())
 }
@@ -126,15 +149,12 @@ fn project_cells<'py>(
     py: Python<'py>,
     shape: Shape,
     members: Members,
-    tensor: PyReadonlyArray1<f32>,
-    bases: Vec<PyReadonlyArray1<f32>>,
+    tensor: Floats,
+    bases: Vec<Floats>,
     mode: usize,
 ) -> PyResult<Bound<'py, PyArray1<f32>>> {
     let node = node(shape, &members)?;
-    let tensor = tensor.as_slice()?;
-    let bases = bases.iter().map(|b| b.as_slice()).collect::<Result<Vec<_>, _>>()?;
-    check_tensor(&node, tensor.len())?;
-    check_bases(&node, &bases.iter().map(|b| b.len()).collect::<Vec<_>>())?;
+    let (tensor, bases) = (tensor_of(&node, &tensor)?, bases_of(&node, &bases)?);
     check_mode(&node, mode)?;
     Ok(py.detach(|| project::project_cells(node, tensor, &bases, mode)).into_pyarray(py))
 }
@@ -145,15 +165,12 @@ fn project_pair<'py>(
     py: Python<'py>,
     shape: Shape,
     members: Members,
-    tensor: PyReadonlyArray1<f32>,
-    bases: Vec<PyReadonlyArray1<f32>>,
+    tensor: Floats,
+    bases: Vec<Floats>,
     pair: (usize, usize),
 ) -> PyResult<Bound<'py, PyArray1<f32>>> {
     let node = node(shape, &members)?;
-    let tensor = tensor.as_slice()?;
-    let bases = bases.iter().map(|b| b.as_slice()).collect::<Result<Vec<_>, _>>()?;
-    check_tensor(&node, tensor.len())?;
-    check_bases(&node, &bases.iter().map(|b| b.len()).collect::<Vec<_>>())?;
+    let (tensor, bases) = (tensor_of(&node, &tensor)?, bases_of(&node, &bases)?);
     let (a, b) = pair;
     [a, b].into_iter().try_for_each(|n| check_mode(&node, n))?;
     if a == b || node.undecomposed[a] || node.undecomposed[b] {
@@ -166,8 +183,8 @@ fn project_pair<'py>(
 #[pyfunction]
 fn contract_lanes<'py>(
     py: Python<'py>,
-    p: PyReadonlyArray1<f32>,
-    w: PyReadonlyArray1<f32>,
+    p: Floats,
+    w: Floats,
     sizes: [usize; 3],
     rank: usize,
     lanes: usize,
@@ -184,24 +201,14 @@ fn dictionary_gram<'py>(
     py: Python<'py>,
     shape: Shape,
     members: Members,
-    bases: Vec<PyReadonlyArray1<f32>>,
-    cores: PyReadonlyArray1<f32>,
+    bases: Vec<Floats>,
+    cores: Floats,
     mode: usize,
 ) -> PyResult<Bound<'py, PyArray1<f64>>> {
     let node = node(shape, &members)?;
-    let bases = bases.iter().map(|b| b.as_slice()).collect::<Result<Vec<_>, _>>()?;
-    let cores = cores.as_slice()?;
-    check_bases(&node, &bases.iter().map(|b| b.len()).collect::<Vec<_>>())?;
-    check_cores(&node, cores.len())?;
+    let (bases, cores) = (bases_of(&node, &bases)?, cores_of(&node, &cores)?);
     check_mode(&node, mode)?;
     Ok(py.detach(|| gram::dictionary_gram(&node, &bases, cores, mode)).into_pyarray(py))
-}
-
-fn check_mode(node: &Node, mode: usize) -> PyResult<()> {
-    if mode < node.order() {
-        return Ok(());
-    }
-    Err(PyValueError::new_err(format!("mode must be below {}, got {mode}", node.order())))
 }
 
 /// Add the values of scattered elements at `coords` `[elements, N]` to `out`.
