@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from itertools import groupby, product
-from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,14 +18,13 @@ from .executors import Pool, Queue
 from .fit import Effort, Labels, fit_level, refit_level
 from .journal import NoJournal
 from .memberships import uniform_blocks
-from .pieces import Piece
+from .pieces import Piece, Rows, SubTensor
 from .plan import LevelSpec
 from .streamed import Saved, Streamed, squared_norm, thinned_cells
 from .subdivision import subdivide
 from .workset import fit_streamed, refit_streamed, thinning
 
 F32 = NDArray[np.float32]
-Rows = tuple[NDArray[np.intp], ...]
 #: Called with a stage's name and the fraction of it that is done.
 Progress = Callable[[str, float], None]
 
@@ -48,32 +46,20 @@ class Run:
 
 
 @dataclass(eq=False)
-class Node:
+class Node(SubTensor):
     """A sub-tensor of a level: its rows of every mode, what was fitted to it, and where its rows go next.
 
     Attributes:
-        rows: index list of each mode, into the whole tensor.
         cells: the fitted cells as they will be stored (float16 numbers); None: the node adds nothing and is a leaf.
         parts: for each mode the part of every row at the next level; None: a leaf.
         children: one for each combination of parts, in C order.
         piece: where its elements lie, if the tensor is streamed; None then: it is the whole tensor.
     """
 
-    rows: Rows
     cells: Cells | None = None
     parts: list[NDArray[np.intp]] | None = None
     children: list[Node] = field(default_factory=list["Node"])
     piece: Piece | None = None
-
-    @property
-    def sizes(self) -> tuple[int, ...]:
-        """Mode sizes of the sub-tensor."""
-        return tuple(len(rows) for rows in self.rows)
-
-    @property
-    def elements(self) -> int:
-        """How many elements it has."""
-        return prod(self.sizes)
 
 
 @dataclass(eq=False)

@@ -14,7 +14,7 @@ from . import backends as kernels
 from .hierarchy import Hierarchy, Node, Progress
 from .measure import Sums
 from .packed import LevelQuality
-from .pieces import Rows, split
+from .pieces import Rows, places_of, split
 from .streamed import Streamed, in_float64, in_order, squared_norm
 from .transform import Transform
 
@@ -62,7 +62,7 @@ class _Errors:
         self.add(range(depth, depth + 1), values, left)
         assert node.cells is not None
         counts = node.cells.spec.clusters
-        places = [_places(part) for part in node.parts]
+        places = [places_of(part) for part in node.parts]
         parts = split(left, rows, node.parts)
         # Without a value transform nobody looks at the values again.
         kept = split(values, rows, node.parts) if self.transform.name != "identity" else parts
@@ -99,12 +99,3 @@ def measure_streamed(
         progress("measuring", number / len(parts))
     transformed = total[1].quality()
     return (transformed if source.value_transform.name == "identity" else total[0].quality()), transformed
-
-
-def _places(part: NDArray[np.intp]) -> NDArray[np.intp]:
-    """For each row its position among the rows of its part."""
-    place = np.empty(len(part), np.intp)
-    for c in np.unique(part):
-        rows = np.flatnonzero(part == c)
-        place[rows] = np.arange(len(rows))
-    return place

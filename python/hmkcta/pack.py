@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .cells import round_cores
 from .hierarchy import Node
 from .packed import LevelBounds, PackedLevel
+from .pieces import places_of
 
 Ragged = list[NDArray[Any]]
 
@@ -80,12 +81,7 @@ def _part(node: Node, n: int) -> NDArray[np.intp]:
 
 def _local(node: Node, n: int) -> NDArray[np.intp]:
     """Position of each row among the rows of its part, in order; 0 in a leaf."""
-    local = np.zeros(len(node.rows[n]), np.intp)
-    if node.parts is not None:
-        for part in np.unique(node.parts[n]):
-            rows = np.flatnonzero(node.parts[n] == part)
-            local[rows] = np.arange(len(rows))
-    return local
+    return np.zeros(len(node.rows[n]), np.intp) if node.parts is None else places_of(node.parts[n])
 
 
 def _joined(pieces: Ragged, dtype: Any) -> NDArray[Any]:

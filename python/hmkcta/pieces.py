@@ -16,12 +16,10 @@ Rows = tuple[NDArray[np.intp], ...]
 
 
 @dataclass(eq=False)
-class Piece:
-    """A node's sub-tensor in the scratch file: its rows in every mode, where it starts, its squared norm."""
+class SubTensor:
+    """What has some rows of every mode, by their numbers in the whole tensor."""
 
     rows: Rows
-    start: int
-    energy: float = 0.0
 
     @property
     def sizes(self) -> tuple[int, ...]:
@@ -34,10 +32,23 @@ class Piece:
         return prod(self.sizes)
 
 
-def places_of(lists: Sequence[NDArray[np.intp]]) -> NDArray[np.intp]:
-    """For each row its position among the rows of its part."""
-    place = np.empty(sum(map(len, lists)), np.intp)
-    for rows in lists:
+@dataclass(eq=False)
+class Piece(SubTensor):
+    """A node's sub-tensor in the scratch file: where it starts, its squared norm."""
+
+    start: int
+    energy: float = 0.0
+
+
+def places_of(part: NDArray[np.intp]) -> NDArray[np.intp]:
+    """For each row its position among the rows of its part.
+
+    >>> places_of(np.array([1, 0, 1, 1])).tolist()
+    [0, 0, 1, 2]
+    """
+    place = np.empty(len(part), np.intp)
+    for c in np.unique(part):
+        rows = np.flatnonzero(part == c)
         place[rows] = np.arange(len(rows))
     return place
 

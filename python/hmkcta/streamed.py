@@ -175,7 +175,7 @@ class Streamed:
     def cut(self, parts: Sequence[NDArray[np.intp]], counts: Sequence[int], folder: str | None = None) -> list[Piece]:
         """Write what `wholes` leave to a scratch file: a piece for each combination of parts of rows, in C order."""
         lists = [[np.flatnonzero(part == c) for c in range(count)] for part, count in zip(parts, counts, strict=True)]
-        places = [places_of(rows) for rows in lists]
+        places = [places_of(part) for part in parts]
         pieces, start = list[Piece](), 0
         for rows in product(*lists):
             pieces.append(Piece(rows, start))
