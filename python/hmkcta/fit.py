@@ -155,16 +155,14 @@ def _hooi(tensor: F32, spec: LevelSpec, effort: Effort, rng: np.random.Generator
 def _best_labels(tensor: F32, spec: LevelSpec, effort: Effort, rng: np.random.Generator) -> Labels:
     """The best of several disjoint memberships, judged on a sample by the energy their blocks capture."""
     sample = strided_sample(tensor, spec.clusters, SAMPLE)
-    best_error, best = np.inf, None
     seed = int(rng.integers(2**63))
-    for labels in start_candidates(tensor, spec.clusters, effort.candidates, np.random.default_rng(seed)):
+
+    def left(labels: Labels) -> float:
         residual = sample.tensor.copy()
         _disjoint(residual, spec, sample.labels(labels), np.random.default_rng(seed))
-        error = float(np.vdot(residual, residual))
-        if error < best_error or best is None:
-            best_error, best = error, labels
-    assert best is not None
-    return best
+        return float(np.vdot(residual, residual))
+
+    return min(start_candidates(tensor, spec.clusters, effort.candidates, np.random.default_rng(seed)), key=left)
 
 
 def _start(tensor: F32, spec: LevelSpec, effort: Effort, labels: Labels | None, rng: np.random.Generator) -> Cells:
@@ -181,17 +179,12 @@ def _start(tensor: F32, spec: LevelSpec, effort: Effort, labels: Labels | None, 
 
     seed = int(rng.integers(2**63))
     if labels is None:
-        sample = strided_sample(tensor, spec.clusters, JUDGED)
-        best_error, best = np.inf, None
-        starts = np.random.default_rng(seed)
-        for candidate in start_candidates(tensor, spec.clusters, effort.candidates, starts, overlap=True):
-            cells = swept(sample.tensor, sample.labels(candidate))
-            error = squared_norm(left_by(cells, sample.tensor))
-            if error < best_error or best is None:
-                best_error, best, labels = error, cells, candidate
-        if best is not None and best.sizes == tensor.shape:
+        sample, starts = strided_sample(tensor, spec.clusters, JUDGED), np.random.default_rng(seed)
+        candidates = start_candidates(tensor, spec.clusters, effort.candidates, starts, overlap=True)
+        tried = ((swept(sample.tensor, sample.labels(candidate)), candidate) for candidate in candidates)
+        best, labels = min(tried, key=lambda start: squared_norm(left_by(start[0], sample.tensor)))
+        if best.sizes == tensor.shape:
             return best
-    assert labels is not None
     return swept(tensor, labels)
 
 
