@@ -22,7 +22,7 @@ F64 = NDArray[np.float64]
 
 
 def sweep(cells: Cells, tensor: F32, mixture: Sequence[int], search: str) -> None:
-    """`joint_rows` for one mode after another, and their columns orthonormal again: never raises the error."""
+    """`choose_rows` for one mode after another, and their columns orthonormal again: never raises the error."""
     for kept in passes(cells):
         seen = project(cells, tensor, kept)
         for n in kept:
@@ -30,16 +30,11 @@ def sweep(cells: Cells, tensor: F32, mixture: Sequence[int], search: str) -> Non
             orthonormalise(cells, n)
 
 
-def joint_rows(cells: Cells, tensor: F32, n: int, mixture: int, search: str) -> None:
-    """New subsets (of `mixture` clusters) and basis rows of mode n, jointly optimal given all else.
+def choose_rows(cells: Cells, coding: Coding, n: int, mixture: int, search: str) -> None:
+    """New subsets (of `mixture` clusters) and basis rows of mode n, jointly optimal given all else, from its `code`.
 
     `search` is ``optimal``, ``greedy`` or ``fixed`` (keep the subsets). The rows are not orthonormal afterwards.
     """
-    choose_rows(cells, code(cells, kernels.project_cells(cells, tensor, n), n), n, mixture, search)
-
-
-def choose_rows(cells: Cells, coding: Coding, n: int, mixture: int, search: str) -> None:
-    """`joint_rows` with b and H at hand."""
     if search == "optimal":
         coding.search(mixture)
     else:
