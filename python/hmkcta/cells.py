@@ -13,6 +13,7 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
+from .errors import invalid
 from .plan import LevelSpec
 
 F32 = NDArray[np.float32]
@@ -69,6 +70,16 @@ class Cells:
         wide = cores.astype(np.float32) * scale.reshape(-1, *[1] * len(self.sizes))
         bases = [basis.astype(np.float16, order="C").astype(np.float32) for basis in self.bases]
         return Cells(self.sizes, self.spec, self.members, bases, wide)
+
+
+def check_shape(tensor: F32, cells: Cells) -> None:
+    """Refuse a tensor that is not of the node's sizes.
+
+    Raises:
+        HmkctaError: it is not (``wrong-shape``).
+    """
+    if tensor.shape != cells.sizes:
+        raise invalid("wrong-shape", "tensor", tensor.shape, str(cells.sizes))
 
 
 def round_cores(cores: F32) -> tuple[NDArray[np.float16], F32]:

@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..cells import F32, Cells, dense_basis
-from ..errors import invalid
+from ..cells import F32, Cells, check_shape, dense_basis
 from .batches import Batch, Index, projection_batches, sweep_batches
 from .reference import DEPENDENT
 
@@ -47,7 +46,7 @@ class Arrays:
 
 def fit_cells(on: Arrays, cells: Cells, residual: F32, sweeps: int, iterations: int) -> None:
     """Gauss-Seidel sweeps of HOOI over the cells; bases, cores and residual are replaced when all is done."""
-    _check_shape(residual, cells)
+    check_shape(residual, cells)
     batches = _loaded(on, sweep_batches(cells, on.budget))
     tensor, model = _Tensor(on, residual), _Model(on, cells)
     for sweep in range(sweeps):
@@ -65,7 +64,7 @@ def fit_cells(on: Arrays, cells: Cells, residual: F32, sweeps: int, iterations: 
 
 def accumulate(on: Arrays, cells: Cells, tensor: F32, weight: float) -> None:
     """`tensor += weight * model`."""
-    _check_shape(tensor, cells)
+    check_shape(tensor, cells)
     total, model = _Tensor(on, tensor), _Model(on, cells)
     for batch in _loaded(on, sweep_batches(cells, on.budget)):
         bases, core = model.take(batch)
@@ -75,7 +74,7 @@ def accumulate(on: Arrays, cells: Cells, tensor: F32, weight: float) -> None:
 
 def project_cells(on: Arrays, cells: Cells, tensor: F32, n: int) -> F32:
     """`Y_n[c] = T x_{m != n} U_{m,c}^T`: `[PC, I_n, prod_{m != n} R_m]`."""
-    _check_shape(tensor, cells)
+    check_shape(tensor, cells)
     y = np.zeros((cells.spec.cells, cells.sizes[n], prod(cells.ranks) // cells.ranks[n]), np.float32)
     data, model = _Tensor(on, tensor), _Model(on, cells)
     for batch in _loaded(on, projection_batches(cells, [n], on.budget // 2)):  # a batch grows before it shrinks
@@ -86,7 +85,7 @@ def project_cells(on: Arrays, cells: Cells, tensor: F32, n: int) -> F32:
 
 def project_pair(on: Arrays, cells: Cells, tensor: F32, pair: tuple[int, int]) -> F32:
     """The tensor projected on the bases of all cells in two modes: see `reference.project_pair`."""
-    _check_shape(tensor, cells)
+    check_shape(tensor, cells)
     kept = [m for m in range(cells.order) if m not in pair]
     clusters, ranks = [cells.spec.clusters[m] for m in pair], [cells.ranks[m] for m in pair]
     rows = [cells.sizes[m] for m in kept]
@@ -333,8 +332,3 @@ def _gram_schmidt(gram: F64) -> F64:
         independent = length > DEPENDENT**2 * gram[:, r, r]
         t[independent, :, r] = column[independent] / np.sqrt(length[independent, None])
     return t
-
-
-def _check_shape(tensor: F32, cells: Cells) -> None:
-    if tensor.shape != cells.sizes:
-        raise invalid("wrong-shape", "tensor", tensor.shape, str(cells.sizes))

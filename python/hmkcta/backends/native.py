@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _native
-from ..cells import F32, Cells
+from ..cells import F32, Cells, check_shape
 from ..errors import invalid
 
 F64 = NDArray[np.float64]
@@ -42,14 +42,14 @@ def accumulate(cells: Cells, tensor: F32, weight: float) -> None:
 
 def project_cells(cells: Cells, tensor: F32, n: int) -> F32:
     """`Y_n[c] = T x_{m != n} U_{m,c}^T`: `[PC, I_n, prod_{m != n} R_m]`."""
-    _check_shape(tensor, cells)
+    check_shape(tensor, cells)
     y = _native.project_cells(*_node(cells), _flat(tensor), _bases(cells), n)
     return y.reshape(cells.spec.cells, cells.sizes[n], -1)
 
 
 def project_pair(cells: Cells, tensor: F32, pair: tuple[int, int]) -> F32:
     """The tensor projected on the bases of all cells in two modes: `[.., I_m, .., C_a, C_b, R_a, .., C_m, .., R_b]`."""
-    _check_shape(tensor, cells)
+    check_shape(tensor, cells)
     a, b = pair
     kept = [m for m in range(cells.order) if m not in pair]
     clusters, ranks = cells.spec.clusters, cells.ranks
@@ -91,13 +91,8 @@ def _flat(array: F32) -> F32:
 
 def _in_place(array: F32, cells: Cells) -> F32:
     """The array as one row of numbers that the kernel may write to, never a copy."""
-    _check_shape(array, cells)
+    check_shape(array, cells)
     if array.dtype != np.float32 or not (array.flags.c_contiguous and array.flags.writeable):
         found = f"{array.dtype}, strides {array.strides}, writeable: {array.flags.writeable}"
         raise invalid("not-in-place", "tensor", found, "writeable float32 in C order")
     return array.reshape(-1)
-
-
-def _check_shape(array: F32, cells: Cells) -> None:
-    if array.shape != cells.sizes:
-        raise invalid("wrong-shape", "tensor", array.shape, str(cells.sizes))
