@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from dataclasses import replace
-from itertools import pairwise, permutations, product
+from functools import partial
+from itertools import pairwise, product
 from math import prod
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -16,13 +17,25 @@ from hypothesis import strategies as st
 
 import cupy_stand_in
 from cupy_stand_in import StandIn
-from hmkcta.backends import batched, batches, reference
+from hmkcta.backends import Kernels, batched, batches, reference
 from hmkcta.backends.batched import Arrays
 from hmkcta.backends.batches import MOST_PADDED, Batch, projection_batches, sweep_batches
 from hmkcta.cells import Cells, dense_basis
 from hmkcta.errors import HmkctaError
 from hmkcta.plan import LevelSpec
-from test_kernels import LARGE, Node, close, copy_of, energy, model_of, nodes, random_cells, smooth_data
+from test_kernels import (
+    LARGE,
+    SCALES,
+    Node,
+    check_same,
+    check_scale,
+    check_sweeps,
+    close,
+    energy,
+    nodes,
+    random_cells,
+    smooth_data,
+)
 
 BUDGETS = (1, 100, 4000, 1 << 25)
 
@@ -40,43 +53,22 @@ LIBRARIES = pytest.mark.parametrize("library", [on_numpy, on_stand_in], ids=["nu
 Library = Callable[[int], Arrays]
 
 
-def check_same(on: Arrays, cells: Cells, data: reference.F32) -> None:
-    """All kernels on a node, beside the reference."""
-    found, expected = data.copy(), data.copy()
-    batched.accumulate(on, cells, found, -0.75)
-    reference.accumulate(cells, expected, -0.75)
-    close(found, expected, 1e-5)
-    for n in range(cells.order):
-        close(batched.project_cells(on, cells, data, n), reference.project_cells(cells, data, n), 1e-4)
-        close(batched.dictionary_gram(on, cells, n), reference.dictionary_gram(cells, n), 1e-12)
-    for pair in permutations([n for n, skip in enumerate(cells.undecomposed) if not skip], 2):
-        close(batched.project_pair(on, cells, data, pair), reference.project_pair(cells, data, pair), 1e-4)
-    fits: list[tuple[Cells, reference.F32]] = []
-    for number in range(2):
-        fit, residual = copy_of(cells), data.copy()
-        if number:
-            reference.fit_cells(fit, residual, 2, 2)
-        else:
-            batched.fit_cells(on, fit, residual, 2, 2)
-        # Bases of equal singular values may turn; model and error may not.
-        close(residual + model_of(fit), data + model_of(cells), 1e-4)
-        fits.append((fit, residual))
-    for x, y in zip((*fits[0][0].bases, fits[0][0].cores), (*cells.bases, cells.cores), strict=True):
-        assert (x.shape, x.dtype) == (y.shape, np.float32)
-    whole = energy(data + model_of(cells)) + 1e-30
-    assert abs(energy(fits[0][1]) - energy(fits[1][1])) < 1e-3 * whole
+def kernels_of(on: Arrays) -> Kernels:
+    """The batched kernels as a backend."""
+    names = ("fit_cells", "accumulate", "project_cells", "project_pair", "dictionary_gram")
+    return cast("Kernels", SimpleNamespace(**{name: partial(getattr(batched, name), on) for name in names}))
 
 
 @LIBRARIES
 @settings(max_examples=100, deadline=None)
 @given(nodes(), st.sampled_from(BUDGETS))
 def test_batched_is_as_the_reference(library: Library, node: Node, budget: int) -> None:
-    check_same(library(budget), *node)
+    check_same(*node, kernels_of(library(budget)))
 
 
 @pytest.mark.parametrize(("sizes", "spec"), LARGE[2::3], ids=[str(sizes) for sizes, _ in LARGE[2::3]])
 def test_batched_is_as_the_reference_on_large_nodes(sizes: tuple[int, ...], spec: LevelSpec) -> None:
-    check_same(on_stand_in(1 << 16), random_cells(sizes, spec, 1), smooth_data(sizes, 2))
+    check_same(random_cells(sizes, spec, 1), smooth_data(sizes, 2), kernels_of(on_stand_in(1 << 16)))
 
 
 def test_places_may_need_many_digits(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -85,34 +77,18 @@ def test_places_may_need_many_digits(monkeypatch: pytest.MonkeyPatch) -> None:
     spec = LevelSpec((2, 3, 2), (3, 4, 2), (1, 2, 1))
     cells = random_cells((9, 14, 8), spec, 6)
     assert sweep_batches(cells, 4000)[0].rows[0].dtype == np.int64
-    check_same(on_stand_in(4000), cells, smooth_data((9, 14, 8), 6))
+    check_same(cells, smooth_data((9, 14, 8), 6), kernels_of(on_stand_in(4000)))
 
 
 @settings(max_examples=50, deadline=None)
 @given(nodes(), st.integers(1, 3))
 def test_no_sweep_raises_the_error(node: Node, iterations: int) -> None:
-    cells, residual = node
-    whole = energy(residual + model_of(cells))
-    before = energy(residual)
-    for _ in range(4):
-        batched.fit_cells(on_numpy(4000), cells, residual, 1, iterations)
-        after = energy(residual)
-        assert after <= before + 1e-6 * whole
-        before = after
-    assert all(np.isfinite(x).all() for x in (*cells.bases, cells.cores))
+    check_sweeps(kernels_of(on_numpy(4000)), node, iterations)
 
 
-@pytest.mark.parametrize("scale", [1e-18, 1.0, 1e15])
+@SCALES
 def test_scale_does_not_matter(scale: float) -> None:
-    spec = LevelSpec((2, 2, 3), (2, 2, 2), (2, 1, 2))
-    cells, data = random_cells((12, 10, 17), spec, 3), smooth_data((12, 10, 17), 3)
-    cells.cores[:] = 0
-    shares: list[float] = []
-    for factor in (1.0, scale):
-        residual = (data * factor).astype(np.float32)
-        batched.fit_cells(on_stand_in(4000), copy_of(cells), residual, 3, 2)
-        shares.append(energy((residual / np.float32(factor)).astype(np.float32)) / energy(data))
-    assert shares[1] == pytest.approx(shares[0], rel=1e-3)
+    check_scale(kernels_of(on_stand_in(4000)), scale)
 
 
 def test_columns_that_depend_on_others_become_zero() -> None:
@@ -126,16 +102,14 @@ def test_columns_that_depend_on_others_become_zero() -> None:
         np.testing.assert_allclose(lengths, [[1, 0, 0]] * 2, atol=1e-6)
 
 
-def test_results_do_not_depend_on_the_order_of_the_mode_that_is_not_projected() -> None:
-    """Cells that share a block are projected together: each gets its own numbers."""
+def test_cells_that_are_projected_together_get_their_own_numbers() -> None:
+    """As close to the reference as each cell's numbers are large."""
     spec = LevelSpec((2, 3, 2), (3, 4, 2), (1, 2, 1))
     cells, data = random_cells((9, 14, 8), spec, 6), smooth_data((9, 14, 8), 6)
     for n in range(3):
         y = batched.project_cells(on_stand_in(1 << 25), cells, data, n)
-        for c in range(spec.cells):
-            alone = replace(cells, cores=cells.cores)
-            expected = reference.project_cells(alone, data, n)[c]
-            close(y[c], expected, 1e-5)
+        for found, expected in zip(y, reference.project_cells(cells, data, n), strict=True):
+            close(found, expected, 1e-5)
 
 
 # Batches

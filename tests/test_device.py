@@ -27,8 +27,8 @@ from hmkcta.errors import HmkctaError
 from hmkcta.executors import Pool
 from hmkcta.plan import LevelSpec
 from resume_tools import DATA, LEVELS, MODES, After, Stop
-from test_batched import check_same
-from test_kernels import random_cells, smooth_data
+from test_batched import kernels_of
+from test_kernels import check_same, random_cells, smooth_data
 
 TWO_LEVELS = "R=3,2,3,3 / R=2,1,2,2 C=2,1,2,2 K=2,1,2,2"
 NAMES = ["light", "view", "y", "x", "rgb"]
@@ -383,7 +383,7 @@ def test_on_a_real_gpu(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
     on = Arrays(cupy, cupy.asnumpy, 1 << 16)  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
     for spec in (LevelSpec((3, 9, 4), (3, 2, 4), (2, 2, 2)), LevelSpec((3, None, 4), (3, 1, 4), (1, 1, 1))):
-        check_same(on, random_cells((70, 40, 90), spec, 1), smooth_data((70, 40, 90), 2))
+        check_same(random_cells((70, 40, 90), spec, 1), smooth_data((70, 40, 90), 2), kernels_of(on))
     monkeypatch.setattr(cuda, "LEAST", 0)
     found, again, expected = (fitted(TWO_LEVELS, where) for where in (device, device, "cpu"))
     assert abs(found.snr - expected.snr) < 0.02

@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hmkcta.backends import native, reference
+from hmkcta.backends import Kernels, native, reference
 from hmkcta.cells import Cells, dense_basis
 from hmkcta.errors import HmkctaError
 from hmkcta.plan import LevelSpec
@@ -106,32 +106,34 @@ def close(found: NDArray[np.floating], expected: NDArray[np.floating], tolerance
     np.testing.assert_allclose(found / scale, expected / scale, rtol=0, atol=tolerance)
 
 
-def check_same(cells: Cells, data: F32) -> None:
-    """All kernels of both backends on the same node."""
+def check_same(cells: Cells, data: F32, kernels: Kernels = native) -> None:
+    """All kernels of a backend and of the reference on the same node."""
     found, expected = data.copy(), data.copy()
-    native.accumulate(cells, found, -0.75)
+    kernels.accumulate(cells, found, -0.75)
     reference.accumulate(cells, expected, -0.75)
     close(found, expected, 1e-5)
     for n in range(cells.order):
-        close(native.project_cells(cells, data, n), reference.project_cells(cells, data, n), 1e-4)
-        close(native.dictionary_gram(cells, n), reference.dictionary_gram(cells, n), 1e-12)
-    check_pairs(cells, data)
-    fits: list[tuple[Cells, F32]] = []
-    for backend in (native, reference):
+        close(kernels.project_cells(cells, data, n), reference.project_cells(cells, data, n), 1e-4)
+        close(kernels.dictionary_gram(cells, n), reference.dictionary_gram(cells, n), 1e-12)
+    check_pairs(cells, data, kernels)
+    left: list[float] = []
+    for backend in (kernels, reference):
         fit, residual = copy_of(cells), data.copy()
         backend.fit_cells(fit, residual, 2, 2)
         # Bases of equal singular values may turn; model and error may not.
         close(residual + model_of(fit), data + model_of(cells), 1e-4)
-        fits.append((fit, residual))
+        for x, y in zip((*fit.bases, fit.cores), (*cells.bases, cells.cores), strict=True):
+            assert (x.shape, x.dtype) == (y.shape, np.float32)
+        left.append(energy(residual))
     whole = energy(data + model_of(cells)) + 1e-30
-    assert abs(energy(fits[0][1]) - energy(fits[1][1])) < 1e-3 * whole
+    assert abs(left[0] - left[1]) < 1e-3 * whole
 
 
-def check_pairs(cells: Cells, data: F32) -> None:
-    """Projection on every two decomposed modes, by both backends; and with a further pass what `project_cells` says."""
+def check_pairs(cells: Cells, data: F32, kernels: Kernels) -> None:
+    """Projection on every two decomposed modes, as by the reference; with a further pass what `project_cells` says."""
     decomposed = [n for n, skip in enumerate(cells.undecomposed) if not skip]
     for pair in permutations(decomposed, 2):
-        found = native.project_pair(cells, data, pair)
+        found = kernels.project_pair(cells, data, pair)
         close(found, reference.project_pair(cells, data, pair), 1e-4)
         for n in (n for n in decomposed if n not in pair):
             close(Projection(data, pair, found).onto(cells, n), reference.project_cells(cells, data, n), 1e-4)
@@ -158,31 +160,44 @@ def test_backends_agree_on_large_nodes(sizes: tuple[int, ...], spec: LevelSpec) 
     check_same(random_cells(sizes, spec, 1), smooth_data(sizes, 2))
 
 
-@settings(max_examples=100, deadline=None)
-@given(nodes(), st.integers(1, 3))
-def test_no_sweep_raises_the_error(node: Node, iterations: int) -> None:
+def check_sweeps(kernels: Kernels, node: Node, iterations: int) -> None:
+    """None raises the error."""
     cells, residual = node
     whole = energy(residual + model_of(cells))
     before = energy(residual)
     for _ in range(4):
-        native.fit_cells(cells, residual, 1, iterations)
+        kernels.fit_cells(cells, residual, 1, iterations)
         after = energy(residual)
         assert after <= before + 1e-6 * whole
         before = after
     assert all(np.isfinite(x).all() for x in (*cells.bases, cells.cores))
 
 
-@pytest.mark.parametrize("scale", [1e-18, 1.0, 1e15])
-def test_scale_does_not_matter(scale: float) -> None:
+@settings(max_examples=100, deadline=None)
+@given(nodes(), st.integers(1, 3))
+def test_no_sweep_raises_the_error(node: Node, iterations: int) -> None:
+    check_sweeps(native, node, iterations)
+
+
+SCALES = pytest.mark.parametrize("scale", [1e-18, 1.0, 1e15])
+
+
+def check_scale(kernels: Kernels, scale: float) -> None:
+    """Data times a number leave as large a share."""
     spec = LevelSpec((2, 2, 3), (2, 2, 2), (2, 1, 2))
     cells, data = random_cells((12, 10, 17), spec, 3), smooth_data((12, 10, 17), 3)
     cells.cores[:] = 0
     shares: list[float] = []
     for factor in (1.0, scale):
         residual = (data * factor).astype(np.float32)
-        native.fit_cells(copy_of(cells), residual, 3, 2)
+        kernels.fit_cells(copy_of(cells), residual, 3, 2)
         shares.append(energy((residual / np.float32(factor)).astype(np.float32)) / energy(data))
     assert shares[1] == pytest.approx(shares[0], rel=1e-3)
+
+
+@SCALES
+def test_scale_does_not_matter(scale: float) -> None:
+    check_scale(native, scale)
 
 
 def test_full_ranks_leave_nothing() -> None:
