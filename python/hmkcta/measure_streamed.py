@@ -63,14 +63,10 @@ class _Errors:
         assert node.cells is not None
         counts = node.cells.spec.clusters
         places = [places_of(part) for part in node.parts]
-        parts = split(left, rows, node.parts)
         # Without a value transform nobody looks at the values again.
-        kept = split(values, rows, node.parts) if self.transform.name != "identity" else parts
-        if kept is parts:
-            found = ((child, sub, sub, own) for child, sub, own in parts)
-        else:
-            found = ((child, sub, old, own) for (child, sub, own), (_, old, _) in zip(parts, kept, strict=True))
-        for child, sub, old, own in found:
+        kept = split(values, rows, node.parts) if self.transform.name != "identity" else None
+        for child, sub, own in split(left, rows, node.parts):
+            old = sub if kept is None else next(kept)[1]
             below = node.children[int(np.ravel_multi_index(child, counts))]
             sub = np.array(sub, order="C")
             self.below(below, depth + 1, tuple(p[r] for p, r in zip(places, own, strict=True)), old, sub)
