@@ -8,6 +8,18 @@ from math import prod
 import numpy as np
 
 
+def thinning(shape: Sequence[int], limit: int) -> list[int]:
+    """Steps along each axis that leave up to `limit` elements, the longest axes thinned first.
+
+    >>> thinning((100, 10), 300)
+    [4, 1]
+    """
+    steps = [1] * len(shape)
+    while prod(-(-size // step) for size, step in zip(shape, steps, strict=True)) > limit:
+        steps[max(range(len(shape)), key=lambda n: shape[n] / steps[n])] += 1
+    return steps
+
+
 def slabs(shape: Sequence[int], limit: int) -> Iterator[tuple[slice, ...]]:
     """Cut an array into slabs of up to `limit` elements along the first axis, along the next where one is too large.
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..memory import drop_pages
 from ..model import Model
+from ..slabs import thinning
 
 #: Elements that mean and deviation are told from.
 SAMPLE = 1 << 20
@@ -43,10 +44,7 @@ def notes(model: Model, array: NDArray[Any]) -> list[str]:
 
 def _moments(array: NDArray[Any]) -> tuple[float, float]:
     """Mean and standard deviation of the finite numbers of a sample."""
-    steps = [1] * array.ndim
-    while np.prod([-(-size // step) for size, step in zip(array.shape, steps, strict=True)], dtype=float) > SAMPLE:
-        longest = max(range(array.ndim), key=lambda n: array.shape[n] / steps[n])
-        steps[longest] += 1
+    steps = thinning(array.shape, SAMPLE)
     parts: list[NDArray[np.float64]] = []
     length = steps[0] * -(-array.shape[0] // (steps[0] * PARTS))
     for start in range(0, array.shape[0], length):
