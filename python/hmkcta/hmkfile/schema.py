@@ -117,20 +117,21 @@ def _check_info(name: str, found: ArrayInfo, dtypes: tuple[str, ...], shape: tup
 def arrays_of(levels: Sequence[PackedLevel], coords: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """Names and arrays in the order of the file: 8-byte, 4-byte and 2-byte tables, coordinates first, then F16 arrays.
 
-    Each kind goes level by level. Longer items first keeps every array aligned without padding.
+    Each kind goes level by level.
     """
-    tables = [(prefix(level) + name, array) for level, packed in enumerate(levels, 1)
-              for name, array in packed.tables()]
-    numbers = [(prefix(level) + name, array) for level, packed in enumerate(levels, 1)
-               for name, array in packed.coefficients()]
-    return dict(sorted([*coords.items(), *tables], key=lambda item: -item[1].dtype.itemsize) + numbers)
+    stored = [(prefix(level) + name, array) for level, packed in enumerate(levels, 1)
+              for name, array in (*packed.tables(), *packed.coefficients())]
+    return dict(sorted([*coords.items(), *stored], key=lambda item: _turn(item[1].dtype)))
 
 
 def in_file_order(arrays: Mapping[str, ArrayInfo]) -> dict[str, ArrayInfo]:
     """The order of `arrays_of`, for arrays of which only type and shape are known, level by level."""
-    sizes = {name: -1 if info.dtype == "F16" else np.dtype(NUMPY_TYPES[info.dtype]).itemsize
-             for name, info in arrays.items()}
-    return dict(sorted(arrays.items(), key=lambda item: -sizes[item[0]]))
+    return dict(sorted(arrays.items(), key=lambda item: _turn(np.dtype(NUMPY_TYPES[item[1].dtype]))))
+
+
+def _turn(dtype: np.dtype[Any]) -> int:
+    """Longer items first keeps every array aligned without padding; the numbers, F16, come last."""
+    return 0 if dtype.type is np.float16 else -dtype.itemsize
 
 
 def level_of(arrays: Mapping[str, NDArray[Any]], level: int, order: int) -> PackedLevel:
