@@ -11,6 +11,7 @@ import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+from benchmarks.machine import peak_memory
 from benchmarks.report import Row
 
 #: Axes and organisation of the paper's tensors.
@@ -73,17 +74,8 @@ def _fit(case: Case) -> dict[str, float | int | None]:
     sys.stderr.write(f"\n{case.name}: levels {[round(q.snr_db, 2) for q in model.quality]} dB\n")
     return {
         "seconds": seconds, "processor": used.ru_utime + used.ru_stime, "elements": model.size, "read": read,
-        "memory": _peak(used.ru_maxrss), "snr": model.snr, "size": model.nbytes,
+        "memory": peak_memory(), "snr": model.snr, "size": model.nbytes,
     }  # fmt: skip
-
-
-def _peak(counted: int) -> int:
-    """Most resident bytes of this program; what is counted of the process includes the one that started it."""
-    try:
-        lines = Path("/proc/self/status").read_text().splitlines()
-        return 1024 * int(next(line.split()[1] for line in lines if line.startswith("VmHWM")))
-    except (OSError, StopIteration):
-        return counted * (1 if sys.platform == "darwin" else 1024)
 
 
 def _progress(stage: str, fraction: float) -> None:

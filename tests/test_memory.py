@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -24,21 +25,23 @@ from hmkcta.source import Source, described, prepare
 SIDE = 72
 MODES = tuple((f"axis{n}",) for n in range(4))
 
-#: Fits a file in a process of its own, as peak memory never falls, and says what it took. Linux counts the peak of the
-#: process that started it into its `ru_maxrss`, but not into VmHWM.
+#: Fits a file and says what it took.
 PROGRAM = """
-import json, re, resource, sys
-from pathlib import Path
-from hmkcta import Axis, compress
+import json, sys
+from benchmarks.machine import peak_memory
+from hmkcta import compress
 from hmkcta.readers import open_array
 path, plan, memory = sys.argv[1:]
 model = compress(open_array(path), plan, quality="fast", scheme="most", threads=2, max_memory=int(memory) or None)
-if sys.platform == "linux":
-    peak = 1024 * int(re.search(r"VmHWM:\\s+([0-9]+) kB", Path("/proc/self/status").read_text())[1])
-else:
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-print(json.dumps({"peak": peak, "snr": model.snr}))
+print(json.dumps({"peak": peak_memory(), "snr": model.snr}))
 """
+
+
+def printed(program: str, *words: object) -> str:
+    """By a process of its own, as peak memory never falls."""
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, "-c", program, *map(str, words)]
+    return subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, env=environment).stdout
 
 
 @pytest.fixture(scope="module")
@@ -67,10 +70,7 @@ CASES = [
 @pytest.mark.parametrize(("plan", "memory"), CASES)
 def test_memory_is_what_was_said(waves: Path, plan: str, memory: int) -> None:
     said = forecast(parse_plan(plan, MODES), (SIDE,) * 4, EFFORTS["fast"], 2, memory or None)
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, str(waves), plan, str(memory)], capture_output=True, text=True, check=True
-    )
-    took = json.loads(done.stdout)
+    took = json.loads(printed(PROGRAM, waves, plan, memory))
     assert took["snr"] > 11  # the noise
     assert said.memory / 1.25 < took["peak"] < 1.25 * said.memory
     if memory:
@@ -152,18 +152,16 @@ def test_notes_on_a_mapped_file_keep_little_of_it(waves: Path) -> None:
     program = """
 import sys
 import numpy as np
-from pathlib import Path
+from benchmarks.machine import peak_memory
 from hmkcta import compress
 from hmkcta.cli.notes import notes
-peak = lambda: [int(line.split()[1]) for line in Path("/proc/self/status").read_text().splitlines() if "VmHWM" in line]
 array, model = np.load(sys.argv[1], mmap_mode="r"), compress(np.eye(40), "R=2")
 array[0, 0, 0, 0]
-before = peak()[0]
+before = peak_memory()
 notes(model, array)
-print(peak()[0] - before)
+print(peak_memory() - before)
 """
-    ran = subprocess.run([sys.executable, "-c", program, str(waves)], capture_output=True, text=True, check=True)
-    assert int(ran.stdout) * 1024 < waves.stat().st_size / 4
+    assert int(printed(program, waves)) < waves.stat().st_size / 4
 
 
 def test_pages_of_a_mapped_file_are_let_go_of(waves: Path) -> None:
