@@ -50,7 +50,8 @@ class Coding:
 
         >>> h, b = np.array([[4.0, 1.0], [1.0, 9.0]]), np.array([[8.0], [3.0]])
         >>> coding = Coding.of(h, b, 2)
-        >>> coding.solve((0,), np.array([0])).round(3).tolist(), coding.gain_of((0,)).round(3).tolist()
+        >>> row = np.array([0])
+        >>> coding.solve((0,), row).round(3).tolist(), coding.gain_of((0,), row).round(3).tolist()
         ([[2.0]], [16.0])
         """
         squared = np.einsum("ii->i", h)
@@ -83,9 +84,9 @@ class Coding:
             else:
                 self._descend(grown, [*y, last], grown_gain, more - 1)
 
-    def gain_of(self, subset: Subset, rows: Rows | None = None) -> F64:
-        """Gains of one subset for some rows, or all."""
-        rhs = self.b if rows is None else self.b[:, :, rows]
+    def gain_of(self, subset: Subset, rows: Rows) -> F64:
+        """Gains of one subset for some rows."""
+        rhs = self.b[:, :, rows]
         return sum((np.square(y).sum(axis=0) for y in self._forward(subset, rhs)), np.zeros(rhs.shape[2]))
 
     def offer(self, subset: Subset, rows: Rows, gain: F64) -> None:

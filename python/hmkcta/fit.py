@@ -107,14 +107,13 @@ def _sequential(
     return cells, residual
 
 
-def refit_level(cells: Cells, residual: F32, sweeps: int) -> None:
-    """Sweeps over fitted cells with the memberships they have; they and the residual they leave change in place."""
+def refit_level(cells: Cells, residual: F32) -> None:
+    """A sweep over fitted cells with the memberships they have; they and the residual they leave change in place."""
     if max(cells.spec.mixture) == 1 or cells.spec.search == "fast" or not _joint_pays(cells):
-        kernels.fit_cells(cells, residual, sweeps, WARM)
+        kernels.fit_cells(cells, residual, 1, WARM)
         return
     kernels.accumulate(cells, residual, 1.0)
-    for _ in range(sweeps):
-        sweep(cells, residual, cells.spec.mixture, "fixed")
+    sweep(cells, residual, cells.spec.mixture, "fixed")
     kernels.accumulate(cells, residual, -1.0)
 
 

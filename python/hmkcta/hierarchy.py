@@ -299,7 +299,7 @@ def _is_last(tree: Hierarchy, last: bool) -> None:
         tree.residual.lasting = not last
 
 
-def backfit(tree: Hierarchy, run: Run, sweeps: int = 1, *, last: bool = False) -> None:
+def backfit(tree: Hierarchy, run: Run, *, last: bool = False) -> None:
     """Refit every level in turn to what all the others leave; memberships stay. `last`: as of `fit_nodes`."""
     for number, nodes in enumerate(tree.levels, start=1):
         _is_last(tree, last and number == len(tree.levels))
@@ -319,7 +319,7 @@ def backfit(tree: Hierarchy, run: Run, sweeps: int = 1, *, last: bool = False) -
             elif outside is not None:
                 cells = refit_streamed(outside, level, _copied(old)).rounded()
             else:
-                cells = _refitted(old, gather(tree.residual, node), sweeps)
+                cells = _refitted(old, gather(tree.residual, node))
             if finished is None:
                 run.journal.keep(step, s, cells)
             if cells is None:
@@ -338,11 +338,11 @@ def _copied(cells: Cells) -> Cells:
     return replace(cells, members=list(cells.members), bases=[b.copy() for b in cells.bases], cores=cells.cores.copy())
 
 
-def _refitted(old: Cells, residual: F32, sweeps: int) -> Cells | None:
+def _refitted(old: Cells, residual: F32) -> Cells | None:
     """Rounded cells that leave less than the old ones, which leave `residual` (used up); None: there are none."""
     before = squared_norm(residual)
     cells = _copied(old)
-    refit_level(cells, residual, sweeps)
+    refit_level(cells, residual)
     rounded = cells.rounded()
     # So close to the optimum that rounding outweighs the gain?
     return rounded if squared_norm(_exchanged(residual, cells, rounded)) <= before else None

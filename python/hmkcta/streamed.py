@@ -172,7 +172,7 @@ class Streamed:
             return sum(piece.energy for piece in self.pieces)
         return sum(self.each(lambda block: squared_norm(self.settled(block)), self.blocks()))
 
-    def cut(self, parts: Sequence[NDArray[np.intp]], counts: Sequence[int], folder: str | None = None) -> list[Piece]:
+    def cut(self, parts: Sequence[NDArray[np.intp]], counts: Sequence[int]) -> list[Piece]:
         """Write what `wholes` leave to a scratch file: a piece for each combination of parts of rows, in C order."""
         lists = [[np.flatnonzero(part == c) for c in range(count)] for part, count in zip(parts, counts, strict=True)]
         places = [places_of(part) for part in parts]
@@ -180,7 +180,7 @@ class Streamed:
         for rows in product(*lists):
             pieces.append(Piece(rows, start))
             start += pieces[-1].elements
-        scratch = Scratch(start, folder)
+        scratch = Scratch(start)
 
         def write(block: Block) -> list[tuple[int, float]]:
             tensor, found = self.settled(block), list[tuple[int, float]]()
