@@ -45,8 +45,8 @@ MOST_LINES, MOST_IN_FUNCTION = 400, 40
 #: The peers are one program, to be read as a whole.
 LONG_FILES = {"tests/baselines.py"}
 LONG_FUNCTIONS: set[str] = set()
-#: What `import hmkcta` must not load: the command line and the pictures do, when they are used.
-LATE = ("click", "rich", "PIL", "scipy", "wgpu")
+#: What `import hmkcta` must not load: the command line, pictures and fitting do, when they are used.
+LATE = ("click", "rich", "PIL", "scipy", "wgpu", "hmkcta.fit")
 
 LOCK_FILES = (
     "Cargo.lock",
@@ -173,7 +173,7 @@ def test_no_bare_except() -> None:
     assert not bare
 
 
-def test_importing_loads_neither_the_command_line_nor_pictures() -> None:
+def test_importing_loads_neither_the_command_line_nor_pictures_nor_fitting() -> None:
     program = (
         f"import sys, json; sys.path.insert(0, {str(PACKAGE.parent)!r}); import hmkcta; "
         f"sys.stdout.write(json.dumps([name for name in {LATE!r} if name in sys.modules]))"
