@@ -11,8 +11,7 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache
-from types import ModuleType
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 from warnings import warn
 
 from ..cells import F32, Cells
@@ -50,7 +49,7 @@ def on_cpu() -> Kernels:
     if wanted not in ("", "native", "reference"):
         raise invalid("unknown-backend", "HMKCTA_BACKEND", repr(wanted), "native or reference", "correct or unset it")
     if wanted == "reference":
-        return _checked(reference)
+        return reference
     try:
         from . import native
     except ImportError as error:
@@ -63,12 +62,8 @@ def on_cpu() -> Kernels:
             "Install hmkcta from a wheel or with a Rust compiler, or set HMKCTA_BACKEND=reference if this is meant.",
             stacklevel=2,
         )
-        return _checked(reference)
-    return _checked(native)
-
-
-def _checked(module: ModuleType) -> Kernels:
-    return cast("Kernels", module)
+        return reference
+    return native
 
 
 def find_device(wanted: str) -> Device:
