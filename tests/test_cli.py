@@ -139,8 +139,9 @@ def test_what_a_file_says_of_its_source_may_be_anything(told: object, shown: str
     (np.sin(np.arange(2000) / 9), "make windows of a signal"),
     (1e6 + smooth(12, 14, 16), "subtract the mean first"),
     (smooth(3, 4, 5), "no smaller than its source of 240 bytes"),
+    (np.ones((1, 1)), "no smaller than its source of 8 bytes"),
     (smooth(16, 20, 24), None),
-], ids=["vector", "offset", "tiny", "none"])
+], ids=["vector", "offset", "tiny", "one number", "none"])
 def test_what_figures_do_not_tell_is_said(array: NDArray[Any], sentence: str | None, tmp_path: Path) -> None:
     path, words = saved(tmp_path / "a.npy", array), ("--quality", "fast", "--overwrite")
     result = run("compress", path, "-o", tmp_path / "a.hmk", *words)
@@ -155,6 +156,8 @@ def test_advice_fits_what_was_asked(source: Path, tmp_path: Path) -> None:
     assert "add ranks or a level" in text
     text = run("compress", source, "-o", tmp_path / "b.hmk", "--decode-cost", 1, "--snr", 60, code=7).stderr
     assert "--decode-cost" in text
+    text = run("compress", source, "-o", tmp_path / "c.hmk", "--snr", 200, code=7).stderr
+    assert "a second level" in text
 
 
 def test_one_multiply_add_is_one(tmp_path: Path) -> None:

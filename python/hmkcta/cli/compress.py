@@ -37,6 +37,8 @@ EXAMPLES = (
     'hmkcta compress wood.npy -o wood.hmk --plan "R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2"',
 )
 
+#: From about so many dB on it is float16 that ends what one level reaches, not its ranks.
+FLOAT16_SNR = 60.0
 #: How far below --snr a result may be and still be what was asked for: what is printed is rounded more.
 SNR_SLACK = 0.005
 
@@ -81,7 +83,7 @@ def compress_command(source: str, output: str, plan: str | None, kind: str | Non
     for sentence in [] if quiet else said:
         click.echo(f"hmkcta: {sentence}.", err=True)
     if missed is not None:
-        better = "allow a higher --decode-cost, or try --quality thorough" if plan is None else "add ranks or a level"
+        better = advice(model, plan)
         click.echo(f"hmkcta: {missed} {output} is written, and is the best found. Next: {better}.", err=True)
         click.get_current_context().exit(Exit.TARGET_MISSED)
 
@@ -123,3 +125,10 @@ def missed_goal(model: Model, goal: Goal) -> str | None:
     if goal.size is not None and model.nbytes > goal.size:
         return f"the file has {model.nbytes} bytes, more than --size {goal.size}."
     return None
+
+
+def advice(model: Model, plan: str | None) -> str:
+    """What may reach the goal that was missed."""
+    if model.snr > FLOAT16_SNR and len(model.levels) == 1:
+        return 'write a second level, for what the first one\'s float16 numbers leave: --plan "R=.. / R=.."'
+    return "allow a higher --decode-cost, or try --quality thorough" if plan is None else "add ranks or a level"

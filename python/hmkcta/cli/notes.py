@@ -28,7 +28,7 @@ def notes(model: Model, array: NDArray[Any]) -> list[str]:
     'one axis has nothing to share: every number takes two bytes.'
     """
     found: list[str] = []
-    if sum(size > 1 for size in array.shape) < 2:
+    if sum(size > 1 for size in array.shape) == 1:
         found.append("one axis has nothing to share: every number takes two bytes. "
                      "Next: make windows of a signal, array.reshape(-1, 256)")
     elif model.nbytes >= array.nbytes:

@@ -16,6 +16,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import HmkctaError
 from ..packed import Metadata, PackedLevel
 from .check import check_coords, check_levels
 from .fields import parse_json
@@ -50,7 +51,11 @@ def load(path: str | os.PathLike[str], *, verify: bool = True, limits: Limits = 
             data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) if size else b""
     except (OSError, ValueError) as error:
         raise fault("unreadable", str(path), getattr(error, "strerror", None) or error, "a readable file") from error
-    return loads(data, verify=verify, limits=limits)
+    try:
+        return loads(data, verify=verify, limits=limits)
+    except HmkctaError as error:
+        error.args = (f"{path}: {error}",)  # `where` is a place in the file; people have several files
+        raise
 
 
 def loads(data: bytes | bytearray | mmap.mmap, *, verify: bool = True, limits: Limits = DEFAULT_LIMITS) -> Loaded:
