@@ -6,7 +6,7 @@
 //! are in registers they are added up along mode a.
 
 use crate::cells::Node;
-use crate::machine::dispatch;
+use crate::machine::{dispatch, prefetch};
 use crate::threads::{PARALLEL, Scratch, for_each, room, with_scratch};
 use pulp::{Simd, WithSimd};
 use std::ops::Range;
@@ -17,6 +17,8 @@ const PAD: usize = 16;
 const TUPLES: usize = 16;
 /// Numbers gathered at a time, some rows of mode a of all these tuples: the level 2 cache holds them.
 const GATHERED: usize = 64 * 1024;
+/// How many cache lines ahead of those being gathered are asked for: each lies on a page of its own.
+const AHEAD: usize = 12;
 /// Tuples worked on at a time where their numbers can be read from the tensor.
 const IN_PLACE: usize = 4;
 
@@ -59,6 +61,8 @@ struct Pair<'a> {
     rows: usize,
     /// Neighbours in a row of modes a and b: the numbers below both.
     inner: usize,
+    /// Where the elements of modes a and b lie from a tuple's first, `[I_a, I_b]`, if there are neighbours to gather.
+    lines: Vec<usize>,
 }
 
 impl<'a> Pair<'a> {
@@ -76,7 +80,10 @@ impl<'a> Pair<'a> {
         let rows =
             if inner > 1 { (GATHERED / (TUPLES * node.sizes[b])).clamp(1, node.sizes[a]) } else { node.sizes[a] };
         let panels = numbers.map(empty).collect();
-        let mut pair = Pair { node, a, b, panels, lanes, padded, group, rows, inner };
+        let stride = |n: usize| node.sizes[n + 1..].iter().product::<usize>();
+        let line = |i: usize| (0..node.sizes[b]).map(move |j| i * stride(a) + j * stride(b));
+        let lines = if inner > 1 { (0..node.sizes[a]).flat_map(line).collect() } else { vec![] };
+        let mut pair = Pair { node, a, b, panels, lanes, padded, group, rows, inner, lines };
         (0..node.cells()).for_each(|number| pair.load(number, bases));
         pair
     }
@@ -118,24 +125,32 @@ impl<'a> Pair<'a> {
 
     /// All tuples of `out`, from `first` on.
     fn tuples(&self, tensor: &[f32], first: usize, block: &mut Vec<f32>, sums: &mut Vec<f32>, out: &mut [f32]) {
-        let Pair { node, a, b, lanes, padded, inner, .. } = *self;
-        let count = out.len() / (self.panels.len() * node.ranks[a] * lanes);
+        let Pair { lanes, padded, .. } = *self;
+        if lanes == padded {
+            return self.add_up(tensor, first, block, out);
+        }
         let sums = room(sums, out.len() / lanes * padded);
         sums.fill(0.0);
-        if inner == 1 {
-            let blocks = (0..count).map(|t| &tensor[self.offset(first + t)..]).collect::<Vec<_>>();
-            self.contract(&blocks, (self.stride(a), self.stride(b)), 0..node.sizes[a], sums);
-        } else {
-            for from in (0..node.sizes[a]).step_by(self.rows) {
-                let rows = from..node.sizes[a].min(from + self.rows);
-                let size = rows.len() * node.sizes[b];
-                let block = room(block, count * size);
-                self.gather(tensor, first, &rows, block);
-                self.contract(&block.chunks_exact(size).collect::<Vec<_>>(), (node.sizes[b], 1), rows, sums);
-            }
-        }
+        self.add_up(tensor, first, block, sums);
         for (out, sums) in out.chunks_exact_mut(lanes).zip(sums.chunks_exact(padded)) {
             out.copy_from_slice(&sums[..lanes]);
+        }
+    }
+
+    /// All tuples of `sums` `[tuples, C_a, C_b, R_a, padded lanes]`, which is zero, from `first` on.
+    fn add_up(&self, tensor: &[f32], first: usize, block: &mut Vec<f32>, sums: &mut [f32]) {
+        let Pair { node, a, b, padded, inner, .. } = *self;
+        let count = sums.len() / (self.panels.len() * node.ranks[a] * padded);
+        if inner == 1 {
+            let starts = (0..count).map(|t| self.offset(first + t)).collect::<Vec<_>>();
+            return self.contract(tensor, &starts, (self.stride(a), self.stride(b)), 0..node.sizes[a], sums);
+        }
+        let starts = (0..count).collect::<Vec<_>>();
+        for from in (0..node.sizes[a]).step_by(self.rows) {
+            let rows = from..node.sizes[a].min(from + self.rows);
+            let block = room(block, rows.len() * node.sizes[b] * TUPLES);
+            self.gather(tensor, first, count, &rows, block);
+            self.contract(block, &starts, (node.sizes[b] * TUPLES, TUPLES), rows, sums);
         }
     }
 
@@ -143,29 +158,29 @@ impl<'a> Pair<'a> {
         self.node.sizes[n + 1..].iter().product()
     }
 
-    /// Some rows of mode a of the tuples from `first` on: `[tuples, rows, I_b]`.
-    fn gather(&self, tensor: &[f32], first: usize, rows: &Range<usize>, block: &mut [f32]) {
-        let Pair { node, a, b, inner, .. } = *self;
-        let (columns, size) = (node.sizes[b], rows.len() * node.sizes[b]);
-        let (mut tuple, mut block) = (first, block);
-        while !block.is_empty() {
-            let run = (inner - tuple % inner).min(block.len() / size);
-            let (here, rest) = block.split_at_mut(run * size);
-            let from = &tensor[self.offset(tuple)..];
-            for (i, row) in rows.clone().enumerate() {
-                let from = &from[row * self.stride(a)..];
-                for j in 0..columns {
-                    deal(&from[j * self.stride(b)..][..run], &mut here[i * columns + j..], size);
+    /// Some rows of mode a of `count` tuples from `first` on: `[rows, I_b, TUPLES]`.
+    fn gather(&self, tensor: &[f32], first: usize, count: usize, rows: &Range<usize>, block: &mut [f32]) {
+        let columns = self.node.sizes[self.b];
+        let lines = &self.lines[rows.start * columns..rows.end * columns];
+        let mut done = 0;
+        while done < count {
+            let run = (self.inner - (first + done) % self.inner).min(count - done);
+            let from = &tensor[self.offset(first + done)..];
+            for (number, to) in block.chunks_exact_mut(TUPLES).enumerate() {
+                if let Some(&line) = lines.get(number + AHEAD) {
+                    // The numbers before the last came with the tuples before these.
+                    prefetch(&from[line + run - 1..][..1]);
                 }
+                copy(&from[lines[number]..][..run], &mut to[done..]);
             }
-            (tuple, block) = (tuple + run, rest);
+            done += run;
         }
     }
 
-    /// Add what some rows of some tuples are worth to `sums` `[tuples, C_a, C_b, R_a, lanes]`.
+    /// Add what some rows of some tuples are worth to `sums` `[tuples, C_a, C_b, R_a, padded lanes]`.
     ///
-    /// `blocks` are the tuples, each with these rows, in which modes a and b have the given strides.
-    fn contract(&self, blocks: &[&[f32]], strides: (usize, usize), rows: Range<usize>, sums: &mut [f32]) {
+    /// In `x` tuples start at `starts`, each with these rows, and modes a and b have the given strides.
+    fn contract(&self, x: &[f32], starts: &[usize], strides: (usize, usize), rows: Range<usize>, sums: &mut [f32]) {
         let Pair { node, a, b, padded, .. } = *self;
         let (rank, size) = (node.ranks[a], node.ranks[a] * padded);
         for kb in 0..node.clusters[b] {
@@ -179,29 +194,27 @@ impl<'a> Pair<'a> {
                 let number = ka * node.clusters[b] + kb;
                 let Panel { columns: panel, weights } = &self.panels[number];
                 let weights = &weights[inside.start * size..inside.end * size];
-                for (x, sums) in blocks.iter().zip(sums.chunks_exact_mut(self.panels.len() * size)) {
-                    let sums = &mut sums[number * size..(number + 1) * size];
-                    dispatch(Product { x, rows: &places, columns: &columns, panel, weights, rank, padded, sums });
-                }
+                let (rows, columns, sums) = (&places[..], &columns[..], &mut sums[number * size..]);
+                let step = self.panels.len() * size;
+                dispatch(Product { x, starts, rows, columns, panel, weights, rank, padded, sums, step });
             }
         }
     }
 }
 
-/// Give each of several tuples its number.
-fn deal(numbers: &[f32], to: &mut [f32], step: usize) {
-    if let Ok(line) = <&[f32; TUPLES]>::try_from(numbers) {
-        let last = &mut to[..(TUPLES - 1) * step + 1];
-        (0..TUPLES).for_each(|t| last[t * step] = line[t]);
-    } else {
-        to.iter_mut().step_by(step).zip(numbers).for_each(|(to, &value)| *to = value);
+/// A line of numbers, mostly a whole one.
+fn copy(from: &[f32], to: &mut [f32]) {
+    match <&[f32; TUPLES]>::try_from(from) {
+        Ok(whole) => to.copy_from_slice(whole),
+        Err(_) => to[..from.len()].copy_from_slice(from),
     }
 }
 
-/// `sums[r, l] += sum over rows i of weights[i, r, l] sum over columns j of x[i, j] panel[j, l]`; rows and columns are
-/// where they start in `x`.
+/// `sums[t, r, l] += sum over rows i of weights[i, r, l] sum over columns j of x[t, i, j] panel[j, l]`; a number of `x` is
+/// where its tuple starts, its row and its column.
 struct Product<'a> {
     x: &'a [f32],
+    starts: &'a [usize],
     rows: &'a [usize],
     columns: &'a [usize],
     panel: &'a [f32],
@@ -209,6 +222,8 @@ struct Product<'a> {
     rank: usize,
     padded: usize,
     sums: &'a mut [f32],
+    /// From the sums of one tuple to those of the next.
+    step: usize,
 }
 
 impl WithSimd for Product<'_> {
@@ -216,22 +231,25 @@ impl WithSimd for Product<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(mut self, simd: S) {
-        let Product { rows, columns, rank, padded, .. } = self;
-        let last = rows.iter().max().zip(columns.iter().max());
-        assert!(last.is_none_or(|(row, column)| row + column < self.x.len()) && padded.is_multiple_of(PAD));
-        assert!(self.panel.len() >= columns.len() * padded && self.sums.len() >= rank * padded);
+        let Product { starts, rows, columns, rank, padded, step, .. } = self;
+        let last = starts.iter().max().zip(rows.iter().max().zip(columns.iter().max()));
+        assert!(last.is_none_or(|(start, (row, column))| start + row + column < self.x.len()));
+        assert!(padded.is_multiple_of(PAD) && self.panel.len() >= columns.len() * padded);
+        assert!(self.sums.len() >= starts.len().saturating_sub(1) * step + rank * padded);
         assert!(self.weights.len() >= rows.len() * rank * padded);
         let lanes = S::F32_LANES;
         let wide = if S::REGISTER_COUNT >= 32 { 4 } else { 2 };
-        for lane in (0..self.padded).step_by(wide * lanes) {
-            // SAFETY: all rows, columns and lanes lie within the slices.
-            unsafe {
-                match (wide, (self.padded - lane) / lanes) {
-                    (_, 1) => self.rows::<S, 8, 1>(simd, lane),
-                    (2, _) => self.rows::<S, 4, 2>(simd, lane),
-                    (_, 2) => self.rows::<S, 8, 2>(simd, lane),
-                    (_, 3) => self.rows::<S, 8, 3>(simd, lane),
-                    _ => self.rows::<S, 6, 4>(simd, lane),
+        for t in 0..starts.len() {
+            for lane in (0..padded).step_by(wide * lanes) {
+                // SAFETY: all tuples, rows, columns and lanes lie within the slices.
+                unsafe {
+                    match (wide, (padded - lane) / lanes) {
+                        (_, 1) => self.rows::<S, 8, 1>(simd, t, lane),
+                        (2, _) => self.rows::<S, 4, 2>(simd, t, lane),
+                        (_, 2) => self.rows::<S, 8, 2>(simd, t, lane),
+                        (_, 3) => self.rows::<S, 8, 3>(simd, t, lane),
+                        _ => self.rows::<S, 6, 4>(simd, t, lane),
+                    }
                 }
             }
         }
@@ -239,38 +257,38 @@ impl WithSimd for Product<'_> {
 }
 
 impl Product<'_> {
-    /// All rows of `V` vectors of lanes, `M` at a time.
+    /// All rows of a tuple and of `V` vectors of lanes, `M` at a time.
     #[inline(always)]
-    unsafe fn rows<S: Simd, const M: usize, const V: usize>(&mut self, simd: S, lane: usize) {
+    unsafe fn rows<S: Simd, const M: usize, const V: usize>(&mut self, simd: S, t: usize, lane: usize) {
         let (mut row, count) = (0, self.rows.len());
         unsafe {
             while row + M <= count {
-                self.tile::<S, M, V>(simd, row, lane);
+                self.tile::<S, M, V>(simd, t, row, lane);
                 row += M;
             }
             if M > 4 && row + 4 <= count {
-                self.tile::<S, 4, V>(simd, row, lane);
+                self.tile::<S, 4, V>(simd, t, row, lane);
                 row += 4;
             }
             while row + 2 <= count {
-                self.tile::<S, 2, V>(simd, row, lane);
+                self.tile::<S, 2, V>(simd, t, row, lane);
                 row += 2;
             }
             if row < count {
-                self.tile::<S, 1, V>(simd, row, lane);
+                self.tile::<S, 1, V>(simd, t, row, lane);
             }
         }
     }
 
     #[inline(always)]
-    unsafe fn tile<S: Simd, const M: usize, const V: usize>(&mut self, simd: S, row: usize, lane: usize) {
+    unsafe fn tile<S: Simd, const M: usize, const V: usize>(&mut self, simd: S, t: usize, row: usize, lane: usize) {
         let read =
             |from: *const f32, v: usize| unsafe { from.add(v * S::F32_LANES).cast::<S::f32s>().read_unaligned() };
         let mut products = [[simd.splat_f32s(0.0); V]; M];
         unsafe {
             let mut x = [self.x.as_ptr(); M];
             for (i, x) in x.iter_mut().enumerate() {
-                *x = x.add(self.rows[row + i]);
+                *x = x.add(self.starts[t] + self.rows[row + i]);
             }
             for (j, &column) in self.columns.iter().enumerate() {
                 let panel = self.panel.as_ptr().add(j * self.padded + lane);
@@ -283,7 +301,7 @@ impl Product<'_> {
                 }
             }
             for r in 0..self.rank {
-                let sums = self.sums.as_mut_ptr().add(r * self.padded + lane);
+                let sums = self.sums.as_mut_ptr().add(t * self.step + r * self.padded + lane);
                 let mut total: [S::f32s; V] = std::array::from_fn(|v| read(sums, v));
                 for (i, products) in products.iter().enumerate() {
                     let weights = self.weights.as_ptr().add(((row + i) * self.rank + r) * self.padded + lane);

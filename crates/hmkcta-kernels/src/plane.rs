@@ -1,5 +1,6 @@
 //! What all cells that meet at some leading indices add to one plane, tile by tile.
 
+use crate::machine::prefetch;
 use crate::planes::{Buffers, COLUMNS, Partial, Planes, ROWS};
 use pulp::{Simd, WithSimd};
 
@@ -143,19 +144,6 @@ impl Plane<'_> {
             }
         }
     }
-}
-
-/// Have the numbers fetched into the cache.
-#[inline(always)]
-fn prefetch(numbers: &[f32]) {
-    #[cfg(target_arch = "x86_64")]
-    for line in numbers.chunks(16) {
-        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
-        // SAFETY: a prefetch changes nothing, and every x86-64 has it.
-        unsafe { _mm_prefetch::<_MM_HINT_T0>(line.as_ptr().cast()) };
-    }
-    #[cfg(not(target_arch = "x86_64"))]
-    let _ = numbers;
 }
 
 /// `x[i] += line[places[i]]`
