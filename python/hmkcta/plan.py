@@ -14,7 +14,6 @@ from .axes import Organisation
 from .errors import invalid
 
 SCHEMES = ("most", "least", "uniform")
-UNDECOMPOSED = None  # a rank of None: the mode keeps its identity basis
 
 #: Beyond this many cluster subsets in a mode the optimal search gives way to the greedy one (docs/design-notes.md).
 OPTIMAL_SUBSETS = 64
@@ -100,16 +99,6 @@ class LevelSpec:
             self.grid,
             self.own,
         )
-
-    def numbers(self, sizes: Sequence[int]) -> int:
-        """Core and basis numbers of one node of the given mode sizes (`docs/format.md`, section 4)."""
-        ranks = [i if r is None else r for r, i in zip(self.ranks, sizes, strict=True)]
-        basis = sum(
-            i * k * self.cells // c * r
-            for i, k, c, r, spec in zip(sizes, self.mixture, self.clusters, ranks, self.ranks, strict=True)
-            if spec is not None
-        )
-        return self.cells * prod(ranks) + basis
 
     def __str__(self) -> str:
         def joined(values: Iterable[int | None]) -> str:
