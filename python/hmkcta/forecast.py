@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from math import prod
 
 from .fit import Effort
+from .measure import SLAB as MEASURED
 from .plan import LevelSpec, Plan
 from .predict import FLAT, WORKING, is_streamed, memory_limit
 from .streamed import SLAB
@@ -14,8 +15,8 @@ from .workset import thinning
 
 #: Bytes for each element of a tensor in memory: its residual lasts, the rest is `WORKING`; a saved residual for goals.
 _RESIDUAL, _SAVED = 4, 4
-#: Bytes for each element of a slab that quality is measured on, and the elements of such a slab.
-_MEASURING, _MEASURED = 36, 1 << 22
+#: Bytes for each element of a slab that quality is measured on.
+_MEASURING = 36
 #: Bytes of the interpreter with everything loaded.
 _BASE = 90 * 2**20
 #: Copies of a slab that are made while it is read and worked on.
@@ -53,7 +54,7 @@ def forecast(plan: Plan, sizes: Sequence[int], effort: Effort, threads: int, mem
     own = plan.levels[-1].own
     if not is_streamed(elements, limit):
         working = WORKING + (_SAVED if own else 0)
-        measuring = _RESIDUAL * elements + _MEASURING * min(elements, _MEASURED)
+        measuring = _RESIDUAL * elements + _MEASURING * min(elements, MEASURED)
         return Forecast(_BASE + max(working * elements, measuring), 0, _seconds(plan, sizes, effort, threads))
     cut = next((n for n, level in enumerate(plan.levels[:-1]) if level.cells > 1), None)
     wholes = plan.levels if cut is None else plan.levels[: cut + 1]

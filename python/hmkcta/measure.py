@@ -22,7 +22,7 @@ F64 = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 #: Elements measured at once: some 40 bytes each.
-_SLAB = 1 << 22
+SLAB = 1 << 22
 
 
 @dataclass(eq=False)
@@ -67,7 +67,7 @@ class Sums:
 
 
 def measure(model: Model, source: Any, *, nan: float | None = None, progress: Progress | None = None,
-            slab: int = _SLAB) -> tuple[LevelQuality, ...]:
+            slab: int = SLAB) -> tuple[LevelQuality, ...]:
     """Quality up to each level, as the file states it: on the stored numbers, against the source's values.
 
     Args:
@@ -90,7 +90,7 @@ def measure(model: Model, source: Any, *, nan: float | None = None, progress: Pr
 
 
 def measure_both(model: Model, source: Any, *, nan: float | None = None, progress: Progress | None = None,
-                 slab: int = _SLAB) -> tuple[tuple[LevelQuality, ...], tuple[LevelQuality, ...]]:
+                 slab: int = SLAB) -> tuple[tuple[LevelQuality, ...], tuple[LevelQuality, ...]]:
     """As `measure`: quality in the domain of the source values, and in that of the value transform."""
     if tuple(source.shape) != model.shape:
         raise invalid("source-shape", "shape of the source", tuple(source.shape), f"{model.shape}, that of the file")
