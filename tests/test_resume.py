@@ -215,7 +215,7 @@ def test_files_of_others_stay(tmp_path: Path) -> None:
 def test_one_process_at_a_time(tmp_path: Path) -> None:
     interrupted(tmp_path, 30, **CASES["levels"])
     log = RecordLog(tmp_path / "partial" / NODES)
-    for options in ({"resume": True}, {"overwrite": True}):
+    for options in ({}, {"resume": True}, {"overwrite": True}):
         with pytest.raises(HmkctaError) as caught, Journal(tmp_path / "partial", **options) as journal:
             fitted(journal=journal, **CASES["levels"])
         assert caught.value.reason == "partial-busy"

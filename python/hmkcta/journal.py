@@ -31,7 +31,7 @@ from .errors import HmkctaError, Kind
 from .hmkfile import published
 from .hmkfile.reasons import fault
 from .plan import LevelSpec, Plan
-from .recordlog import Busy, RecordLog
+from .recordlog import Busy, RecordLog, in_use
 from .source import Source
 
 RUN, PLAN, NODES = "run.json", "plan.json", "nodes.log"
@@ -211,14 +211,18 @@ class Journal(NoJournal):
         try:
             return RecordLog(self.folder / NODES)
         except Busy:
-            found, allowed = "another process at work on it", "one at a time"
-            raise HmkctaError(Kind.IO, "partial-busy", str(self.folder), found=found, allowed=allowed,
-                              hint="wait until it has ended") from None
+            raise self._busy() from None
+
+    def _busy(self) -> HmkctaError:
+        return HmkctaError(Kind.IO, "partial-busy", str(self.folder), found="another process at work on it",
+                           allowed="one at a time", hint="wait until it has ended")
 
     def _refuse_others(self) -> None:
         if self.folder.exists() and not self.folder.is_dir():
             raise fault("unwritable", str(self.folder), "a file", "a folder, or nothing", "move it away")
         if not (self._resume or self._overwrite) and self.holds_work:
+            if in_use(self.folder / NODES):
+                raise self._busy()
             raise HmkctaError(Kind.IO, "partial-exists", str(self.folder), found="the work of an interrupted run",
                               hint="go on with it by --resume, or begin again with --overwrite")
 

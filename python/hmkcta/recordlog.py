@@ -146,6 +146,21 @@ def _checksum(key: Key, content: bytes) -> int:
     return zlib.crc32(content, zlib.crc32(_KEY.pack(*key)))
 
 
+def in_use(path: Path) -> bool:
+    """Whether another process works on the file, which is only looked at."""
+    try:
+        descriptor = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
+    except OSError:
+        return False
+    try:
+        _claim(descriptor)
+    except Busy:
+        return True
+    finally:
+        os.close(descriptor)
+    return False
+
+
 def _claim(descriptor: int) -> None:
     """Lock the file for as long as this process has it open."""
     try:

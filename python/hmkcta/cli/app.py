@@ -47,7 +47,8 @@ class Hmkcta(click.Group):
         except (click.ClickException, click.exceptions.Exit, click.Abort):
             raise
         except HmkctaError as error:
-            kept = going_on(ctx) if error.kind in (Kind.IO, Kind.RESOURCE_LIMIT) else ""
+            ended = error.kind in (Kind.IO, Kind.RESOURCE_LIMIT) and error.reason != "partial-busy"
+            kept = going_on(ctx) if ended else ""
             raise Failure(f"{error} {kept}".rstrip(), error.kind.exit_code, error) from error
         except KeyboardInterrupt as error:
             raise _interruption(ctx, error.number if isinstance(error, Interrupted) else signal.SIGINT) from None
