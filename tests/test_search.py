@@ -168,7 +168,10 @@ def test_greedy_and_fast_searches_are_reached() -> None:
     assert LevelSpec((1, 1), (4, 1), (2, 1)).search == "optimal"
     assert LevelSpec((1, 1), (12, 1), (3, 1)).search == "greedy"  # 220 subsets
     assert LevelSpec((1, 1), (40, 40), (2, 1)).search == "fast"
-    assert LevelSpec((1, 1), (40, 40), (1, 1)).search == "optimal"  # nothing to search
+    assert LevelSpec((8, 8), (16, 16), (2, 2)).search == "greedy"
+    assert LevelSpec((9, 8), (16, 16), (2, 2)).search == "fast"  # H would have 2304^2 numbers
+    assert LevelSpec((9, 8), (16, 16), (1, 1)).search == "optimal"  # nothing to search
+    assert LevelSpec((1, 1), (40, 40), (1, 1)).search == "optimal"
     assert OPTIMAL_SUBSETS < 220
     assert GRAM_CELLS < 1600
 

@@ -18,8 +18,9 @@ SCHEMES = ("most", "least", "uniform")
 #: Beyond this many cluster subsets in a mode the optimal search gives way to the greedy one (docs/design-notes.md).
 OPTIMAL_SUBSETS = 64
 
-#: Beyond this many cells joint least squares give way to Gauss-Seidel alone: their Gram matrix has (PC R_n)^2 numbers.
-GRAM_CELLS = 1536
+#: Beyond this many cells, or columns PC R_n of all their bases of a mode, joint least squares give way to Gauss-Seidel
+#: alone: their Gram matrix H_n has (PC R_n)^2 numbers, and each takes the contraction of two cores.
+GRAM_CELLS, GRAM_COLUMNS = 1536, 2048
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ class LevelSpec:
     def search(self) -> str:
         """How cluster subsets are found: over all binom(C, K) of them, greedily where they explode, or by the fast
         search where the Gram matrix of all cells would not fit."""
-        if self.cells > GRAM_CELLS and max(self.mixture) > 1:
+        if max(self.mixture) > 1 and (self.cells > GRAM_CELLS or self.columns > GRAM_COLUMNS):
             return "fast"
         subsets = max(comb(c, k) for c, k in zip(self.clusters, self.mixture, strict=True))
         return "optimal" if subsets <= OPTIMAL_SUBSETS else "greedy"
@@ -79,6 +80,11 @@ class LevelSpec:
     def cells(self) -> int:
         """PC, the number of clusters c = (c_1..c_N) of a node."""
         return prod(self.clusters)
+
+    @property
+    def columns(self) -> int:
+        """PC R_n, all cells' basis columns of a mode, where those are most."""
+        return self.cells * max((rank for rank in self.ranks if rank is not None), default=0)
 
     def decode_cost(self) -> int:
         """Multiply-adds for one scattered element, prod R_n K_n; an undecomposed mode is only indexed.
