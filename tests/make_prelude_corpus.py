@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from math import ceil, log2
 from pathlib import Path
 from typing import Any
@@ -25,8 +25,8 @@ HERE = Path(__file__).parent
 CORPUS = HERE / "corpus-render" / "prelude.json"
 
 #: Fixture, options (a page shift of 0 stands for the one that makes four pages or fewer), and levels to be taken for
-#: uniform, if not those that are.
-CASES = (
+#: uniform, if not those that are; a last entry is a rank that all modes of all levels are taken to have.
+CASES: tuple[tuple[Any, ...], ...] = (
     ("v1.0-small.hmk", Options(), None),
     ("v1.0-small.hmk", Options(picks=(2, 2), page_shift=0), None),
     ("v1.0-merged.hmk", Options(), None),
@@ -38,20 +38,24 @@ CASES = (
     ("v1.0-merged.hmk", Options(picks=(3, 2, 2, 3), channels=3, contracted=(2,)), (0, 1, 2)),
     ("v1.0-merged.hmk", Options(picks=(2, 2, 1, 2), contracted=(2,)), (1, 2)),
     ("v1.0-small.hmk", Options(picks=(2, 2), contracted=(1,)), (0, 1)),
+    ("v1.0-small.hmk", Options(picks=(9, 2), contracted=(1,)), (0, 1), 5),
+    ("v1.0-merged.hmk", Options(picks=(3, 2, 2, 3), channels=3, contracted=(2,)), (0, 1, 2), 6),
 )
 
 
-def case(file: str, options: Options, taken: tuple[int, ...] | None) -> dict[str, Any]:
+def case(file: str, options: Options, taken: tuple[int, ...] | None, rank: int | None = None) -> dict[str, Any]:
     """What both languages must make of a file."""
     metadata, levels = load(HERE / "fixtures" / file)
+    shown = metadata if rank is None else replace(metadata, levels=tuple(
+        replace(level, ranks=(rank,) * len(level.ranks)) for level in metadata.levels))
     image = pack_image(levels)
     if not options.page_shift:
         options = Options(options.picks, options.channels, options.contracted, ceil(log2(image.words.size / 4)))
     pages = image_pages(image.words.size, options.page_shift)
     uniform = uniform_levels(metadata, levels)
     return {"file": file, "options": asdict(options), "pages": pages, "uniform_levels": uniform,
-            "taken": uniform if taken is None else taken,
-            "text": prelude(metadata, pages, options, uniform if taken is None else taken),
+            "taken": uniform if taken is None else taken, "rank": rank,
+            "text": prelude(shown, pages, options, uniform if taken is None else taken),
             "words": image.words.size, "crc32": crc32(image.words.astype("<u4").tobytes()), "rows": image.rows,
             "scales": image.scales, "coefficients": image.coefficients,
             "uniform": decoder_uniform(metadata, len(levels)).hex(),

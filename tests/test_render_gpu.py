@@ -161,7 +161,8 @@ def test_volumes_stand_where_other_axes_say() -> None:
 
 def test_software_that_would_not_finish_is_not_used(material: synthetic.Dataset) -> None:
     device = adapter()
-    model = compressed(material, "light+rgb, view, y, x", "R=3,3,4,4 / R=2,2,3,3 C=4,3,4,4 K=2 / R=2 C=3,3,4,4 K=2")
+    plan = "R=3,3,4,4 / R=3,2,4,4 C=4,3,4,4 K=2 / R=3,2,4,4 C=3,3,4,4 K=2"
+    model = compressed(material, "light+rgb, view, y, x", plan)
     turns = loop_turns(model, (3, 3, 2, 2, 3), 3)
     assert turns < MOST_TURNS, "one light is finished"
     many = replace(SMALL, lights=tuple(Light(45 * n, 40) for n in range(8)))

@@ -20,6 +20,7 @@ interface HeadCase {
   pages: number;
   uniform_levels: number[];
   taken: number[];
+  rank: number | null; // that all modes are taken to have
   options: { picks: number[] | null; channels: 1 | 3; contracted: number[]; page_shift: number };
   text: string;
   words: number;
@@ -43,7 +44,9 @@ describe("shader heads and images", () => {
     const { picks, channels, contracted, page_shift: pageShift } = each.options;
     expect(uniformLevels(metadata, levels)).toEqual(each.uniform_levels);
     const options = { channels, contracted, pageShift, uniform: each.taken, ...(picks === null ? {} : { picks }) };
-    expect(prelude(metadata, each.pages, options)).toBe(each.text);
+    const { rank } = each;
+    const shown = rank === null ? metadata : { ...metadata, levels: metadata.levels.map((level) => ({ ...level, ranks: level.ranks.map(() => rank) })) };
+    expect(prelude(shown, each.pages, options)).toBe(each.text);
     const layout = layOutImage(levels);
     expect([layout.rows[0]?.[0], layout.scales[0], layout.coefficients]).toEqual([each.rows, each.scales, each.coefficients]);
     const words = new Uint32Array(each.words);

@@ -3,11 +3,15 @@
 For levels whose nodes all have the same ranks. One loop a mode goes over the clusters that any row inside the node is a
 member of. What depends on one mode alone (is the row a member, where do its basis rows of this cluster begin) is found
 in the loop of that mode, so that the innermost one has nothing left but to read and to multiply.
+
+It does so without a branch where the rows of a mode are few: a row that is no member of the cell counts with weight 0.
+Neighbouring pixels differ in their members, so that a branch would be taken for most rows anyway, and reads that do not
+wait for each other can be under way together.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import prod
 
@@ -20,7 +24,9 @@ _MOST_ROWS = 9
 #: R of a mode that is worth so many registers, and as many lines of text.
 _MOST_RANK = 64
 #: Core numbers that are written out one by one; modes before them are looped over.
-_UNROLLED = 40
+_UNROLLED = 24
+#: Words of basis rows of a mode that are written out one by one; longer or more rows are looped over.
+_MOST_WORDS = 18
 
 
 def picked_cells(metadata: Metadata, room: Sequence[int], colour: int | None, contracted: Sequence[int],
@@ -113,28 +119,41 @@ class Cells:
     def _only_weights(self, n: int) -> list[str]:
         """The weights of a mode in the only cell: the basis rows of all rows inside."""
         first, rank = sum(self.room[:n]), self.ranks[n]
-        share = "row_colour[i]" if n == self.colour else f"row_weight[{first}u + i]"
         return [*(f"  var w_{n}_{r} = {self.kind(n)}(0.0);" for r in range(rank)),
                 f"  for (var rows = inside[depth * ORDER + {n}u]; rows != 0u; rows &= rows - 1u) {{",
-                "  let i = firstTrailingBit(rows);", f"  let share = {share};",
+                "  let i = firstTrailingBit(rows);", f"  let share = {self._weight(n, 'i')};",
                 *_numbers(f"node_basis[{n}] + row_at[depth * ROWS + {first}u + i] * {rank}u", rank),
                 *(f"  w_{n}_{r} += share * b_{r};" for r in range(rank)), "  }"]
 
+    def beside(self, n: int) -> bool:
+        """Whether all rows of a mode are read one beside the other, members of the cell or not."""
+        return self.room[n] * -(-self.ranks[n] // 2) <= _MOST_WORDS
+
+    def _unit(self, n: int) -> int:
+        """Halves that addresses of a mode's basis rows count in: words where all rows begin at one."""
+        return 2 if self.beside(n) and self.ranks[n] % 2 == 0 else 1
+
+    def _weight(self, n: int, i: str) -> str:
+        """The weight of row i of a mode."""
+        first = sum(self.room[:n])
+        return f"row_colour[{i}]" if n == self.colour else f"row_weight[{first}u + {i}]"
+
     def _rows(self, n: int) -> list[str]:
         """For each row of a mode inside the node: its clusters as bits, and where its basis rows begin."""
-        first = sum(self.room[:n])
+        first, room = sum(self.room[:n]), self.room[n]
         lines = [f"  let inside_{n} = inside[depth * ORDER + {n}u];", f"  var union_{n} = 0u;"]
         if n in self.kept:
-            lines += [f"  let step_{n} = node_others[{n}] * {self.ranks[n]}u;",
-                      f"  var bits_{n}: array<u32, {self.room[n]}>;", f"  var base_{n}: array<u32, {self.room[n]}>;",
-                      f"  var from_{n}: array<u32, {self.room[n]}>;",
-                      f"  var share_{n}: array<{self.kind(n)}, {self.room[n]}>;"]
+            unit = self._unit(n)
+            lines += [f"  let basis_{n} = node_basis[{n}]{' >> 1u' if unit == 2 else ''};",
+                      f"  let step_{n} = node_others[{n}] * {self.ranks[n] // unit}u;",
+                      f"  var bits_{n}: array<u32, {room}>;", f"  var base_{n}: array<u32, {room}>;"]
+            if not self.beside(n):
+                lines += [f"  var from_{n}: array<u32, {room}>;", f"  var share_{n}: array<{self.kind(n)}, {room}>;"]
         lines += [f"  for (var rows = inside_{n}; rows != 0u; rows &= rows - 1u) {{",
                   "  let i = firstTrailingBit(rows);", f"  let row = row_at[depth * ROWS + {first}u + i];",
                   f"  let bits = subset_bits({n}u, row);", f"  union_{n} |= bits;"]
         if n in self.kept:
-            lines += [f"  bits_{n}[i] = bits;",
-                      f"  base_{n}[i] = node_basis[{n}] + row * node_mixture[{n}] * step_{n};"]
+            lines += [f"  bits_{n}[i] = bits;", f"  base_{n}[i] = basis_{n} + row * node_mixture[{n}] * step_{n};"]
         return [*lines, "  }"]
 
     def _loop(self, n: int) -> list[str]:
@@ -145,19 +164,33 @@ class Cells:
                  f"  let flat_{n} = {before} * node_clusters[{n}] + c_{n};"]
         if n in self.contracted:
             return lines
-        weight = "row_colour[i]" if n == self.colour else f"row_weight[{sum(self.room[:n])}u + i]"
-        return [*lines, f"  let own_{n} = ({before} * (node_clusters[{n}] - 1u) + c_{n}) * after_{n};",
-                f"  var members_{n} = 0u;", f"  for (var rows = inside_{n}; rows != 0u; rows &= rows - 1u) {{",
-                "  let i = firstTrailingBit(rows);", f"  let bits = bits_{n}[i];",
-                f"  if (((bits >> c_{n}) & 1u) == 1u) {{",
-                f"  from_{n}[members_{n}] = base_{n}[i] + countOneBits(bits & ((1u << c_{n}) - 1u)) * step_{n};",
-                f"  share_{n}[members_{n}] = {weight};", f"  members_{n} += 1u;", "  }", "  }"]
+        lines += [f"  let own_{n} = ({before} * (node_clusters[{n}] - 1u) + c_{n}) * after_{n};",
+                  f"  let bit_{n} = 1u << c_{n};"]
+        if self.beside(n):
+            return [*lines, *(line for i in range(self.room[n]) for line in self._member(n, i))]
+        return [*lines, f"  var members_{n} = 0u;", f"  for (var rows = inside_{n}; rows != 0u; rows &= rows - 1u) {{",
+                "  let i = firstTrailingBit(rows);", f"  let bits = bits_{n}[i];", f"  if ((bits & bit_{n}) != 0u) {{",
+                f"  from_{n}[members_{n}] = base_{n}[i] + countOneBits(bits & (bit_{n} - 1u)) * step_{n};",
+                f"  share_{n}[members_{n}] = {self._weight(n, 'i')};", f"  members_{n} += 1u;", "  }", "  }"]
+
+    def _member(self, n: int, i: int) -> list[str]:
+        """Where the basis rows of row i begin, and its share in the cells: 0 where it is no member of the cluster."""
+        return [f"  let hit_{n}_{i} = (bits_{n}[{i}] & bit_{n}) != 0u;",
+                f"  let share_{n}_{i} = select({self.kind(n)}(0.0), {self._weight(n, f'{i}u')}, hit_{n}_{i});",
+                f"  let from_{n}_{i} = select(basis_{n}, base_{n}[{i}] + countOneBits(bits_{n}[{i}] & (bit_{n} - 1u))"
+                f" * step_{n}, hit_{n}_{i});"]
 
     def _weights(self, n: int) -> list[str]:
         """The weights of a mode in the cell: the basis rows of its members, weighted and added up."""
         rank = self.ranks[n]
-        return [f"  let shift_{n} = (cell - own_{n}) * {rank}u;",
-                *(f"  var w_{n}_{r} = {self.kind(n)}(0.0);" for r in range(rank)),
+        shift = f"  let shift_{n} = (cell - own_{n}) * {rank // self._unit(n)}u;"
+        if self.beside(n):
+            rows = range(self.room[n])
+            return [shift, *(line for i in rows
+                             for line in _numbers(f"from_{n}_{i} + shift_{n}", rank, f"_{n}_{i}", self._unit(n))),
+                    *(f"  let w_{n}_{r} = {' + '.join(f'share_{n}_{i} * b_{n}_{i}_{r}' for i in rows)};"
+                      for r in range(rank))]
+        return [shift, *(f"  var w_{n}_{r} = {self.kind(n)}(0.0);" for r in range(rank)),
                 f"  for (var i = 0u; i < members_{n}; i++) {{", f"  let share = share_{n}[i];",
                 *_numbers(f"from_{n}[i] + shift_{n}", rank),
                 *(f"  w_{n}_{r} += share * b_{r};" for r in range(rank)), "  }"]
@@ -209,7 +242,8 @@ class _Block:
             lines = [f"  let h_{offset} = bitcast<f32>(frame[at + {offset}u]);" for offset in sorted(offsets)]
         elif self.even:
             pairs = sorted({offset // 2 for offset in offsets})
-            lines = [f"  let p_{pair} = unpack2x16float(word((at >> 1u) + {pair}u));" for pair in pairs]
+            lines = ["  let pairs = at >> 1u;",
+                     *(f"  let p_{pair} = unpack2x16float(word(pairs + {pair}u));" for pair in pairs)]
         else:
             lines = [f"  let h_{offset} = coefficient(at + {offset}u);" for offset in sorted(offsets)]
         return lines, self._sum(modes, 0)
@@ -224,14 +258,15 @@ class _Block:
         return f"({' + '.join(terms)})"
 
 
-def _numbers(at: str, count: int) -> Iterable[str]:
-    """Statements that read `count` neighbouring float16 numbers at a half address, as `b_0` and so on."""
+def _numbers(at: str, count: int, name: str = "", unit: int = 1) -> list[str]:
+    """Statements that read `count` neighbouring float16 numbers as `b{name}_0` and so on; `unit` halves an address."""
     if count == 1:
-        return [f"  let b_0 = coefficient({at});"]
+        return [f"  let b{name}_0 = coefficient({at});"]
     words = (count + 1) // 2
-    lines = [f"  let a = {at};", *(f"  let q_{k} = unpack2x16float(word((a >> 1u) + {k}u));" for k in range(words))]
+    lines = [f"  let a{name} = {at};", f"  let h{name} = a{name}{' >> 1u' if unit == 1 else ''};",
+             *(f"  let q{name}_{k} = unpack2x16float(word(h{name} + {k}u));" for k in range(words))]
     if count % 2 == 0:  # rows of an even length begin at whole words
-        return [*lines, *(f"  let b_{r} = q_{r // 2}.{'xy'[r % 2]};" for r in range(count))]
-    halves = [f"q_{k}.{part}" for k in range(words) for part in "xy"]
-    return [*lines, "  let odd = (a & 1u) == 1u;",
-            *(f"  let b_{r} = select({halves[r]}, {halves[r + 1]}, odd);" for r in range(count))]
+        return [*lines, *(f"  let b{name}_{r} = q{name}_{r // 2}.{'xy'[r % 2]};" for r in range(count))]
+    halves = [f"q{name}_{k}.{part}" for k in range(words) for part in "xy"]
+    return [*lines, f"  let odd{name} = (a{name} & 1u) == 1u;",
+            *(f"  let b{name}_{r} = select({halves[r]}, {halves[r + 1]}, odd{name});" for r in range(count))]

@@ -96,6 +96,7 @@ def prelude(metadata: Metadata, pages: int, options: Options = PLAIN, uniform: S
         f"const PICKS = {max(picks)}u;",
         f"const ROW_FIRST = {_array(first)};",
         f"const ROWS = {first[-1]}u;",
+        f"const TRANSFORM = {_TRANSFORMS[from_json(metadata.transform).name]}u;",
         f"const CHANNELS = {options.channels}u;",
         *_value(options.channels),
         f"const COLOUR = {0xFF if colour is None else colour}u;",

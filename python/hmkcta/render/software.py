@@ -13,7 +13,7 @@ import numpy as np
 
 from ..model import Model
 from ..packed import PackedLevel
-from .cells import registered_levels
+from .cells import Cells, registered_levels
 from .contraction import uniform_levels
 from .prelude import axis_places
 
@@ -49,7 +49,7 @@ def loop_turns(model: Model, picks: Sequence[int], level: int, contracted: Seque
         groups = [min(r, p) for r, p in zip(rows, parts, strict=True)]
         clusters = [min(r * k, g * c) for r, g, k, c in zip(rows, groups, bounds.mixture, bounds.clusters, strict=True)]
         if number in registered:
-            turns += _registered(rows, groups, clusters, bounds.mixture, registered[number].turns)
+            turns += _registered(rows, groups, clusters, bounds.mixture, registered[number])
         else:
             together = _together(model, number, rows, groups, prod(clusters))
             turns += min(together, prod(groups) * _worst_node(packed, rows, model.metadata.undecomposed))
@@ -59,7 +59,7 @@ def loop_turns(model: Model, picks: Sequence[int], level: int, contracted: Seque
 
 
 def _registered(rows: Sequence[int], groups: Sequence[int], clusters: Sequence[int], mixture: Sequence[int],
-                contraction: int) -> int:
+                generated: Cells) -> int:
     """Turns of `cells.py`'s loops in all nodes of a level: rows, clusters mode by mode, members of cells, cores.
 
     `clusters` are those of each mode that rows are members of, added up over the parts.
@@ -67,9 +67,10 @@ def _registered(rows: Sequence[int], groups: Sequence[int], clusters: Sequence[i
     order = range(len(rows))
     cells = prod(clusters)
     opened = prod(groups) * sum(r * (1 + k) for r, k in zip(rows, mixture, strict=True))
-    loops = sum(prod(clusters[: n + 1]) * prod(groups[n + 1 :]) * (1 + rows[n]) for n in order)
-    members = sum(rows[n] * mixture[n] * cells // clusters[n] for n in order)
-    return opened + loops + members + cells * contraction
+    looped = [0 if generated.beside(n) else rows[n] for n in order]
+    loops = sum(prod(clusters[: n + 1]) * prod(groups[n + 1 :]) * (1 + looped[n]) for n in order)
+    members = sum(looped[n] * mixture[n] * cells // clusters[n] for n in order)
+    return opened + loops + members + cells * generated.turns
 
 
 def _together(model: Model, level: int, rows: Sequence[int], groups: Sequence[int], cells: int) -> int:

@@ -78,10 +78,10 @@ fn node_value(node: u32, level: u32, rows: array<u32, ORDER>) -> Value {
   return sum;
 }
 
-// Inverse of the value transform, componentwise: hmkcta/transform.py.
+// Inverse of the value transform, componentwise: hmkcta/transform.py. Compilers leave out those of other models.
 fn source_values(value: Value) -> Value {
   let bounded = clamp(value, Value(-decoder.limit), Value(decoder.limit));
-  switch decoder.transform {
+  switch TRANSFORM {
     case 1u: {
       return decoder.scale * (exp(bounded) - Value(1.0));
     }

@@ -1,6 +1,6 @@
 /**
  * The part of a prelude that adds up the cells of a node for `weighted.wgsl`, for levels whose nodes all have the same
- * ranks: loops with everything in registers. The same text as `hmkcta.render.cells` makes.
+ * ranks: loops with everything in registers, and no branches in a cell. The same text as `hmkcta.render.cells` makes.
  */
 
 import type { Metadata } from "../reader/metadata";
@@ -8,7 +8,8 @@ import type { Metadata } from "../reader/metadata";
 const MOST_CLUSTERS = 32; // of a mode, which are kept in a mask of one word
 const MOST_ROWS = 9; // of a mode, which are kept beside each other
 const MOST_RANK = 64; // R of a mode that is worth so many registers, and as many lines of text
-const UNROLLED = 40; // core numbers that are written out one by one; modes before them are looped over
+const UNROLLED = 24; // core numbers that are written out one by one; modes before them are looped over
+const MOST_WORDS = 18; // of basis rows of a mode that are written out one by one; longer or more rows are looped over
 
 function product(numbers: number[]): number {
   return numbers.reduce((all, each) => all * each, 1);
@@ -91,8 +92,18 @@ class Cells {
     return n === this.colour ? "Value" : "f32";
   }
 
-  private weightOf(n: number): string {
-    return n === this.colour ? "row_colour[i]" : `row_weight[${this.first(n)}u + i]`;
+  /** Whether all rows of a mode are read one beside the other, members of the cell or not. */
+  private beside(n: number): boolean {
+    return this.room[n]! * Math.ceil(this.ranks[n]! / 2) <= MOST_WORDS;
+  }
+
+  /** Halves that addresses of a mode's basis rows count in: words where all rows begin at one. */
+  private unit(n: number): 1 | 2 {
+    return this.beside(n) && this.ranks[n]! % 2 === 0 ? 2 : 1;
+  }
+
+  private weightOf(n: number, i: string): string {
+    return n === this.colour ? `row_colour[${i}]` : `row_weight[${this.first(n)}u + ${i}]`;
   }
 
   /** The weights of a mode in the only cell: the basis rows of all rows inside. */
@@ -101,7 +112,7 @@ class Cells {
     return [
       ...times(rank, (r) => `  var w_${n}_${r} = ${this.kind(n)}(0.0);`),
       `  for (var rows = inside[depth * ORDER + ${n}u]; rows != 0u; rows &= rows - 1u) {`,
-      "  let i = firstTrailingBit(rows);", `  let share = ${this.weightOf(n)};`,
+      "  let i = firstTrailingBit(rows);", `  let share = ${this.weightOf(n, "i")};`,
       ...numbers(`node_basis[${n}] + row_at[depth * ROWS + ${this.first(n)}u + i] * ${rank}u`, rank),
       ...times(rank, (r) => `  w_${n}_${r} += share * b_${r};`), "  }",
     ];
@@ -110,19 +121,22 @@ class Cells {
   /** For each row of a mode inside the node: its clusters as bits, and where its basis rows begin. */
   private rows(n: number): string[] {
     const here = this.kept.includes(n);
-    const size = this.room[n]!;
+    const [size, unit] = [this.room[n]!, this.unit(n)];
     return [
       `  let inside_${n} = inside[depth * ORDER + ${n}u];`, `  var union_${n} = 0u;`,
       ...(here ? [
-        `  let step_${n} = node_others[${n}] * ${this.ranks[n]}u;`, `  var bits_${n}: array<u32, ${size}>;`,
-        `  var base_${n}: array<u32, ${size}>;`, `  var from_${n}: array<u32, ${size}>;`,
-        `  var share_${n}: array<${this.kind(n)}, ${size}>;`,
+        `  let basis_${n} = node_basis[${n}]${unit === 2 ? " >> 1u" : ""};`,
+        `  let step_${n} = node_others[${n}] * ${this.ranks[n]! / unit}u;`,
+        `  var bits_${n}: array<u32, ${size}>;`, `  var base_${n}: array<u32, ${size}>;`,
+      ] : []),
+      ...(here && !this.beside(n) ? [
+        `  var from_${n}: array<u32, ${size}>;`, `  var share_${n}: array<${this.kind(n)}, ${size}>;`,
       ] : []),
       `  for (var rows = inside_${n}; rows != 0u; rows &= rows - 1u) {`, "  let i = firstTrailingBit(rows);",
       `  let row = row_at[depth * ROWS + ${this.first(n)}u + i];`, `  let bits = subset_bits(${n}u, row);`,
       `  union_${n} |= bits;`,
       ...(here ? [
-        `  bits_${n}[i] = bits;`, `  base_${n}[i] = node_basis[${n}] + row * node_mixture[${n}] * step_${n};`,
+        `  bits_${n}[i] = bits;`, `  base_${n}[i] = basis_${n} + row * node_mixture[${n}] * step_${n};`,
       ] : []),
       "  }",
     ];
@@ -135,20 +149,36 @@ class Cells {
       `  for (var left_${n} = union_${n}; left_${n} != 0u; left_${n} &= left_${n} - 1u) {`,
       `  let c_${n} = firstTrailingBit(left_${n});`, `  let flat_${n} = ${before} * node_clusters[${n}] + c_${n};`,
     ];
-    return !this.kept.includes(n) ? lines : [
-      ...lines, `  let own_${n} = (${before} * (node_clusters[${n}] - 1u) + c_${n}) * after_${n};`,
-      `  var members_${n} = 0u;`, `  for (var rows = inside_${n}; rows != 0u; rows &= rows - 1u) {`,
-      "  let i = firstTrailingBit(rows);", `  let bits = bits_${n}[i];`, `  if (((bits >> c_${n}) & 1u) == 1u) {`,
-      `  from_${n}[members_${n}] = base_${n}[i] + countOneBits(bits & ((1u << c_${n}) - 1u)) * step_${n};`,
-      `  share_${n}[members_${n}] = ${this.weightOf(n)};`, `  members_${n} += 1u;`, "  }", "  }",
+    if (!this.kept.includes(n)) {
+      return lines;
+    }
+    lines.push(`  let own_${n} = (${before} * (node_clusters[${n}] - 1u) + c_${n}) * after_${n};`, `  let bit_${n} = 1u << c_${n};`);
+    return this.beside(n) ? [...lines, ...times(this.room[n]!, (i) => this.member(n, i)).flat()] : [
+      ...lines, `  var members_${n} = 0u;`, `  for (var rows = inside_${n}; rows != 0u; rows &= rows - 1u) {`,
+      "  let i = firstTrailingBit(rows);", `  let bits = bits_${n}[i];`, `  if ((bits & bit_${n}) != 0u) {`,
+      `  from_${n}[members_${n}] = base_${n}[i] + countOneBits(bits & (bit_${n} - 1u)) * step_${n};`,
+      `  share_${n}[members_${n}] = ${this.weightOf(n, "i")};`, `  members_${n} += 1u;`, "  }", "  }",
+    ];
+  }
+
+  /** Where the basis rows of row i begin, and its share in the cells: 0 where it is no member of the cluster. */
+  private member(n: number, i: number): string[] {
+    return [
+      `  let hit_${n}_${i} = (bits_${n}[${i}] & bit_${n}) != 0u;`,
+      `  let share_${n}_${i} = select(${this.kind(n)}(0.0), ${this.weightOf(n, `${i}u`)}, hit_${n}_${i});`,
+      `  let from_${n}_${i} = select(basis_${n}, base_${n}[${i}] + countOneBits(bits_${n}[${i}] & (bit_${n} - 1u)) * step_${n}, hit_${n}_${i});`,
     ];
   }
 
   /** The weights of a mode in the cell: the basis rows of its members, weighted and added up. */
   private weights(n: number): string[] {
-    const rank = this.ranks[n]!;
-    return [
-      `  let shift_${n} = (cell - own_${n}) * ${rank}u;`, ...times(rank, (r) => `  var w_${n}_${r} = ${this.kind(n)}(0.0);`),
+    const [rank, room] = [this.ranks[n]!, this.room[n]!];
+    const shift = `  let shift_${n} = (cell - own_${n}) * ${rank / this.unit(n)}u;`;
+    return this.beside(n) ? [
+      shift, ...times(room, (i) => numbers(`from_${n}_${i} + shift_${n}`, rank, `_${n}_${i}`, this.unit(n))).flat(),
+      ...times(rank, (r) => `  let w_${n}_${r} = ${times(room, (i) => `share_${n}_${i} * b_${n}_${i}_${r}`).join(" + ")};`),
+    ] : [
+      shift, ...times(rank, (r) => `  var w_${n}_${r} = ${this.kind(n)}(0.0);`),
       `  for (var i = 0u; i < members_${n}; i++) {`, `  let share = share_${n}[i];`,
       ...numbers(`from_${n}[i] + shift_${n}`, rank), ...times(rank, (r) => `  w_${n}_${r} += share * b_${r};`), "  }",
     ];
@@ -192,7 +222,8 @@ class Cells {
       return offsets.map((offset) => `  let h_${offset} = bitcast<f32>(frame[at + ${offset}u]);`);
     }
     return even
-      ? [...new Set(offsets.map((offset) => offset >> 1))].map((pair) => `  let p_${pair} = unpack2x16float(word((at >> 1u) + ${pair}u));`)
+      ? ["  let pairs = at >> 1u;", ...[...new Set(offsets.map((offset) => offset >> 1))].map((pair) =>
+        `  let p_${pair} = unpack2x16float(word(pairs + ${pair}u));`)]
       : offsets.map((offset) => `  let h_${offset} = coefficient(at + ${offset}u);`);
   }
 
@@ -209,15 +240,19 @@ function times<Result>(count: number, make: (i: number) => Result): Result[] {
   return Array.from({ length: count }, (_, i) => make(i));
 }
 
-/** Statements that read `count` neighbouring float16 numbers at a half address, as `b_0` and so on. */
-function numbers(at: string, count: number): string[] {
+/** Statements that read `count` neighbouring float16 numbers as `b{name}_0` and so on; `unit` halves an address. */
+function numbers(at: string, count: number, name = "", unit: 1 | 2 = 1): string[] {
   if (count === 1) {
-    return [`  let b_0 = coefficient(${at});`];
+    return [`  let b${name}_0 = coefficient(${at});`];
   }
   const words = (count + 1) >> 1;
-  const half = (r: number): string => `q_${r >> 1}.${r % 2 === 0 ? "x" : "y"}`;
-  const read = [`  let a = ${at};`, ...times(words, (k) => `  let q_${k} = unpack2x16float(word((a >> 1u) + ${k}u));`)];
+  const half = (r: number): string => `q${name}_${r >> 1}.${r % 2 === 0 ? "x" : "y"}`;
+  const read = [
+    `  let a${name} = ${at};`, `  let h${name} = a${name}${unit === 1 ? " >> 1u" : ""};`,
+    ...times(words, (k) => `  let q${name}_${k} = unpack2x16float(word(h${name} + ${k}u));`),
+  ];
   return count % 2 === 0 // rows of an even length begin at whole words
-    ? [...read, ...times(count, (r) => `  let b_${r} = ${half(r)};`)]
-    : [...read, "  let odd = (a & 1u) == 1u;", ...times(count, (r) => `  let b_${r} = select(${half(r)}, ${half(r + 1)}, odd);`)];
+    ? [...read, ...times(count, (r) => `  let b${name}_${r} = ${half(r)};`)]
+    : [...read, `  let odd${name} = (a${name} & 1u) == 1u;`,
+      ...times(count, (r) => `  let b${name}_${r} = select(${half(r)}, ${half(r + 1)}, odd${name});`)];
 }

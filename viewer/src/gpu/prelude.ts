@@ -66,6 +66,7 @@ export function prelude(metadata: Metadata, pages: number, options: Options = {}
     `const PICKS = ${Math.max(...picks)}u;`,
     `const ROW_FIRST = ${list(first)};`,
     `const ROWS = ${first[order]}u;`,
+    `const TRANSFORM = ${transformNumber(metadata)}u;`,
     `const CHANNELS = ${channels}u;`,
     `alias Value = ${channels === 3 ? "vec3f" : "f32"};`,
     "fn as_value(rgb: vec3f) -> Value {",
@@ -101,12 +102,16 @@ export function imagePages(words: number, pageShift = PAGE_SHIFT): number {
 
 const LARGEST = 3.4e38; // a little below the largest float32
 
+function transformNumber(metadata: Metadata): number {
+  return ["identity", "log1p", "asinh", "sqrt"].indexOf(metadata.transform.name);
+}
+
 /** The 16 bytes of the uniform `Decoder`. */
 export function decoderUniform(metadata: Metadata, levels: number): ArrayBuffer {
   const { name, scale } = metadata.transform;
   const bounded = name === "log1p" || name === "asinh";
   const bytes = new ArrayBuffer(16);
-  new Uint32Array(bytes).set([levels, ["identity", "log1p", "asinh", "sqrt"].indexOf(name)]);
+  new Uint32Array(bytes).set([levels, transformNumber(metadata)]);
   new Float32Array(bytes).set([scale, bounded ? Math.log(LARGEST / Math.max(scale, 1)) : 0], 2);
   return bytes;
 }
