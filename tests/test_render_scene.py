@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from base64 import b64encode
+from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -217,6 +219,56 @@ def test_meshes_are_read_from_files(tmp_path: Path) -> None:
     (tmp_path / "noise.glb").write_bytes(b"glTF" + bytes(range(60)))
     reason("bad-mesh", load_mesh, tmp_path / "noise.glb")
     reason("unknown-shape", make_mesh, Surface("teapot"), 4, 4)
+
+
+def gltf(path: Path, nodes: list[dict[str, Any]], roots: Sequence[int] = (0,), **changed: Any) -> Path:
+    """A triangle with texture coordinates and no material, placed by these nodes."""
+    numbers = np.array([0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 1], "<f4").tobytes()
+    uri = "data:application/octet-stream;base64," + b64encode(numbers).decode()
+    document = {
+        "asset": {"version": "2.0"}, "buffers": [{"byteLength": len(numbers), "uri": uri}], "nodes": nodes,
+        "bufferViews": [{"buffer": 0, "byteOffset": 0, "byteLength": 36}, {"buffer": 0, "byteOffset": 36,
+                                                                           "byteLength": 24}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"},
+                      {"bufferView": 1, "componentType": 5126, "count": 3, "type": "VEC2"}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "TEXCOORD_0": 1}}]}],
+        "scenes": [{"nodes": list(roots)}], "scene": 0, **changed}
+    path.write_text(json.dumps(document), "utf-8")
+    return path
+
+
+def test_gltf_needs_no_material_and_no_scene(tmp_path: Path) -> None:
+    pytest.importorskip("trimesh")
+    placed = [{"children": [1, 2]}, {"mesh": 0}, {"mesh": 0, "translation": [2, 0, 0]}]
+    assert len(load_mesh(gltf(tmp_path / "two.gltf", placed)).triangles) == 2
+    mesh = load_mesh(gltf(tmp_path / "one.gltf", [{"mesh": 0}]))
+    assert sorted(mesh.uv.tolist()) == [[0, 0], [0, 1], [1, 0]]
+    assert len(load_mesh(gltf(tmp_path / "bare.gltf", placed, scenes=[])).triangles) == 2
+
+
+@pytest.mark.parametrize(("nodes", "roots", "found"), [
+    ([*({"children": [n + 1, n + 1]} for n in range(60)), {"mesh": 0}], (0,), "several places"),
+    ([{"children": [1]}, {"children": [0], "mesh": 0}], (0,), "inside itself"),
+    ([{"mesh": 0}], (0, 0), "several places"),
+    ([*({"children": [n + 1]} for n in range(300)), {"mesh": 0}], (0,), "256 nodes deep"),
+    ([{"mesh": 0}] * 30_000, range(30_000), "30000 nodes"),
+])
+def test_gltf_that_would_keep_busy_is_refused(tmp_path: Path, nodes: list[dict[str, Any]], roots: Sequence[int],
+                                              found: str) -> None:
+    pytest.importorskip("trimesh")
+    with pytest.raises(HmkctaError, match=found):
+        load_mesh(gltf(tmp_path / "hostile.gltf", nodes, roots))
+
+
+def test_gltf_of_too_many_triangles_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    pytest.importorskip("trimesh")
+    accessors = [{"componentType": 5126, "count": count, "type": "VEC3"} for count in (3_000_000, 10**15)]
+    primitive = {"attributes": {"POSITION": 0, "TEXCOORD_0": 0}}
+    with pytest.raises(HmkctaError, match=f"{10**15} elements"):
+        load_mesh(gltf(tmp_path / "long.gltf", [{"mesh": 0}], accessors=accessors))
+    with pytest.raises(HmkctaError, match="more than 2000000 triangles"):
+        load_mesh(gltf(tmp_path / "often.gltf", [{"mesh": 0}] * 9, range(9), accessors=accessors[:1],
+                       meshes=[{"primitives": [primitive]}]))
 
 
 def test_transfer_functions_are_interpolated() -> None:

@@ -128,6 +128,43 @@ describe("glTF", () => {
     });
     expect(() => readGltf(glb(packed))).toThrow("without compression");
   });
+
+  it("is not kept busy by nodes that share children, hold themselves or lie deep", () => {
+    const changed = (change: Record<string, unknown>): (() => unknown) => () => readGltf(glb(quad((document) => Object.assign(document, change))));
+    const chain = (length: number, children: (n: number) => number[]): object[] =>
+      [...Array.from({ length }, (_, n) => ({ children: children(n) })), { mesh: 0 }];
+    const scenes = [{ nodes: [0] }];
+    expect(changed({ scenes, nodes: chain(60, (n) => [n + 1, n + 1]) })).toThrow("several places");
+    expect(changed({ scenes, nodes: [{ children: [1] }, { children: [0], mesh: 0 }] })).toThrow("inside itself");
+    expect(changed({ scenes: [{ nodes: [0, 0] }], nodes: [{ mesh: 0 }] })).toThrow("several places");
+    expect(changed({ scenes, nodes: chain(300, (n) => [n + 1]) })).toThrow("256 nodes deep");
+    expect(changed({ scenes: [{ nodes: Array.from({ length: 30000 }, (_, n) => n) }], nodes: Array.from({ length: 30000 }, () => ({ mesh: 0 })) }))
+      .toThrow("more than 20000 parts");
+    const { meshes } = quad().document as { meshes: { primitives: object[] }[] };
+    const many = Array.from({ length: 200 }, () => meshes[0]!.primitives[0]!);
+    const nodes = Array.from({ length: 200 }, () => ({ mesh: 0 }));
+    expect(changed({ scenes: [{ nodes: nodes.map((_, n) => n) }], nodes, meshes: [{ primitives: many }] })).toThrow("more than 20000 parts");
+  });
+
+  it("takes no more elements than a buffer has, nor more triangles than can be shown", () => {
+    const counted = (which: number, count: unknown): (() => unknown) => () => readGltf(glb(quad((document) => {
+      (document["accessors"] as { count: unknown }[])[which]!.count = count;
+    })));
+    expect(counted(2, 7)).toThrow("damaged");
+    expect(counted(0, 1e9)).toThrow("more than 2000000 triangles");
+    expect(counted(2, 1e300)).toThrow("damaged");
+    expect(counted(1, -4)).toThrow("damaged");
+    expect(counted(1, 3)).toThrow("damaged");
+    expect(() => readGltf(glb(quad((document) => {
+      (document["bufferViews"] as { byteStride?: number }[])[0]!.byteStride = 1;
+    })))).toThrow("damaged");
+  });
+
+  it("takes the nodes that are in no other where there is no scene", () => {
+    same(glb(quad((document) => {
+      delete document["scenes"];
+    })));
+  });
 });
 
 describe("directions", () => {

@@ -6,6 +6,7 @@ Positions are world coordinates (z up), texture coordinates count repeats of the
 from __future__ import annotations
 
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import HmkctaError, Kind, invalid
+from .gltf import prepared
 from .scene import Surface
 
 F32 = NDArray[np.float32]
@@ -114,10 +116,12 @@ def load_mesh(path: Path, repeat: tuple[float, float] = (1.0, 1.0)) -> Mesh:
         raise HmkctaError(Kind.IO, "unreadable", str(path), found="no such file", allowed="a mesh")
     reader: Any = trimesh
     try:
-        loaded = reader.load(str(path), force="mesh", process=False)
+        loaded = _loaded(reader, path)
         uv = np.asarray(getattr(loaded.visual, "uv", None), np.float64)
         corners = np.asarray(loaded.faces, np.uint32)
         position, normal = (np.asarray(a, np.float64)[:, [2, 0, 1]] for a in (loaded.vertices, loaded.vertex_normals))
+    except HmkctaError:
+        raise
     except Exception as error:  # any of trimesh's many readers' exceptions: the file is at fault
         raise invalid("bad-mesh", str(path), f"{type(error).__name__}: {error}", "a mesh that trimesh reads") from error
     if uv.shape != (len(position), 2):
@@ -130,6 +134,15 @@ def load_mesh(path: Path, repeat: tuple[float, float] = (1.0, 1.0)) -> Mesh:
     uv = np.stack([uv[:, 0], 1 - uv[:, 1]], axis=1)  # files count v from the bottom
     tangent = _tangents(position, normal, uv, corners)
     return _mesh(position, normal, tangent, uv * repeat, corners)
+
+
+def _loaded(reader: Any, path: Path) -> Any:
+    """What trimesh makes of a file."""
+    if path.suffix.lower() not in (".gltf", ".glb"):
+        return reader.load(str(path), force="mesh", process=False)
+    kind = "glb" if path.read_bytes()[:4] == b"glTF" else "gltf"
+    return reader.load(BytesIO(prepared(path, MOST_TRIANGLES)), file_type=kind, force="mesh", process=False,
+                       resolver=reader.resolvers.FilePathResolver(str(path)))
 
 
 def _drape(u: F64, v: F64) -> F64:

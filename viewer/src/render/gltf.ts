@@ -1,11 +1,13 @@
 /** Triangles of a glTF file (.glb, or .gltf with its buffers inside): positions, texture coordinates, normals. */
 
 import { Problem } from "../problem";
-import type { Corners } from "./mesh";
+import { type Corners, MOST_TRIANGLES } from "./mesh";
 
 const MAGIC = 0x46546c67; // "glTF"
 const JSON_CHUNK = 0x4e4f534a;
 const TRIANGLES = 4;
+const MOST_PARTS = 20_000; // nodes; and primitives, each counted as often as it is placed
+const DEEPEST = 256; // of nodes in nodes
 const COMPONENTS: Record<number, [bytes: number, read: (view: DataView, at: number) => number, most: number]> = {
   5120: [1, (view, at) => view.getInt8(at), 127],
   5121: [1, (view, at) => view.getUint8(at), 255],
@@ -31,6 +33,10 @@ function damaged(detail: string): Problem {
     "Export it again as .glb, without compression.");
 }
 
+function tooMany(): Problem {
+  return new Problem(`The mesh has more than ${MOST_PARTS} parts.`, "", "Join them in a modeller, and export it again.");
+}
+
 /** The corners of all triangles; throws a sentence where there are no texture coordinates. */
 export function readGltf(bytes: Uint8Array<ArrayBuffer>): Corners {
   try {
@@ -44,6 +50,8 @@ class Gltf {
   private readonly document: Document;
   private readonly buffers: DataView[];
   private readonly found: Corners = { positions: [], uvs: [], normals: [], indices: [] };
+  private readonly visited = new Set<number>();
+  private parts = 0;
 
   constructor(bytes: Uint8Array<ArrayBuffer>) {
     const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
@@ -64,8 +72,12 @@ class Gltf {
 
   corners(): Corners {
     const { scenes = [], scene = 0, nodes = [], meshes = [] } = this.document;
-    const roots = scenes[scene]?.nodes ?? nodes.map((_, n) => n);
+    const inside = new Set(nodes.flatMap(({ children = [] }) => children));
+    const roots = scenes[scene]?.nodes ?? nodes.flatMap((_, n) => (inside.has(n) ? [] : [n]));
     const identity = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
+    if (nodes.length > MOST_PARTS) {
+      throw tooMany();
+    }
     roots.forEach((n) => this.node(n, identity, 0));
     if (nodes.length === 0) {
       meshes.forEach(({ primitives }) => primitives.forEach((each) => this.primitive(each, identity)));
@@ -75,9 +87,13 @@ class Gltf {
 
   private node(n: number, parent: Matrix, depth: number): void {
     const node = this.document.nodes?.[n];
-    if (node === undefined || depth > 64) {
-      throw damaged(`Node ${n}.`);
+    if (node === undefined || this.visited.has(n)) { // glTF's nodes are trees: else a few could stand for millions
+      throw damaged(node === undefined ? `There is no node ${n}.` : `Node ${n} is in several places, or inside itself.`);
     }
+    if (depth > DEEPEST) {
+      throw damaged(`Node ${n} is more than ${DEEPEST} nodes deep.`);
+    }
+    this.visited.add(n);
     const matrix = times(parent, placed(node));
     if (node.mesh !== undefined) {
       this.document.meshes![node.mesh]!.primitives.forEach((each) => this.primitive(each, matrix));
@@ -89,14 +105,25 @@ class Gltf {
     if (mode !== TRIANGLES) {
       return; // lines and points have no surface; strips are rare
     }
+    this.parts += 1;
+    if (this.parts > MOST_PARTS) {
+      throw tooMany();
+    }
     const { POSITION: place, TEXCOORD_0: texture, NORMAL: normal } = attributes;
     if (place === undefined || texture === undefined) {
       throw new Problem("The mesh has no texture coordinates.", "", "Unwrap it in a modeller, and export it again.");
     }
+    const first = this.found.positions.length;
+    const count = this.count(place);
+    const corners = this.found.indices.length + (indices === undefined ? count : this.count(indices));
+    if (corners > 3 * MOST_TRIANGLES || first + count > 3 * MOST_TRIANGLES) {
+      throw new Problem(`The mesh has more than ${MOST_TRIANGLES} triangles.`, "", "Simplify it in a modeller.");
+    }
     const [positions, uvs] = [this.numbers(place, 3), this.numbers(texture, 2)];
     const normals = normal === undefined ? null : this.numbers(normal, 3);
-    const first = this.found.positions.length;
-    const count = positions.length / 3;
+    if (uvs.length !== 2 * count || (normals !== null && normals.length !== 3 * count)) {
+      throw damaged(`Accessors ${place}, ${texture} and ${normal ?? "-"} differ in length.`);
+    }
     const turned = cofactors(matrix);
     for (let i = 0; i < count; i += 1) {
       const [x, y, z] = [positions[3 * i]!, positions[3 * i + 1]!, positions[3 * i + 2]!];
@@ -116,6 +143,15 @@ class Gltf {
     }
   }
 
+  /** How many elements an accessor has. */
+  private count(n: number): number {
+    const count = this.document.accessors?.[n]?.count;
+    if (!Number.isSafeInteger(count) || count! < 0) {
+      throw damaged(`Accessor ${n} has ${String(count)} elements.`);
+    }
+    return count!;
+  }
+
   /** The numbers of an accessor, integers from 0 to 1 where they are normalised. */
   private numbers(n: number, width: number): number[] {
     const accessor = this.document.accessors?.[n];
@@ -128,7 +164,10 @@ class Gltf {
     const [bytes, read, most] = kind;
     const stride = view.byteStride ?? bytes * width;
     const start = (view.byteOffset ?? 0) + (accessor.byteOffset ?? 0);
-    const buffer = this.buffers[view.buffer]!;
+    const buffer = this.buffers[view.buffer];
+    if (buffer === undefined || stride < bytes * width || start + (this.count(n) - 1) * stride + bytes * width > buffer.byteLength) {
+      throw damaged(`Accessor ${n} reaches beyond its buffer.`);
+    }
     const scale = accessor.normalized === true ? 1 / most : 1;
     return Array.from({ length: accessor.count * width }, (_, i) =>
       scale * read(buffer, start + Math.floor(i / width) * stride + (i % width) * bytes));

@@ -98,7 +98,7 @@ function pack(points: Point[], indices: number[]): Mesh {
   return { vertices, indices: Uint32Array.from(indices) };
 }
 
-const MOST_TRIANGLES = 2_000_000;
+export const MOST_TRIANGLES = 2_000_000;
 
 /** A Wavefront OBJ mesh with texture coordinates: y up becomes z up, the largest half extent 1. */
 export function parseObj(text: string, repeat: number): Mesh {
