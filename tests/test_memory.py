@@ -179,3 +179,27 @@ def test_pages_of_a_mapped_file_are_let_go_of(waves: Path) -> None:
     assert looked_at - before > 30_000_000
     assert resident() - before < 10_000_000
     assert float(array[SIDE // 2 :].sum()) == total
+
+
+#: Fits a file and saves the model; measures that against the file and says the peak.
+FIT = """
+import sys
+from hmkcta import compress
+from hmkcta.readers import open_array
+compress(open_array(sys.argv[1]), "R=1", quality="fast").save(sys.argv[2])
+"""
+MEASURE = """
+import sys
+import hmkcta
+from benchmarks.machine import peak_memory
+from hmkcta.measure import measure
+from hmkcta.readers import open_array
+measure(hmkcta.open(sys.argv[2]), open_array(sys.argv[1]), slab=1 << 18)
+print(peak_memory())
+"""
+
+
+def test_measuring_lets_go_of_what_it_has_read(waves: Path, tmp_path: Path) -> None:
+    """A file larger than memory can be verified."""
+    printed(FIT, waves, tmp_path / "a.hmk")
+    assert int(printed(MEASURE, waves, tmp_path / "a.hmk")) < waves.stat().st_size

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from .axes import mode_rows, organise
 from .decode import add_level
 from .errors import invalid
+from .memory import drop_pages
 from .metrics import snr_db
 from .model import Model
 from .packed import LevelQuality
@@ -111,6 +112,7 @@ def measure_both(model: Model, source: Any, *, nan: float | None = None, progres
             transformed.add_error(level, fitted - decoded)
             if transform.name != "identity":
                 plain.add_error(level, tensor - np.asarray(transform.inverse(decoded), np.float64))
+        drop_pages(source)
         if progress is not None:
             progress("measuring", plain.count / model.size)
     if transform.name == "identity":
