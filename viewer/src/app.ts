@@ -1,6 +1,6 @@
 /** One model on the page: its levels as they arrive, the renderer of what it is shown as, and the drawing of frames. */
 
-import { valueRange } from "./decode/element";
+import { SAMPLES, valueRange } from "./decode/element";
 import { Decoder } from "./gpu/decoder";
 import { type Gpu, guarded } from "./gpu/device";
 import { type Problem, asProblem } from "./problem";
@@ -68,6 +68,7 @@ export class App {
   private screen!: Screen; // there before anything is drawn
   private renderer: Renderer | null = null;
   private white = 1;
+  private unmeasured = false;
   private dirty = false;
   private drawing = false;
   private closed = false;
@@ -133,7 +134,9 @@ export class App {
     if (follow) {
       this.state.level = arrived;
     }
-    if (arrived === 1 || arrived === this.metadata.levels.length) {
+    // What needs no more than a white has it measured while the first frame is decoded.
+    this.unmeasured = arrived === 1 && (this.kind === "svbrdf" || this.kind === "lightfield");
+    if (!this.unmeasured && (arrived === 1 || arrived === this.metadata.levels.length)) {
       this.measure(arrived === 1);
     }
     this.redraw();
@@ -242,7 +245,10 @@ export class App {
 
   /** White and windows from a sample of the values. */
   private measure(first: boolean): void {
-    const [low, high] = valueRange(this.metadata, this.reading.levels, this.decoder.arrived);
+    this.unmeasured = false;
+    const { arrived } = this.decoder;
+    const provisional = arrived < this.metadata.levels.length; // measured again with all levels
+    const [low, high] = valueRange(this.metadata, this.reading.levels, arrived, provisional ? SAMPLES / 8 : SAMPLES);
     this.white = high > 0 ? high : 1;
     const { slice, volume } = this.state;
     if (first || !this.windowTouched) {
@@ -304,12 +310,16 @@ export class App {
       this.screen.resize(width, height);
       const parts = sides.map((side, n) =>
         this.renderer!.draw(side, n as 0 | 1, this.state, this.screen.pictures[n]!, this.budget / sides.length));
+      if (this.unmeasured) {
+        this.measure(true);
+      }
       const complete = parts.every((part) => part.complete);
       // What is half decoded is shown only while there is nothing else, and never compared with.
       if (complete || (sides.length === 1 && !this.whole)) {
         this.present();
       }
       this.whole ||= complete;
+      this.renderer!.ahead?.(); // behind the picture, not before it
       await this.gpu.device.queue.onSubmittedWorkDone();
       return { complete, decoded: parts.reduce((sum, part) => sum + part.decoded, 0), level: sides[0]!.level };
     });

@@ -40,12 +40,14 @@ export class Decoder {
     const entries = [entry(0, "uniform"), ...this.buffers.map((_, page) => entry(page + 1, "read-only-storage"))];
     this.layout = device.createBindGroupLayout({ entries });
     this.framed = device.createBindGroupLayout({ entries: [...entries, entry(FRAME_BINDING, "read-only-storage")] });
-    this.write(0, packTables(levels, this.image));
   }
 
-  /** Upload the numbers of the next level. */
+  /** Upload the numbers of the next level, and before the first one's the tables of all. */
   addLevel(): void {
     const l = this.arrived;
+    if (l === 0) {
+      this.write(0, packTables(this.levels, this.image));
+    }
     eachCoefficients(this.levels[l]!, l, this.image, (at, halves) => {
       this.write(at, wholeWords(halves));
     });

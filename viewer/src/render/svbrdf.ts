@@ -21,6 +21,14 @@ const FLAG_NEAREST = 4;
 const [NEAR, FAR] = [1e-2, 100];
 const TARGETS: GPUTextureFormat[] = ["rgba32float", "rgba16float", "rgba16float"];
 
+/** A mesh on the GPU. */
+interface Drawn {
+  key: string;
+  vertices: GPUBuffer;
+  indices: GPUBuffer;
+  count: number;
+}
+
 interface Tables {
   buffer: GPUBuffer;
   light: number[]; // first record, first grid entry, side, axis
@@ -29,7 +37,7 @@ interface Tables {
 
 /**
  * A model's shaders, and whether its texels are interpolated. Level 1 has one of its own, which takes a fraction of the
- * time to compile; the other one is compiled once that has drawn its first frame.
+ * time to compile; the other one is compiled once the first frame is on its way.
  */
 interface Shading {
   first: Pass;
@@ -41,7 +49,6 @@ interface Shading {
 }
 
 export class SvbrdfRenderer implements Renderer {
-  private mesh: { key: string; vertices: GPUBuffer; indices: GPUBuffer; count: number } | null = null;
   private seen: GPUTexture[] = [];
   private depth: GPUTexture | null = null;
   private readonly surface: GPUBuffer;
@@ -51,19 +58,23 @@ export class SvbrdfRenderer implements Renderer {
   private constructor(
     private readonly device: GPUDevice, readonly layout: Layout, readonly notes: string[],
     private readonly rasteriser: GPURenderPipeline, private readonly tables: Tables,
-    private readonly shadings: Map<Decoder, Shading>,
+    private readonly shadings: Map<Decoder, Shading>, private mesh: Drawn,
   ) {
     this.surface = device.createBuffer({ size: 80, usage: GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST });
   }
 
+  /** Compiles first, and meanwhile makes what needs no compiler. */
   static async make(device: GPUDevice, metadata: Metadata, decoders: Decoder[]): Promise<SvbrdfRenderer> {
     const layout = layOut(metadata.axes, "svbrdf");
     const notes: string[] = [];
+    const compiled = Promise.all([makeRasteriser(device), Promise.all(decoders.map((decoder) => makeShading(device, decoder, layout)))]);
+    compiled.catch(() => undefined); // awaited below, unless the tables fail before
     const tables = makeTables(device, metadata, layout, notes);
-    const shadings = decoders.map(async (decoder): Promise<[Decoder, Shading]> =>
-      [decoder, await makeShading(device, decoder, layout)]);
-    return new SvbrdfRenderer(device, layout, notes, await makeRasteriser(device), tables,
-      new Map(await Promise.all(shadings)));
+    const [rows, columns] = layout.space.map((n) => metadata.axes[n]!.size) as [number, number];
+    const mesh = uploaded(device, meshKey("sphere", 1, 0), makeMesh("sphere", 1, rows, columns)); // what is shown first
+    const [rasteriser, shadings] = await compiled;
+    return new SvbrdfRenderer(device, layout, notes, rasteriser, tables,
+      new Map(decoders.map((decoder, n) => [decoder, shadings[n]!])), mesh);
   }
 
   async prepare(_: State, sides: Side[]): Promise<void> {
@@ -75,16 +86,19 @@ export class SvbrdfRenderer implements Renderer {
     const [rows, columns] = this.layout.space.map((n) => axes[n]!.size) as [number, number];
     const rays = cameraRays(state.camera, target.width / target.height);
     this.drawSurface(state, rays, rows, columns, target);
-    const { first, all, compile, nearest, frame, still } = this.shadings.get(side.decoder)!;
+    const { first, all, nearest, frame, still } = this.shadings.get(side.decoder)!;
     const stands = this.stands(state);
     frame?.run(new Map(still.map((axis) => [axis, { index: [stands[axis]!], weight: [1] }])));
     const pass = side.level === 1 ? first : all!;
     pass.run(this.frame(state, rays, rows, columns, target, nearest), [this.tables.buffer, ...this.seen, target],
       [target.width, target.height, 1], side.decoder.group(side.level, frame?.cores));
-    if (all === null) {
-      void this.device.queue.onSubmittedWorkDone().then(compile).catch(() => undefined); // `prepare` hears of a failure
-    }
     return { complete: true, decoded: 0 };
+  }
+
+  ahead(): void {
+    this.shadings.forEach(({ compile }) => {
+      compile().catch(() => undefined); // `prepare` hears of a failure
+    });
   }
 
   /** Take a mesh of the user's for the shape "mesh". */
@@ -101,7 +115,7 @@ export class SvbrdfRenderer implements Renderer {
         frame.destroy();
       }
     });
-    [this.surface, this.tables.buffer, this.mesh?.vertices, this.mesh?.indices].forEach((each) => each?.destroy());
+    [this.surface, this.tables.buffer, this.mesh.vertices, this.mesh.indices].forEach((each) => each.destroy());
     [...this.seen, this.depth].forEach((each) => each?.destroy());
   }
 
@@ -147,9 +161,9 @@ export class SvbrdfRenderer implements Renderer {
     pass.setBindGroup(0, this.device.createBindGroup({
       layout: this.rasteriser.getBindGroupLayout(0), entries: [{ binding: 0, resource: { buffer: this.surface } }],
     }));
-    pass.setVertexBuffer(0, this.mesh!.vertices);
-    pass.setIndexBuffer(this.mesh!.indices, "uint32");
-    pass.drawIndexed(this.mesh!.count);
+    pass.setVertexBuffer(0, this.mesh.vertices);
+    pass.setIndexBuffer(this.mesh.indices, "uint32");
+    pass.drawIndexed(this.mesh.count);
     pass.end();
     this.device.queue.submit([encoder.finish()]);
   }
@@ -157,17 +171,14 @@ export class SvbrdfRenderer implements Renderer {
   private prepareMesh(state: State, rows: number, columns: number): void {
     const { shape, repeat } = state.surface;
     const custom = shape === "mesh" ? this.custom : null;
-    const key = JSON.stringify([shape, repeat, this.meshes]);
-    if (this.mesh?.key === key) {
+    const key = meshKey(shape, repeat, this.meshes);
+    if (this.mesh.key === key) {
       return;
     }
     const mesh = custom === null ? makeMesh(shape === "mesh" ? "sphere" : shape, repeat, rows, columns) : custom(repeat);
-    this.mesh?.vertices.destroy();
-    this.mesh?.indices.destroy();
-    this.mesh = {
-      key, vertices: filledBuffer(this.device, mesh.vertices, GPUBufferUsage.VERTEX),
-      indices: filledBuffer(this.device, mesh.indices, GPUBufferUsage.INDEX), count: mesh.indices.length,
-    };
+    this.mesh.vertices.destroy();
+    this.mesh.indices.destroy();
+    this.mesh = uploaded(this.device, key, mesh);
   }
 
   private prepareTargets(width: number, height: number): void {
@@ -181,6 +192,18 @@ export class SvbrdfRenderer implements Renderer {
       size: [width, height], format: "depth32float", usage: GPUTextureUsage.RENDER_ATTACHMENT,
     });
   }
+}
+
+/** What a mesh is made of: its shape, how often the texels come, and which of the user's it is. */
+function meshKey(shape: State["surface"]["shape"], repeat: number, custom: number): string {
+  return JSON.stringify([shape, repeat, custom]);
+}
+
+function uploaded(device: GPUDevice, key: string, mesh: Mesh): Drawn {
+  return {
+    key, vertices: filledBuffer(device, mesh.vertices, GPUBufferUsage.VERTEX),
+    indices: filledBuffer(device, mesh.indices, GPUBufferUsage.INDEX), count: mesh.indices.length,
+  };
 }
 
 function lightPlace(light: Light): number[] {
@@ -218,14 +241,15 @@ async function makeShading(device: GPUDevice, decoder: Decoder, layout: Layout):
     shaders: ["image", "decode", "weighted", "svbrdf"],
     bindings: ["storage", "texture-2d", "texture-2d", "texture-2d", "store-2d"],
   });
-  let compiling: Promise<void> | null = null;
+  const one = metadata.levels.length === 1;
+  let compiling: Promise<void> | null = one ? Promise.resolve() : null;
   const shading: Shading = {
     nearest, frame, still, first: await made(metadata.levels.slice(0, 1)), all: null,
     compile: () => compiling ??= made(metadata.levels).then((pass) => {
       shading.all = pass;
     }),
   };
-  if (metadata.levels.length === 1) {
+  if (one) {
     shading.all = shading.first;
   }
   return shading;
