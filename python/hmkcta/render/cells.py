@@ -24,7 +24,7 @@ _MOST_ROWS = 9
 #: R of a mode that is worth so many registers, and as many lines of text.
 _MOST_RANK = 64
 #: Core numbers that are written out one by one; modes before them are looped over.
-_UNROLLED = 24
+_UNROLLED = 32
 #: Words of basis rows of a mode that are written out one by one; longer or more rows are looped over.
 _MOST_WORDS = 18
 

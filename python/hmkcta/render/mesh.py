@@ -152,7 +152,7 @@ def _drape(u: F64, v: F64) -> F64:
     share = np.clip((np.hypot(x, y) - 0.45) / (1.6 - 0.45), 0, 1)
     fall = share * share * (3 - 2 * share)
     folds = 0.15 * np.cos(6 * angle + 0.5) + 0.05 * np.cos(11 * angle)
-    return np.stack([x, y, 0.4 + fall * (folds - 1.15)], axis=1)
+    return np.stack([x, y, 0.7 + fall * (folds - 1.15)], axis=1)
 
 
 def _quads(across: int, down: int) -> tuple[F64, F64, NDArray[np.uint32]]:

@@ -8,7 +8,7 @@ import type { Metadata } from "../reader/metadata";
 const MOST_CLUSTERS = 32; // of a mode, which are kept in a mask of one word
 const MOST_ROWS = 9; // of a mode, which are kept beside each other
 const MOST_RANK = 64; // R of a mode that is worth so many registers, and as many lines of text
-const UNROLLED = 24; // core numbers that are written out one by one; modes before them are looped over
+const UNROLLED = 32; // core numbers that are written out one by one; modes before them are looped over
 const MOST_WORDS = 18; // of basis rows of a mode that are written out one by one; longer or more rows are looped over
 
 function product(numbers: number[]): number {

@@ -53,7 +53,7 @@ function drape(u: number, v: number): Vector {
   const share = Math.min(1, Math.max(0, (Math.hypot(x, y) - 0.45) / (1.6 - 0.45)));
   const fall = share * share * (3 - 2 * share);
   const folds = 0.15 * Math.cos(6 * angle + 0.5) + 0.05 * Math.cos(11 * angle);
-  return [x, y, 0.4 + fall * (folds - 1.15)];
+  return [x, y, 0.7 + fall * (folds - 1.15)];
 }
 
 function clothPoint(u: number, v: number, repeat: number): Point {
