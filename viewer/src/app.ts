@@ -319,8 +319,8 @@ export class App {
         this.present();
       }
       this.whole ||= complete;
-      this.renderer!.ahead?.(); // behind the picture, not before it
       await this.gpu.device.queue.onSubmittedWorkDone();
+      this.renderer!.ahead?.(); // behind the picture, not beside it: they would share the processor
       return { complete, decoded: parts.reduce((sum, part) => sum + part.decoded, 0), level: sides[0]!.level };
     });
     this.first.resolve();

@@ -23,7 +23,7 @@ export interface Renderer {
   prepare?(state: State, sides: Side[]): Promise<void>;
   /** Draw one side into a texture; elements that are kept from frame to frame are decoded up to `budget` at a time. */
   draw(side: Side, slot: 0 | 1, state: State, target: GPUTexture, budget: number): Progress;
-  /** Begin to compile what further levels need: a picture has been submitted. */
+  /** Begin to compile what further levels need: a picture is there. */
   ahead?(): void;
   destroy(): void;
 }

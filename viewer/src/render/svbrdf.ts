@@ -37,7 +37,7 @@ interface Tables {
 
 /**
  * A model's shaders, and whether its texels are interpolated. Level 1 has one of its own, which takes a fraction of the
- * time to compile; the other one is compiled once the first frame is on its way.
+ * time to compile; the other one is compiled once the first frame is there.
  */
 interface Shading {
   first: Pass;
