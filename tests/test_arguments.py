@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 import hmkcta
 from hmkcta import Axis, HmkctaError, Journal, LevelSpec, compress
+from hmkcta.render.layout import lay_out
 
 WAVE: NDArray[np.float64] = np.add.outer(np.sin(np.arange(20) / 3), np.arange(18.0) / 9)
 
@@ -46,6 +47,18 @@ def test_what_a_mask_hides_is_not_compressed_as_data() -> None:
 def test_axes_are_named_in_many_ways(axes: Any) -> None:
     named = compress(WAVE, "R=1", axes=axes).metadata.axes
     assert [(axis.name, axis.size, axis.role) for axis in named] == [("y", 20, "space"), ("x", 18, "space")]
+
+
+@pytest.mark.parametrize(("axes", "kind"), [
+    ("light, y, x", "svbrdf"), ("light, view, y, x, rgb", "svbrdf"), ("row, column, y, x", "lightfield"),
+    ("view, y, x", "lightfield"), ("t, z, y, x", "volume"), ("t, y, x", "generic"), ("light, view, rgb", "generic"),
+    ("theta:light, phi:light, view, y, x", "generic"), ("row, column, view, y, x", "generic"),
+])
+def test_a_kind_is_one_that_can_be_shown(axes: str, kind: str) -> None:
+    shape = (2,) * len(axes.split(","))
+    model = compress(np.ones(shape), "R=1", axes=axes)
+    assert model.metadata.kind == kind
+    lay_out(model.metadata.axes, kind)
 
 
 def test_an_axis_of_another_size_is_named() -> None:

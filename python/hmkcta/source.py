@@ -62,14 +62,14 @@ class Source:
 
     @property
     def kind(self) -> str:
-        """What renders it, told by the roles of its axes."""
-        roles = {axis.role for axis in self.axes}
-        spaces = sum(axis.role == "space" for axis in self.axes)
-        if "light" in roles:
+        """What renders it, told by the roles of its axes; a table of angles without texels, say, is generic."""
+        roles = [axis.role for axis in self.axes]
+        lights, views, spaces = (roles.count(role) for role in ("light", "view", "space"))
+        if lights == 1 and views <= 1 and spaces >= 2:
             return "svbrdf"
-        if "view" in roles:
+        if not lights and 1 <= views <= 2 and spaces >= 2:
             return "lightfield"
-        return "volume" if spaces >= 3 else "generic"
+        return "volume" if not (lights or views) and spaces >= 3 else "generic"
 
     def organisation(self, text: str | None) -> Organisation:
         """The organisation a text describes; None: a mode for each axis."""
