@@ -16,7 +16,7 @@ from hmkcta import coding, compress, projection
 from hmkcta.cells import Cells, dense_basis, empty_cells
 from hmkcta.fit import EFFORTS, fit_level, left_by
 from hmkcta.plan import GRAM_CELLS, OPTIMAL_SUBSETS, LevelSpec, parse_level
-from hmkcta.search import choose_rows, code, extend, orthonormalise
+from hmkcta.search import choose_rows, code, extend, orthonormalise, right_sides
 from hmkcta.subdivision import subdivide
 from test_special_cases import MODES, shuffled, smooth
 
@@ -65,7 +65,8 @@ def brute_force(cells: Cells, tensor: F32, n: int, mixture: int) -> tuple[list[t
 
 def joint_rows(cells: Cells, tensor: F32, n: int, mixture: int, search: str) -> None:
     """New subsets and rows of one mode, the columns not made orthonormal: part of a sweep."""
-    choose_rows(cells, code(cells, kernels.project_cells(cells, tensor, n), n), n, mixture, search)
+    seen = right_sides(cells, kernels.project_cells(cells, tensor, n), n)
+    choose_rows(cells, code(cells, seen, n), n, mixture, search)
 
 
 def row_errors(cells: Cells, tensor: F32, n: int) -> F64:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Sequence
 from itertools import pairwise
 from math import prod
 from pathlib import Path
@@ -20,17 +21,18 @@ from hmkcta import backends as kernels
 from hmkcta.cells import Cells
 from hmkcta.errors import HmkctaError
 from hmkcta.fit import EFFORTS
+from hmkcta.forecast import forecast
 from hmkcta.hierarchy import Run, backfit, descend, fit_nodes, whole
 from hmkcta.measure import measure
 from hmkcta.pieces import Piece, put
 from hmkcta.plan import LevelSpec, parse_plan
 from hmkcta.readers import open_array
 from hmkcta.scratch import Scratch
-from hmkcta.search import project_model
+from hmkcta.search import project_model, right_sides
 from hmkcta.source import Source, prepare
 from hmkcta.streamed import Streamed
 from hmkcta.synthetic import material, volume
-from hmkcta.workset import projected
+from hmkcta.workset import projected, sides
 
 F32 = NDArray[np.float32]
 WH4_LIKE = "R=3,3,4,4 / R=2,2,2,2 C=2,2,3,3 K=2 / R=1,1,2,2 C=2 K=2"
@@ -132,6 +134,57 @@ def test_a_streamed_volume_keeps_its_undecomposed_mode(monkeypatch: pytest.Monke
     assert outside.snr > inside.snr - 0.3
 
 
+MATRIX = "light+view+rgb, y+x"
+
+
+@pytest.mark.parametrize(
+    ("plan", "organisation"),
+    [
+        ("R=5,*", MATRIX),
+        ("R=*,5", MATRIX),
+        ("R=4,4,*", "light+rgb, view, y+x"),
+        ("R=1,* C=3,1 / R=3,*", MATRIX),
+        ("R=2,* / R=3,*", MATRIX),
+    ],
+)
+def test_long_undecomposed_modes_are_fitted_on_a_part(
+    cloth: Any, monkeypatch: pytest.MonkeyPatch, plan: str, organisation: str
+) -> None:
+    """Bases from every few rows of the mode, cores from all of them."""
+    held: list[int] = []
+    sample = Streamed.sample
+
+    def noted(self: Streamed, steps: Sequence[int], without: int | None = None) -> F32:
+        held.append((found := sample(self, steps, without)).size)
+        return found
+
+    monkeypatch.setattr(Streamed, "sample", noted)
+    inside = fitted(cloth, monkeypatch, cloth.values.size, plan, organisation=organisation)
+    assert not held
+    outside = fitted(cloth, monkeypatch, cloth.values.size // 5, plan, organisation=organisation)
+    assert held
+    assert max(held) <= cloth.values.size // 5
+    assert outside.snr > inside.snr - 0.1
+
+
+def test_ranks_of_a_matrix_that_memory_does_not_hold(cloth: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    model = fitted(cloth, monkeypatch, cloth.values.size // 5, "R<=1024,*", organisation=MATRIX, snr=20.0)
+    assert 20 <= model.snr < 21
+    assert model.snr == pytest.approx(measure(model, cloth.values)[-1].snr_db, abs=1e-3)
+
+
+def test_what_memory_cannot_hold_is_refused_before_the_work(cloth: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Overlapping cells are fitted with all rows of an undecomposed mode; `plan` says so as well."""
+    plan, limit = "R=2,2,* C=2,2,1 K=2", predict.PROCESS + predict.WORKING * cloth.values.size // 2
+    monkeypatch.setattr(predict, "SMALLEST", 1000)
+    options: dict[str, Any] = {"organisation": "light+rgb, view, y+x", "max_memory": limit}
+    with pytest.raises(HmkctaError, match=r"memory for level 1 .*raise --max-memory"):
+        fitted(cloth, monkeypatch, cloth.values.size // 5, plan, **options)
+    parsed = parse_plan(plan, (("light", "rgb"), ("view",), ("y", "x")))
+    with pytest.raises(HmkctaError, match="memory for level 1"):
+        forecast(parsed, (18, 8, 1024), EFFORTS["fast"], 2, limit)
+
+
 def test_automatic_subdivision_of_a_streamed_tensor(cloth: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     schemes = {
         scheme: fitted(cloth, monkeypatch, cloth.values.size // 3, scheme=scheme).snr
@@ -230,13 +283,17 @@ def test_projections_are_summed_over_slabs_and_pieces(source: Source) -> None:
     kernels.accumulate(first, left, -1.0)
     expected = [kernels.project_cells(cells, left, n) for n in range(4)]
     for n in range(4):
-        np.testing.assert_allclose(projected(residual, 1, cells, n, [1] * 4), expected[n], rtol=1e-4, atol=1e-4)
+        np.testing.assert_allclose(projected(residual, 1, cells, n), expected[n], rtol=1e-4, atol=1e-4)
+        b = right_sides(cells, expected[n], n)
+        np.testing.assert_allclose(sides(residual, 1, cells, n, [1] * 4), b, rtol=1e-4, atol=1e-4 * np.abs(b).max())
     parts: list[NDArray[np.intp]] = [np.arange(size) % 2 for size in tensor.shape]
     pieces = residual.cut(parts, (2, 2, 2, 2))
     for piece in pieces:
         np.testing.assert_allclose(residual.read(piece), left[np.ix_(*piece.rows)], atol=1e-5)
     for n in range(4):
-        np.testing.assert_allclose(projected(residual, 1, cells, n, [1] * 4), expected[n], rtol=1e-4, atol=1e-4)
+        np.testing.assert_allclose(projected(residual, 1, cells, n), expected[n], rtol=1e-4, atol=1e-4)
+        b = right_sides(cells, expected[n], n)
+        np.testing.assert_allclose(sides(residual, 1, cells, n, [1] * 4), b, rtol=1e-4, atol=1e-4 * np.abs(b).max())
     assert residual.error == pytest.approx(streamed.squared_norm(left), rel=1e-5)
 
 

@@ -37,6 +37,7 @@ from .plan import SCHEMES, LevelSpec, Plan, check_plan
 from .predict import is_streamed, memory_limit
 from .source import Source
 from .streamed import Streamed
+from .workset import check_worksets
 
 
 @dataclass(frozen=True)
@@ -90,6 +91,7 @@ def _begun(task: Task) -> tuple[Hierarchy, Goal]:
     sizes = mode_sizes(source.axes, organisation)
     limit = task.run.journal.settled("limit", lambda: memory_limit(task.plan, sizes, task.memory))
     if is_streamed(prod(source.shape), limit):
+        check_worksets(task.plan, sizes, limit, task.memory)
         tree = whole(Streamed(source, organisation, task.run.threads, limit))
     else:
         tree = whole(source.tensor(organisation))

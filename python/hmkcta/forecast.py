@@ -11,7 +11,7 @@ from .measure import SLAB as MEASURED
 from .plan import LevelSpec, Plan
 from .predict import FLAT, WORKING, is_streamed, memory_limit
 from .streamed import SLAB
-from .workset import thinning
+from .workset import check_worksets, workset
 
 #: Bytes for each element of a tensor in memory: its residual lasts, the rest is `WORKING`; a saved residual for goals.
 _RESIDUAL, _SAVED = 4, 4
@@ -58,7 +58,8 @@ def forecast(plan: Plan, sizes: Sequence[int], effort: Effort, threads: int, mem
         return Forecast(_BASE + max(working * elements, measuring), 0, _seconds(plan, sizes, effort, threads))
     cut = next((n for n, level in enumerate(plan.levels[:-1]) if level.cells > 1), None)
     wholes = plan.levels if cut is None else plan.levels[: cut + 1]
-    held = max(_workset(sizes, level, limit) for level in wholes)
+    held = max(workset(sizes, level, limit) for level in wholes)
+    check_worksets(plan, sizes, limit, memory)
     if limit == elements:  # fitted in place
         return Forecast(_BASE + FLAT * elements, 0, _seconds(plan, sizes, effort, threads))
     pieces = 0 if cut is None else min(limit, threads * _largest(elements, plan.levels[cut]))
@@ -72,13 +73,6 @@ def _largest(elements: int, level: LevelSpec) -> int:
     """Elements of the largest sub-tensors that a level is cut into."""
     uneven = prod(_UNEVEN_TWO if c == 2 else _UNEVEN_MORE for c in level.clusters if c > 1)
     return int(uneven * elements / level.cells)
-
-
-def _workset(sizes: Sequence[int], level: LevelSpec, limit: int) -> int:
-    spec = level.clamped(sizes)
-    if spec.search == "fast":
-        return limit
-    return prod(-(-size // step) for size, step in zip(sizes, thinning(sizes, spec, limit), strict=True))
 
 
 def _seconds(plan: Plan, sizes: Sequence[int], effort: Effort, threads: int, cut: int | None = None) -> float:

@@ -228,7 +228,7 @@ def sampled(tree: Hierarchy, node: Node, spec: LevelSpec) -> tuple[F32, list[int
     outside = streamed(tree, node)
     if outside is None:
         return None
-    steps = thinning(outside.shape, spec, min(outside.limit, SAMPLED))
+    steps = thinning(outside.shape, spec.clamped(outside.shape), min(outside.limit, SAMPLED))
     return outside.sample(steps, 0 if node.piece else len(tree.levels) - 1), steps
 
 

@@ -18,6 +18,9 @@ SCHEMES = ("most", "least", "uniform")
 #: Beyond this many cluster subsets in a mode the optimal search gives way to the greedy one (docs/design-notes.md).
 OPTIMAL_SUBSETS = 64
 
+#: Most ranks of a mode that a level with ranks of its own (R<=..) is given.
+MOST_RANKS = 160
+
 #: Beyond this many cells, or columns PC R_n of all their bases of a mode, joint least squares give way to Gauss-Seidel
 #: alone: their Gram matrix H_n has (PC R_n)^2 numbers, and each takes the contraction of two cores.
 GRAM_CELLS, GRAM_COLUMNS = 1536, 2048
@@ -95,10 +98,11 @@ class LevelSpec:
         return prod(r * k for r, k in zip(self.ranks, self.mixture, strict=True) if r is not None)
 
     def clamped(self, sizes: Sequence[int]) -> LevelSpec:
-        """The spec for a node of these sizes: C <= I, K <= C, R <= I."""
+        """The spec for a node of these sizes: C <= I, K <= C, R <= I, and R of its own up to `MOST_RANKS`."""
+        most = MOST_RANKS if self.own else max(1, *sizes)
         clusters = tuple(min(c, max(i, 1)) for c, i in zip(self.clusters, sizes, strict=True))
         return LevelSpec(
-            tuple(None if r is None else min(r, max(i, 1)) for r, i in zip(self.ranks, sizes, strict=True)),
+            tuple(None if r is None else min(r, most, max(i, 1)) for r, i in zip(self.ranks, sizes, strict=True)),
             clusters,
             tuple(min(k, c) for k, c in zip(self.mixture, clusters, strict=True)),
             self.scheme,

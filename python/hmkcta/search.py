@@ -26,7 +26,7 @@ def sweep(cells: Cells, tensor: F32, mixture: Sequence[int], search: str) -> Non
     for kept in passes(cells):
         seen = project(cells, tensor, kept)
         for n in kept:
-            choose_rows(cells, code(cells, seen.onto(cells, n), n), n, mixture[n], search)
+            choose_rows(cells, code(cells, right_sides(cells, seen.onto(cells, n), n), n), n, mixture[n], search)
             orthonormalise(cells, n)
 
 
@@ -46,11 +46,15 @@ def choose_rows(cells: Cells, coding: Coding, n: int, mixture: int, search: str)
     _store(cells, n, coding, mixture)
 
 
-def code(cells: Cells, y: NDArray[np.floating], n: int) -> Coding:
-    """b and H of mode n, grouped by its clusters, from the projections `y` `[PC, I_n, prod_{m != n} R_m]`."""
+def right_sides(cells: Cells, y: NDArray[np.floating], n: int) -> F64:
+    """b of mode n `[PC, R_n, I_n]` from the projections `y` `[PC, I_n, prod_{m != n} R_m]`."""
+    cores = np.moveaxis(cells.cores, n + 1, 1).reshape(cells.spec.cells, cells.ranks[n], -1)
+    return np.matmul(cores.astype(np.float64), y.transpose(0, 2, 1))
+
+
+def code(cells: Cells, b: F64, n: int) -> Coding:
+    """b `[PC, R_n, I_n]` and H of mode n, grouped by its clusters."""
     rank, clusters = cells.ranks[n], cells.spec.clusters[n]
-    cores = np.moveaxis(cells.cores, n + 1, 1).reshape(cells.spec.cells, rank, -1)
-    b = np.matmul(cores.astype(np.float64), y.transpose(0, 2, 1))  # [PC, R_n, I_n]
     order = np.argsort(np.indices(cells.spec.clusters)[n].reshape(-1), kind="stable")
     columns = (order[:, None] * rank + np.arange(rank)).reshape(-1)  # grouped by the mode's cluster
     h = kernels.dictionary_gram(cells, n)[np.ix_(columns, columns)]
@@ -63,10 +67,10 @@ def project_model(cells: Cells, other: Cells, n: int) -> F64:
     `Y_n[c] = sum_d Z_d x_{m != n} (U_{m,c}^T U_{m,d}) x_n U_{n,d}`, `[PC, I_n, prod_{m != n} R_m]`; nothing the size of
     the tensor is touched.
     """
-    modes = [m for m in range(cells.order) if m != n and not cells.undecomposed[m]]
-    theirs = {m: dense_basis(other, m).astype(np.float64).transpose(0, 2, 1) for m in [*modes, n]}  # [PD, R_m, I_m]
+    decomposed = [m for m in range(cells.order) if not cells.undecomposed[m]]
+    modes = [m for m in decomposed if m != n]
+    theirs = {m: dense_basis(other, m).astype(np.float64).transpose(0, 2, 1) for m in decomposed}  # [PD, R_m, I_m]
     ours = {m: dense_basis(cells, m).astype(np.float64) for m in modes}  # [PC, I_m, R_m]
-    expand = theirs[n].transpose(2, 0, 1).reshape(cells.sizes[n], -1)  # [I_n, PD R_n]
     y: list[F64] = []
     for c in range(cells.spec.cells):
         x: F64 = other.cores.astype(np.float64)
@@ -75,7 +79,12 @@ def project_model(cells: Cells, other: Cells, n: int) -> F64:
             x = np.moveaxis(x, m + 1, -1)
             shape = (*x.shape[:-1], gram.shape[2])
             x = np.moveaxis((x.reshape(len(gram), -1, gram.shape[1]) @ gram).reshape(shape), -1, m + 1)
-        y.append(expand @ np.moveaxis(x, n + 1, 1).reshape(expand.shape[1], -1))
+        x = np.moveaxis(x, n + 1, 1)  # [PD, R_n, ..]
+        if n in theirs:
+            expand = theirs[n].transpose(2, 0, 1).reshape(cells.sizes[n], -1)  # [I_n, PD R_n]
+            y.append(expand @ x.reshape(expand.shape[1], -1))
+        else:
+            y.append(x.sum(axis=0).reshape(cells.sizes[n], -1))
     return np.array(y)
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from .cells import Cells
 from .memberships import uniform_blocks
 from .projection import Projection, passes, project
-from .search import code, project_model
+from .search import code, project_model, right_sides
 
 F32 = NDArray[np.float32]
 
@@ -44,7 +44,8 @@ def _parts(cells: Cells, seen: Projection | None, n: int, scheme: str) -> NDArra
 
 def _subset_errors(cells: Cells, seen: Projection | None, n: int) -> NDArray[np.float64]:
     """`[I_n, K_n]`: squared error of each row by each of its subsets alone, less |t_i|^2."""
-    coding = code(cells, project_model(cells, cells, n) if seen is None else seen.onto(cells, n), n)
+    y = project_model(cells, cells, n) if seen is None else seen.onto(cells, n)
+    coding = code(cells, right_sides(cells, y, n), n)
     x = cells.bases[n].astype(np.float64)  # [I_n, K_n, PC_-n, R_n]
     errors = np.empty(cells.members[n].shape)
     for k, length in enumerate(coding.length):

@@ -1,15 +1,18 @@
 """One level on a tensor that memory does not hold.
 
-It is fitted on a *workset*, every few rows of the two longest modes. The rows left out then are independent least
-squares problems given everything else, and so are all rows of one mode: they are solved from projections of the whole
-tensor, which are sums over its blocks and are read in one pass (`projected`).
+It is fitted on a *workset*, every few rows of the longest modes. The rows left out then are independent least squares
+problems given everything else, and so are all rows of one mode: they are solved from projections of the whole tensor,
+which are sums over its blocks and are read in one pass. An undecomposed mode has no rows to solve for; where cells
+share no element (K = 1) their cores are the whole tensor's projections on their bases.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from math import prod
+from itertools import count
+from math import gcd, prod
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,38 +20,82 @@ from numpy.typing import NDArray
 from . import backends as kernels
 from .cells import Cells
 from .fit import Effort, Labels, fit_level
-from .plan import LevelSpec
-from .search import choose_rows, code, orthonormalise, project_model
+from .memory import check_memory
+from .pieces import Rows
+from .plan import LevelSpec, Plan
+from .predict import PROCESS, WORKING
+from .search import choose_rows, code, orthonormalise, project_model, right_sides
+from .slabs import slabs
 from .streamed import Block, Streamed, thinned_cells
 
+F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+T = TypeVar("T", np.float32, np.float64)
 
 #: Rows of a thinned mode for each cluster and each column of a basis: fewer would fit themselves.
 FEWEST = 8
+#: Elements of a model that is projected in closed form at a time, where modes are undecomposed.
+PROJECTED = 1 << 22
 
 
 def thinning(sizes: Sequence[int], spec: LevelSpec, limit: int) -> list[int]:
     """Steps that leave up to `limit` elements: of the two longest decomposed modes, of others where that is too few.
 
+    Undecomposed modes come first where cells share no element: a pass makes up for what was left out.
+
     >>> thinning((174, 58, 400, 380), LevelSpec((2, 2, 3, 3), (4, 3, 4, 4), (2, 2, 2, 2)), 2**26)
     [1, 1, 5, 5]
+    >>> thinning((10092, 152000), LevelSpec((30, None), (1, 1), (1, 1)), 2**26)
+    [1, 23]
     """
     steps = [1] * len(sizes)
     decomposed = [n for n, rank in enumerate(spec.ranks) if rank is not None]
+    opened = [n for n, rank in enumerate(spec.ranks) if rank is None] if max(spec.mixture) == 1 else []
     longest = sorted(decomposed, key=lambda n: -sizes[n])[:2]
+    most = max((rank for rank in spec.ranks if rank is not None), default=1)
 
     def left(n: int) -> float:
         return sizes[n] / steps[n]
 
+    def further(n: int) -> int:
+        # An undecomposed mode is all that is seen of the axes merged in it: of colours, and of those of even length.
+        return next(step for step in count(steps[n] + 1) if spec.ranks[n] is not None or gcd(step, 6) == 1)
+
     def thinnable(n: int) -> bool:
-        return sizes[n] / (steps[n] + 1) >= FEWEST * max(spec.clusters[n], spec.ranks[n] or 1)
+        return sizes[n] / further(n) >= FEWEST * max(spec.clusters[n], spec.ranks[n] or most)
 
     while prod(-(-size // step) for size, step in zip(sizes, steps, strict=True)) > limit:
-        choice = [n for n in longest if thinnable(n)] or [n for n in decomposed if thinnable(n)]
-        if not choice:
+        choices = ([n for n in modes if thinnable(n)] for modes in (opened, longest, decomposed))
+        choice = next((modes for modes in choices if modes), None)
+        if choice is None:
             break
-        steps[max(choice, key=left)] += 1
+        longest_left = max(choice, key=left)
+        steps[longest_left] = further(longest_left)
     return steps
+
+
+def workset(sizes: Sequence[int], level: LevelSpec, limit: int) -> int:
+    """Elements of a node of these sizes that a level is fitted on."""
+    spec = level.clamped(sizes)
+    if spec.search == "fast":
+        return limit
+    return prod(-(-size // step) for size, step in zip(sizes, thinning(sizes, spec, limit), strict=True))
+
+
+def check_worksets(plan: Plan, sizes: Sequence[int], limit: int, memory: int | None) -> None:
+    """Refuse a plan whose levels on the whole tensor cannot be fitted on as little as memory holds.
+
+    Raises:
+        HmkctaError: one cannot.
+    """
+    for number, level in enumerate(plan.levels, start=1):
+        most = workset(sizes, level, limit)
+        if most > limit:
+            what = f"level {number} ({level}) on {' x '.join(map(str, sizes))}"
+            hint = "raise --max-memory, lower R, or leave no long mode undecomposed"
+            check_memory(PROCESS + WORKING * most, what, hint, memory)
+        if level.cells > 1:
+            break
 
 
 def fit_streamed(
@@ -63,17 +110,22 @@ def fit_streamed(
     del sample
     if max(steps) == 1:
         return cells
-    thinned = [n for n, step in enumerate(steps) if step > 1]
+    thinned = [n for n, step in enumerate(steps) if step > 1 and spec.ranks[n] is not None]
+    opened = [step if spec.ranks[n] is None else 1 for n, step in enumerate(steps)]
     others = [n for n, rank in enumerate(spec.ranks) if rank is not None and n not in thinned]
     for n in thinned:
         cells = widened(cells, n, residual.shape[n], steps[n])
     for n in thinned:
         solve_rows(residual, number, cells, n, spec.search, [1 if m == n else step for m, step in enumerate(steps)])
     for n in others if spec.cells > 1 else []:  # these have samples enough on a part
-        solve_rows(residual, number, cells, n, spec.search, [min(step, 2) for step in steps])
+        part = [max(always, min(step, 2)) for always, step in zip(opened, steps, strict=True)]
+        solve_rows(residual, number, cells, n, spec.search, part)
     for n in thinned:
-        solve_rows(residual, number, cells, n, spec.search, [1] * spec.order)
-    return cells
+        solve_rows(residual, number, cells, n, spec.search, opened)
+    if max(spec.mixture) > 1 or None not in spec.ranks:
+        return cells
+    cells = completed(residual, number, cells)
+    return completed(residual, number, refit_streamed(residual, number, cells))
 
 
 def refit_streamed(residual: Streamed, number: int, cells: Cells) -> Cells:
@@ -93,35 +145,79 @@ def widened(cells: Cells, n: int, size: int, step: int) -> Cells:
     return replace(cells, sizes=sizes, members=members, bases=bases)
 
 
+def completed(residual: Streamed, number: int, cells: Cells) -> Cells:
+    """The cells with cores for all rows of undecomposed modes: the tensor projected on their bases."""
+    n = cells.undecomposed.index(True)
+    sizes = residual.shape
+    members = [
+        np.zeros((size, 1), np.uint16) if skip else own
+        for size, own, skip in zip(sizes, cells.members, cells.undecomposed, strict=True)
+    ]
+    whole = Cells(sizes, cells.spec, members, cells.bases, cells.cores)
+    whole.cores = np.zeros((cells.spec.cells, *whole.ranks), np.float32)
+    y = projected(residual, number, whole, n)
+    ranks = [whole.ranks[m] for m in range(cells.order) if m != n]
+    whole.cores = np.ascontiguousarray(np.moveaxis(y.reshape(*y.shape[:2], *ranks), 1, n + 1), np.float32)
+    return whole
+
+
 def solve_rows(residual: Streamed, number: int, cells: Cells, n: int, search: str, steps: Sequence[int]) -> None:
-    """Best rows of mode n given all else, on the tensor thinned by `steps`."""
-    seen = thinned_cells(cells, steps)
-    coding = code(seen, projected(residual, number, seen, n, steps), n)
+    """Best rows of mode n given all else, on the tensor thinned by `steps`, as modes of the cells may be already."""
+    full = [own == size for own, size in zip(cells.sizes, residual.shape, strict=True)]
+    seen = thinned_cells(cells, [step if whole else 1 for step, whole in zip(steps, full, strict=True)])
+    coding = code(seen, sides(residual, number, seen, n, steps), n)
     choose_rows(seen, coding, n, cells.spec.mixture[n], search)
     orthonormalise(seen, n)
     cells.members[n], cells.bases[n], cells.cores = seen.members[n], seen.bases[n], seen.cores
 
 
-def projected(residual: Streamed, number: int, cells: Cells, n: int, steps: Sequence[int]) -> F64:
-    """`project_cells` of the tensor less all levels but `number`, thinned by `steps`: `[PC, I_n, prod R_m]`."""
-    ranks = [cells.sizes[n] if m == n else rank for m, rank in enumerate(cells.ranks)]
+def sides(residual: Streamed, number: int, cells: Cells, n: int, steps: Sequence[int]) -> F64:
+    """`right_sides` of the tensor less all levels but `number`, thinned as the cells are: `[PC, R_n, I_n]`."""
+    total = np.zeros((cells.spec.cells, cells.ranks[n], cells.sizes[n]))
+    for rows, b in _over_blocks(residual, cells, n, steps, right_sides):
+        total[:, :, rows[n]] += b
+    for weight, other in residual.terms(number):
+        for rows in _stretches(cells, n):
+            part, model = cells.part(rows), thinned_cells(other, steps).part(rows)
+            total += weight * right_sides(part, project_model(part, model, n), n)
+    return total
+
+
+def projected(residual: Streamed, number: int, cells: Cells, n: int) -> F64:
+    """`project_cells` of the tensor less all levels but `number`: `[PC, I_n, prod R_m]`."""
     order = [n, *[m for m in range(cells.order) if m != n]]
-    total = np.zeros([cells.spec.cells, *[ranks[m] for m in order]])
-    along = [n, *[m for m in range(cells.order) if m != n and cells.undecomposed[m]]]  # modes that are not summed over
-
-    def project(block: Block) -> tuple[Block, NDArray[np.float32] | None]:
-        if not block.tensor.size:
-            return block, None
-        part = cells.part(block.rows)
-        y = kernels.project_cells(part, block.tensor, n)
-        shape = [len(block.rows[m]) if m in along else ranks[m] for m in order]
-        return replace(block, tensor=block.tensor[:0]), y.reshape([len(y), *shape])
-
-    for block, y in residual.each(project, residual.blocks(steps)):
-        if y is not None:
-            rows = [block.rows[m] if m in along else np.arange(ranks[m]) for m in order]
-            total[np.ix_(np.arange(len(total)), *rows)] += y
+    kept = [m == n or cells.undecomposed[m] for m in order]  # modes that are not summed over
+    sizes = [cells.sizes[m] if whole else cells.ranks[m] for m, whole in zip(order, kept, strict=True)]
+    total = np.zeros([cells.spec.cells, *sizes])
+    for rows, y in _over_blocks(residual, cells, n, [1] * cells.order, lambda _part, y, _n: y):
+        places = [rows[m] if whole else np.arange(cells.ranks[m]) for m, whole in zip(order, kept, strict=True)]
+        total[np.ix_(np.arange(len(total)), *places)] += y.reshape([len(y), *map(len, places)])
     flat = total.reshape(len(total), cells.sizes[n], -1)
     for weight, other in residual.terms(number):
-        flat += weight * project_model(cells, thinned_cells(other, steps), n)
+        flat += weight * project_model(cells, other, n)
     return flat
+
+
+def _over_blocks(
+    residual: Streamed, cells: Cells, n: int, steps: Sequence[int], use: Callable[[Cells, F32, int], NDArray[T]]
+) -> Iterator[tuple[Rows, NDArray[T]]]:
+    """What is made of the projections of every block that is not empty, and its rows."""
+
+    def work(block: Block) -> tuple[Rows, NDArray[T] | None]:
+        if not block.tensor.size:
+            return block.rows, None
+        part = cells.part(block.rows)
+        return block.rows, use(part, kernels.project_cells(part, block.tensor, n), n)
+
+    for rows, made in residual.each(work, residual.blocks(steps)):
+        if made is not None:
+            yield rows, made
+
+
+def _stretches(cells: Cells, n: int) -> Iterator[list[NDArray[np.intp]]]:
+    """All rows of every mode, of undecomposed ones so many at a time that a model's projections stay small."""
+    skipped = [m for m, skip in enumerate(cells.undecomposed) if skip]
+    each = cells.spec.cells * cells.sizes[n] * prod(r for m, r in enumerate(cells.spec.ranks) if m != n and r)
+    for part in slabs([cells.sizes[m] for m in skipped], max(1, PROJECTED // each)):
+        spans = dict(zip(skipped, part, strict=False))  # the last modes are whole where a slab does not name them
+        yield [np.arange(size)[spans.get(m, slice(None))] for m, size in enumerate(cells.sizes)]
