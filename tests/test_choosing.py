@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from dense_reference import energy, snr, tucker_product
 from hmkcta import choose_plan
-from hmkcta.allocation import allocate, spectrum
+from hmkcta.allocation import allocate, choices_of, pareto, ration, spectrum
+from hmkcta.blocks import sampled_blocks, spread
 from hmkcta.source import prepare
+from hmkcta.spectra import captured, cores, energies, ladders
 from hmkcta.synthetic import light_field
 from hmkcta.trial import Trial, trial_of
 from hmkcta.tucker import core_energies, full_core
@@ -86,6 +88,104 @@ def test_few_nodes_use_their_bytes() -> None:
         assert chosen.error == pytest.approx(sum(s.error[c] for s, c in each))
 
 
+# Many blocks at once
+
+
+@pytest.mark.parametrize("undecomposed", [(), (1,), (0, 2)], ids=str)
+def test_energies_of_many_blocks_are_those_of_each(undecomposed: tuple[int, ...]) -> None:
+    """Also of a block of zeros."""
+    batch = np.stack([noise(9, 10, 11), 1e-3 * noise(9, 10, 11)[::-1], np.zeros((9, 10, 11), np.float32)])
+    limits = [None if n in undecomposed else limit for n, limit in enumerate((9, 10, 11))]
+    steps = [None if limit is None else tuple(range(1, limit + 1)) for limit in limits]
+    tables = captured(cores(batch, limits), steps)
+    np.testing.assert_allclose(energies(batch), [energy(block) for block in batch], rtol=1e-6)
+    for block, table in zip(batch, tables, strict=True):
+        found = core_energies(block, limits, np.random.default_rng(0))
+        np.testing.assert_allclose(table, found, rtol=1e-4, atol=1e-12)
+
+
+def test_a_truncated_core_captures_no_less() -> None:
+    """Rotated into the leading vectors one mode after another, as ST-HOSVD does: each mode sees what the first left."""
+    block = np.cumsum(np.cumsum(np.cumsum(noise(14, 15, 16), 0), 1), 2)
+    table = captured(cores(block[None], (3, 4, 5)), [(3,), (4,), (5,)])[0]
+    whole = core_energies(block, (3, 4, 5), np.random.default_rng(0))[-1, -1, -1]
+    assert 0.999 * whole < table[0, 0, 0] < energy(block)
+
+
+@pytest.mark.parametrize("shape", [(400, 500), (500, 400), (30, 700)], ids=str)
+def test_long_modes_of_many_blocks_are_iterated(shape: tuple[int, int]) -> None:
+    """Two factors and noise: the leading singular vectors are found, whichever side is the longer."""
+    rng = np.random.default_rng(0)
+    batch = np.stack([rng.standard_normal((shape[0], 2)) @ rng.standard_normal((2, shape[1])) for _ in range(2)])
+    noisy = (batch + 0.01 * rng.standard_normal(batch.shape)).astype(np.float32)
+    for block, table in zip(noisy, captured(cores(noisy, (8, 8)), [(1, 2, 8), (1, 2, 8)]), strict=True):
+        squares = np.linalg.svd(block.astype(np.float64), compute_uv=False) ** 2
+        assert table[0, 0] == pytest.approx(squares[0], rel=1e-4)
+        assert table[1, 1] == pytest.approx(squares[:2].sum(), rel=1e-5)
+
+
+def test_ladders_skip_high_ranks_only_where_there_are_too_many_choices() -> None:
+    assert ladders([5, 6, 7]) == [tuple(range(1, n + 1)) for n in (5, 6, 7)]
+    found = ladders([64, 64, 64, 64], blocks=100)
+    assert np.prod([len(own) for own in found]) <= 10_000
+    for own in found:
+        assert (own[0], own[1], own[-1]) == (1, 2, 64)
+        assert all(before < after for before, after in pairwise(own))
+
+
+def test_a_table_of_some_ranks_is_part_of_that_of_all() -> None:
+    core = cores(np.stack([noise(12, 13, 14), noise(12, 13, 14)[:, ::-1]]), (12, 13, 14))
+    whole = captured(core, [tuple(range(1, n + 1)) for n in (12, 13, 14)])
+    some = captured(core, [(1, 2, 5, 12), (3, 13), (1, 14)])
+    np.testing.assert_allclose(some, whole[np.ix_([0, 1], [0, 1, 4, 11], [2, 12], [0, 13])], rtol=1e-6)
+
+
+@pytest.mark.parametrize(("share", "kind"), [(s, k) for s in (0.1, 0.3, 0.6) for k in ("limit", "error")])
+def test_bytes_are_rationed_among_nodes_as_allocated(share: float, kind: str) -> None:
+    """One multiplier for tables of many nodes chooses what steps along their hulls do."""
+    nodes = [(1 + scale) * np.cumsum(noise(8, 9, 10 + scale)[:, :, :10], 1) for scale in range(30)]
+    tables = [core_energies(node, node.shape, np.random.default_rng(0)) for node in nodes]
+    whole = [energy(node) for node in nodes]
+    spectra = [spectrum(t, e, (8, 9, 10), [False] * 3, 4096) for t, e in zip(tables, whole, strict=True)]
+    steps = tuple(tuple(range(1, n + 1)) for n in (8, 9, 10))
+    choices = choices_of(steps, (8, 9, 10), (False,) * 3, 4096, (1, 1, 1))
+    left = [e - t.reshape(-1)[choices.entry] for t, e in zip(tables, whole, strict=True)]
+    errors = np.array([[e, *np.maximum(own, 0)] for own, e in zip(left, whole, strict=True)])
+    goal = share * (30 * choices.nbytes[-1] if kind == "limit" else sum(whole))
+    nbytes, error = ration(errors, choices.nbytes, **{kind: goal})
+    other = allocate(spectra, **{"nbytes" if kind == "limit" else "error": goal})
+    assert (nbytes if kind == "limit" else error) == pytest.approx(goal, rel=1e-6)
+    assert nbytes == pytest.approx(other.nbytes, rel=0.02)
+    assert error == pytest.approx(other.error, rel=0.02)
+
+
+def test_the_best_of_one_node_are_those_that_no_other_beats() -> None:
+    nbytes, error = np.array([0.0, 1, 2, 3, 4]), np.array([9.0, 5, 6, 5, 1])
+    assert pareto(nbytes, error).tolist() == [0, 1, 4]
+
+
+def test_blocks_are_spread_over_a_grid() -> None:
+    """No block twice; of every second block none is far; all blocks where all are wanted."""
+    found = spread((6, 8), 24, 0)
+    assert len(set(found)) == 24
+    assert all(min(abs(a - y) + abs(b - x) for y, x in found) <= 2 for a in range(6) for b in range(8))
+    assert spread((2, 3), 6, 1) == sorted(product(range(2), range(3)))
+
+
+def test_a_sample_of_all_blocks_holds_every_element() -> None:
+    """Blocks of 4 and 3 rows: all have 4, and the shorter ones share a row."""
+    values = np.arange(10 * 9, dtype=np.float32).reshape(10, 9) + 1
+    source = prepare(values, None, "identity", None)
+    for held in (None, source.values()):
+        blocks = sampled_blocks(source, held, (3, 2), values.size, 0)
+        assert (blocks.values.shape, blocks.share, blocks.thinned) == ((6, 4, 5), 1.0, False)
+        assert set((blocks.values * source.unit).reshape(-1).tolist()) == set(values.reshape(-1).tolist())
+    few = sampled_blocks(source, None, (1, 1), 20, 0)
+    assert few.thinned
+    assert few.values.size <= 40
+    assert sampled_blocks(source, None, (5, 3), 24, 0).share == 4 / 15
+
+
 @pytest.mark.parametrize(("snr", "size"), [(30.0, None), (None, 20000), (None, None)])
 def test_a_choice_does_not_depend_on_threads(snr: float | None, size: int | None) -> None:
     data = light_field(views=3, size=32, frames=3)
@@ -138,6 +238,7 @@ def test_a_goal_in_db_is_that_of_the_source_not_of_transformed_values(transform:
     source = prepare(values, None, transform, None)
     trial = trial_of(source, 30.0, None, None, 4096, 0)
     assert trial.error is not None
-    noise = rng.standard_normal(values.shape) * np.sqrt(trial.error / values.size)
+    allowed = trial.error * energy(source.values())
+    noise = rng.standard_normal(values.shape) * np.sqrt(allowed / values.size)
     noisy = source.value_transform.inverse(source.unit * (source.values() + noise))
     assert snr(values, energy(values - noisy)) == pytest.approx(30.0, abs=0.3)

@@ -17,7 +17,7 @@ PACKAGE = ROOT / "python" / "hmkcta"
 
 #: Modules and subpackages from the lowest layer up; an import goes to a lower layer, or stays in its subpackage.
 LAYERS = (
-    ("_version", "errors", "executors", "metrics", "recordlog", "slabs", "temporaries", "tucker", "_native"),
+    ("_version", "errors", "executors", "metrics", "recordlog", "slabs", "spectra", "temporaries", "tucker", "_native"),
     ("axes", "memory", "transform", "indexing"),
     ("plan", "packed", "scratch"),
     ("cells", "coding", "pieces", "predict", "storage", "hmkfile", "source", "_example"),
@@ -27,7 +27,7 @@ LAYERS = (
     ("fit", "subdivision"),
     ("workset", "decode"),
     ("hierarchy",),
-    ("pack", "allocation", "filesize", "model", "verbatim"),
+    ("pack", "allocation", "blocks", "filesize", "model", "verbatim"),
     ("adaptive", "measure"),
     ("trial", "measure_streamed"),
     ("tuning", "follow", "forecast"),

@@ -21,8 +21,8 @@ from .tucker import core_energies
 
 F32 = NDArray[np.float32]
 
-#: Most ranks a mode is examined at, and most entries of a node's table of choices.
-MOST_RANKS, TABLE_ENTRIES = 160, 60_000
+#: Most ranks a mode is examined at, and most entries of the table of choices of a node, and of one alone in its level.
+MOST_RANKS, TABLE_ENTRIES, LONE_ENTRIES = 160, 60_000, 400_000
 #: How far above an SNR goal a fit may end, in dB, and how often a fit is repeated to land there.
 OVERSHOOT, ATTEMPTS = 0.25, 16
 
@@ -47,7 +47,11 @@ class Goal:
 
 
 def table_limits(
-    sizes: Sequence[int], spec: LevelSpec, nbytes: float = inf, stored: Sequence[int] | None = None
+    sizes: Sequence[int],
+    spec: LevelSpec,
+    nbytes: float = inf,
+    stored: Sequence[int] | None = None,
+    entries: int = TABLE_ENTRIES,
 ) -> list[int | None]:
     """Ranks to examine of each mode: up to R, what the node has, what the table holds, and what `nbytes` can store.
 
@@ -58,7 +62,7 @@ def table_limits(
         rest = int(min(prod(float(size) for m, size in enumerate(sizes) if m != n), 2.0**31))
         affordable = int(min(nbytes / (2 * (stored or sizes)[n]), MOST_RANKS)) + 1
         limits.append(None if rank is None else min(rank, sizes[n], rest, MOST_RANKS, affordable))
-    while prod(limit or 1 for limit in limits) > TABLE_ENTRIES:
+    while prod(limit or 1 for limit in limits) > entries:
         longest = max(range(len(limits)), key=lambda n: limits[n] or 0)
         limits[longest] = max(1, (limits[longest] or 1) * 7 // 8)
     return limits
@@ -88,7 +92,7 @@ def node_spectrum(
     blocks = [tensor] if labels is None else cell_blocks(tensor, labels, spec.clusters)
     sizes = [max(block.shape[n] for block in blocks) for n in range(tensor.ndim)]
     stored = [-(-size * long // max(1, short)) for size, long, short in zip(sizes, full, tensor.shape, strict=True)]
-    limits = table_limits(sizes, spec, nbytes, stored)
+    limits = table_limits(sizes, spec, nbytes, stored, LONE_ENTRIES if alone else TABLE_ENTRIES)
     table = scale * summed(core_energies(block, limits, np.random.default_rng(seed)) for block in blocks if block.size)
     undecomposed = [r is None for r in spec.ranks]
     return spectrum(

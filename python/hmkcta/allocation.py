@@ -19,6 +19,10 @@ Ranks = tuple[int | None, ...]
 #: Most nodes that give back what the last step of all hulls leaves unused, or use it; of more nodes than these the last
 #: step is a small one.
 TRIMS, FEW = 8, 256
+#: Two multipliers are close enough where the bytes that they spend differ by this share.
+CLOSE = 0.01
+#: Choices that leave so many times what cheaper ones leave, of all nodes together, are those of no node.
+ASIDE = 2.0
 
 
 def empty_node_bytes(order: int, stored: int) -> float:
@@ -44,7 +48,7 @@ class Spectrum:
 
 
 def node_bytes(
-    sizes: Sequence[int], ranks: NDArray[np.int32], undecomposed: Sequence[bool], clusters: Sequence[int]
+    sizes: Sequence[float], ranks: NDArray[np.int32], undecomposed: Sequence[bool], clusters: Sequence[int]
 ) -> F64:
     """Bytes of a node with K_n = 1: float16 numbers, cluster numbers, core scales and offsets; ranks `[.., N]`."""
     stored = [n for n in range(len(sizes)) if not undecomposed[n]]
@@ -75,9 +79,10 @@ def spectrum(
         clusters: cells of the node along each mode, which all get the same ranks; None: one cell.
         hull: steps are those on the lower convex hull of (bytes, error) only, else all of them.
     """
-    choices = _choices(table.shape, tuple(sizes), tuple(undecomposed), decode_cost, tuple(clusters or [1] * len(sizes)))
+    steps = tuple(tuple(range(1, extent + 1)) for extent in table.shape)
+    choices = choices_of(steps, tuple(sizes), tuple(undecomposed), decode_cost, tuple(clusters or [1] * len(sizes)))
     error = np.concatenate([[energy], np.maximum(energy - table.reshape(-1)[choices.entry], 0.0)])
-    kept = _pareto(choices.nbytes, error)
+    kept = pareto(choices.nbytes, error)
     error, nbytes = error[kept], choices.nbytes[kept]
     return Spectrum(error, nbytes, choices.ranks[kept], _hull(nbytes, error) if hull else np.arange(len(kept)))
 
@@ -92,14 +97,16 @@ class Choices:
 
 
 @lru_cache(maxsize=96)
-def _choices(
-    extents: tuple[int, ...],
-    sizes: tuple[int, ...],
+def choices_of(
+    steps: tuple[tuple[int, ...], ...],
+    sizes: tuple[float, ...],
     undecomposed: tuple[bool, ...],
     decode_cost: int,
     clusters: tuple[int, ...],
 ) -> Choices:
-    ranks = (np.indices(extents, np.int32).reshape(len(extents), -1) + 1).T
+    """What can be chosen of the ranks in a table, `steps` of each mode, and what it costs."""
+    grid = np.meshgrid(*(np.array(own, np.int32) for own in steps), indexing="ij")
+    ranks = np.stack([axis.reshape(-1) for axis in grid], axis=1)
     ranks[:, list(undecomposed)] = np.array(sizes)[list(undecomposed)]
     cost = np.prod(ranks[:, [not flag for flag in undecomposed]].astype(np.float64), axis=1)
     allowed = np.flatnonzero(cost <= decode_cost)
@@ -127,7 +134,7 @@ def _hull(nbytes: F64, error: F64) -> NDArray[np.intp]:
     return kept
 
 
-def _pareto(nbytes: F64, error: F64) -> NDArray[np.intp]:
+def pareto(nbytes: F64, error: F64) -> NDArray[np.intp]:
     """Indices of the choices with less error than any cheaper one; choices come by ascending bytes."""
     best = np.minimum.accumulate(error)
     kept = np.flatnonzero(np.concatenate([[True], best[1:] < best[:-1]]))
@@ -209,3 +216,51 @@ def trimmed(spectra: Sequence[Spectrum], chosen: Allocation, error: float) -> Al
         left += float(s.error[choice[node]] - s.error[now])
         nbytes -= best
     return Allocation(choice, nbytes, left)
+
+
+def ration(errors: F64, nbytes: F64, *, limit: float | None = None, error: float | None = None) -> tuple[float, float]:
+    """Bytes and error of many nodes with the same choices, by one multiplier; between two of its steps, on a line.
+
+    Args:
+        errors: squared error that each node is left with by each choice, `[nodes, choices]`.
+        nbytes: what the choices cost, `[choices]`, ascending.
+        limit: bytes to spend; or
+        error: squared error to leave.
+    """
+    total = errors.sum(axis=0)
+    kept = np.flatnonzero(total <= ASIDE * np.minimum.accumulate(total))
+    errors, nbytes, rows = errors[:, kept], nbytes[kept], np.arange(len(errors))
+
+    def chosen(multiplier: float) -> tuple[float, float]:
+        picked = np.argmin(errors + multiplier * nbytes, axis=1)
+        return float(nbytes[picked].sum()), float(errors[rows, picked].sum())
+
+    def enough(found: tuple[float, float]) -> bool:
+        return found[0] > limit if limit is not None else found[1] <= (error or 0.0)
+
+    high = float(errors.max()) + 1e-300
+    low = 1e-15 * high
+    poor, rich = chosen(high), chosen(low)
+    if enough(poor) or not enough(rich):
+        return poor if enough(poor) else rich
+    while rich[0] - poor[0] > CLOSE * rich[0] and high > 1.0001 * low:
+        middle = (low * high) ** 0.5
+        found = chosen(middle)
+        low, high = (middle, high) if enough(found) else (low, middle)
+        poor, rich = (poor, found) if enough(found) else (found, rich)
+    if limit is not None:
+        part = (limit - poor[0]) / (rich[0] - poor[0])
+    else:
+        part = (poor[1] - (error or 0.0)) / (poor[1] - rich[1])
+    return poor[0] + part * (rich[0] - poor[0]), poor[1] + part * (rich[1] - poor[1])
+
+
+def best_of_one(
+    nbytes: F64, errors: F64, *, limit: float | None = None, error: float | None = None
+) -> tuple[float, float]:
+    """Bytes and error of one node: of what `pareto` leaves the best choice, or the cheapest that is good enough."""
+    if limit is not None:
+        at = max(0, int(np.searchsorted(nbytes, limit, side="right")) - 1)
+    else:
+        at = min(int(np.searchsorted(-errors, -(error or 0.0))), len(errors) - 1)
+    return float(nbytes[at]), float(errors[at])

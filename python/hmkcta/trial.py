@@ -2,35 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from itertools import combinations
 from math import inf, log2, prod
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .adaptive import summed, table_limits
-from .allocation import Allocation, Spectrum, allocate, empty_node_bytes, node_bytes, spectrum
-from .axes import Axis, Organisation, mode_sizes, organise
+from .allocation import Choices, best_of_one, choices_of, empty_node_bytes, node_bytes, pareto, ration
+from .axes import Axis, Organisation, axis_order, mode_sizes
+from .blocks import Blocks, sampled_blocks
 from .filesize import planned_bytes
-from .hierarchy import squared_norm
-from .memberships import uniform_blocks
 from .metrics import snr_db
 from .plan import LevelSpec, Plan
 from .source import Source
-from .tucker import Core, full_core
+from .spectra import captured, cores, energies, ladders
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 #: Worse than any number of bytes, in octaves.
 OUT_OF_REACH = 1000.0
-#: Elements looked at together where all are.
-SLAB = 1 << 20
+#: Elements looked at together where all are, and of a source that is held in memory.
+SLAB, HELD = 1 << 20, 1 << 23
 #: Modes up to this length are left undecomposed on trial if their rank takes this share of their rows.
-LONGEST_UNDECOMPOSED, NEARLY_FULL = 128, 0.25
+LONGEST_UNDECOMPOSED, NEARLY_FULL = 128, 0.2
+#: Highest rank looked at, of matrices and of tensors.
+HIGHEST = (160, 64)
+#: Errors below this share of the energy are not told apart.
+LEAST_ERROR = 1e-8
 
 
 @dataclass(frozen=True)
@@ -52,42 +55,32 @@ class Candidate:
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
-    """A block of the source: its values, thinned where it is large; its true axes and those of the thinned values."""
-
-    values: NDArray[np.float32]
-    axes: tuple[Axis, ...]
-    thinned: tuple[Axis, ...]
-
-
-@dataclass(eq=False)
-class _Part:
-    """A sampled tensor, its squared norm, its true mode sizes, and its core once that is known."""
-
-    tensor: F32
-    energy: float
-    sizes: tuple[int, ...]
-    core: Core | None = None
-
-
-@dataclass(frozen=True, eq=False)
 class _Cut:
-    """An organisation cut by a grid: sampled tensors, whether they are thinned, their share of all elements, the mode
-    sizes and numbers of blocks of the whole, and how many threads may work on it."""
+    """An organisation cut by a grid.
+
+    Attributes:
+        batch: the sampled blocks as tensors, `[B, modes]`; with `energy`, their squared norms.
+        core: their truncated HOSVD cores, no mode shorter than its entry of `limits`.
+        edges: mode sizes of a block before thinning.
+        sizes: mode sizes of the whole.
+        clusters: numbers of blocks along each mode.
+    """
 
     organisation: Organisation
     grid: tuple[int, ...]
-    parts: list[_Part]
-    thinned: bool
-    share: float
+    blocks: Blocks
+    batch: F32
+    energy: F64
+    core: F32
+    limits: tuple[int, ...]
+    edges: tuple[int, ...]
     sizes: tuple[int, ...]
     clusters: tuple[int, ...]
-    threads: int
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """The data and the goal: bytes (`size`) or a squared `error`, within a decode cost.
+    """The data and the goal: bytes (`size`) or a squared `error` as a share of the energy, within a decode cost.
 
     Bytes are not spent beyond a `ceiling` in dB: what reaches it is worth the more, the fewer bytes it takes. Error and
     ceiling are of the transformed values.
@@ -100,12 +93,15 @@ class Trial:
     decode_cost: int
     seed: int
 
-    def worths(
-        self, organisation: Organisation, grid: tuple[int, ...], sample: int, threads: int = 1
-    ) -> list[tuple[float, Candidate]]:
+    @cached_property
+    def values(self) -> F32 | None:
+        """The source's values, if they are few enough to be held."""
+        return self.source.values() if prod(self.source.shape) <= HELD else None
+
+    def worths(self, organisation: Organisation, grid: tuple[int, ...], sample: int) -> list[tuple[float, Candidate]]:
         """Every candidate with this organisation and grid: dB at the goal's bytes, or minus octaves of bytes."""
-        cut = _cut(self, organisation, grid, sample, threads)
-        if not cut.parts:
+        cut = self._cut(organisation, grid, sample)
+        if not cut.energy.any():
             return []
         found, ranks = self._judged(cut, ())
         best, helpful = _best(found), list[int]()
@@ -118,28 +114,98 @@ class Trial:
                 found += self._judged(cut, pair)[0]
         return found
 
+    def _cut(self, organisation: Organisation, grid: tuple[int, ...], sample: int) -> _Cut:
+        """Sampled blocks of the grid as tensors of the organisation's modes."""
+        axes = self.source.axes
+        blocks = sampled_blocks(self.source, self.values, grid, sample, self.seed)
+        batch = _organised(blocks.values, axes, organisation)
+        counts = {axis.name: count for axis, count in zip(axes, grid, strict=True)}
+        clusters = tuple(prod(counts[name] for name in mode) for mode in organisation)
+        sizes = mode_sizes(axes, organisation)
+        rows = dict(zip((axis.name for axis in axes), blocks.edges, strict=True))
+        edges = tuple(prod(rows[name] for name in mode) for mode in organisation)
+        limits = self._limits(batch.shape[1:], edges)
+        energy = energies(batch)
+        core = cores(batch, limits, self._precision)
+        return _Cut(organisation, grid, blocks, batch, energy, core, limits, edges, sizes, clusters)
+
+    def _limits(self, have: Sequence[int], edges: Sequence[int]) -> tuple[int, ...]:
+        """Highest rank of each mode: what there is, what the bytes can store, what may be decoded."""
+        size, elements = self.size or inf, prod(float(rows) for rows in have)
+        most = min(self.decode_cost, HIGHEST[len(have) > 2])
+        return tuple(
+            int(max(1, min(rows, elements // rows, most, size // (2 * edge) + 1)))
+            for rows, edge in zip(have, edges, strict=True)
+        )
+
+    @property
+    def _precision(self) -> Any:
+        """What Gram matrices are summed in: a high SNR asks small singular values to be told apart."""
+        return np.float64 if self.error is not None and self.error < 1e-5 else np.float32
+
     def _judged(self, cut: _Cut, choice: tuple[int, ...]) -> tuple[list[tuple[float, Candidate]], list[int]]:
         """Candidates that leave the chosen modes undecomposed, and the ranks of the one without blocks."""
-        order, tables = len(cut.sizes), self._tables(cut, choice)
-        flags = [n in choice for n in range(order)]
-        energy = sum(part.energy for part in cut.parts) / cut.share
-        table = summed(tables) / cut.share
-        whole = spectrum(table, energy, cut.sizes, flags, self.decode_cost, cut.clusters, hull=False)
+        order = len(cut.sizes)
+        flags = tuple(n in choice for n in range(order))
+        most = [1 if flag else limit for flag, limit in zip(flags, cut.limits, strict=True)]
+        kept = tuple(ladders(most, len(cut.batch)))
+        steps = [None if flag else own for flag, own in zip(flags, kept, strict=True)]
+        table = captured(self._core(cut, flags), steps).reshape(len(cut.batch), -1)
         one = Candidate(cut.organisation, cut.grid, choice, carried=False)
-        worth, chosen = self._worth([whole], 1.0, self._beside(one, cut), single=True)
+        whole = choices_of(kept, cut.sizes, flags, self.decode_cost, cut.clusters)
+        left = _left(cut.energy.sum(keepdims=True), table.sum(axis=0, keepdims=True), whole)[0]
+        nbytes = whole.nbytes * cut.blocks.share
+        best = pareto(nbytes, left)
+        path = partial(best_of_one, nbytes[best], left[best])
+        worth, spent = self._worth(path, cut, cut.blocks.share, self._beside(one, cut), float(nbytes[1]))
+        ranks = whole.ranks[best][max(1, int(np.searchsorted(nbytes[best], spent, side="right")) - 1)]
         found = [(worth, one)]
-        ranks = [max(1, int(rank)) for rank in whole.ranks[chosen.choice[0]]]
         if prod(cut.clusters) > 1 and self.decode_cost > 1:
-            nodes = [
-                spectrum(table, part.energy, part.sizes, flags, self.decode_cost - 1)
-                for table, part in zip(tables, cut.parts, strict=True)
-            ]
-            many = Candidate(cut.organisation, cut.grid, choice)
-            found.append((self._worth(nodes, cut.share, self._beside(many, cut))[0], many))
-        return found, ranks
+            many = replace(one, carried=True)
+            nodes = choices_of(kept, cut.edges, flags, self.decode_cost - 1, (1,) * order)
+            path = partial(ration, _left(cut.energy, table, nodes), nodes.nbytes)
+            least = float(nodes.nbytes[0]) * len(table)
+            found.append((self._worth(path, cut, cut.blocks.elements, self._beside(many, cut), least)[0], many))
+        return found, [int(rank) for rank in ranks]
+
+    def _core(self, cut: _Cut, flags: Sequence[bool]) -> F32:
+        """Cores with all energy along the modes left undecomposed."""
+        had = zip(flags, cut.batch.shape[1:], cut.limits, strict=True)
+        if all(not flag or rows == limit for flag, rows, limit in had):
+            return cut.core
+        limits = [None if flag else limit for flag, limit in zip(flags, cut.limits, strict=True)]
+        return cores(cut.batch, limits, self._precision)
+
+    def _worth(
+        self, spend: Callable[..., tuple[float, float]], cut: _Cut, share: float, fixed: float, least: float
+    ) -> tuple[float, float]:
+        """What bytes and error make the candidate worth, and the bytes spent on the blocks of the sample.
+
+        Args:
+            spend: bytes and error of these blocks, for a `limit` of bytes or an `error`.
+            cut: the sample.
+            share: what part of the whole they stand for.
+            fixed: bytes of the whole beside the blocks.
+            least: bytes of the sample's blocks at the least.
+        """
+        energy = float(cut.energy.sum())
+        if self.size is not None:
+            if (needed := fixed + least / share) > self.size:  # after all that fit, the smallest first
+                return -OUT_OF_REACH - log2(needed), least
+            spent, error = spend(limit=(self.size - fixed) * share)
+            worth = decibels(energy, error)
+            if self.ceiling is None or worth <= self.ceiling:
+                return worth, spent
+            spent, _ = spend(error=energy * 10 ** (-self.ceiling / 10))
+            return self.ceiling + log2(self.size / (spent / share + fixed)), spent
+        assert self.error is not None
+        spent, error = spend(error=self.error * energy)
+        short = max(0.0, decibels(error, self.error * energy))
+        # Candidates that cannot reach the goal come after all that can, the nearest first.
+        return (-OUT_OF_REACH - short if short > 0.01 else -log2(spent / share + fixed)), spent
 
     def _beside(self, candidate: Candidate, cut: _Cut) -> float:
-        """Bytes of the candidate's file besides what `spectrum` counts of its nodes: exactly, but for digits."""
+        """Bytes of the candidate's file besides what `choices_of` counts of its nodes: exactly, but for digits."""
         whole = planned_bytes(plan_of(self.source, candidate, None, None, 1), self.source, seed=self.seed)
         flags = [n in candidate.undecomposed for n in range(len(cut.sizes))]
         ranks = np.where(flags, cut.sizes, 1).astype(np.int32)
@@ -149,43 +215,6 @@ class Trial:
         rows = sum(cut.sizes[n] * nodes // cut.clusters[n] for n in stored)
         each = 2.0 * float(np.prod(ranks, dtype=np.float64)) + 4 + empty_node_bytes(len(ranks), len(stored))
         return whole - nodes * each - 4 * rows
-
-    def _tables(self, cut: _Cut, choice: tuple[int, ...]) -> list[F64]:
-        """Energies of the HOSVD cores of the cut's tensors, summed along the modes left undecomposed."""
-
-        def table(part: _Part) -> F64:
-            ranks = tuple(None if n in choice else size for n, size in enumerate(part.tensor.shape))
-            ones = (1,) * part.tensor.ndim
-            limits = table_limits(part.tensor.shape, LevelSpec(ranks, ones, ones), self.size or inf, part.sizes)
-            if part.core is None:
-                part.core = full_core(part.tensor, limits, np.random.default_rng(self.seed))
-            whole = all(part.core.complete[n] for n in choice)
-            core = part.core if whole else full_core(part.tensor, limits, np.random.default_rng(self.seed))
-            return core.energies(limits)
-
-        with ThreadPoolExecutor(cut.threads) as pool:
-            return list(pool.map(table, cut.parts))
-
-    def _worth(
-        self, spectra: Sequence[Spectrum], share: float, fixed: float, *, single: bool = False
-    ) -> tuple[float, Allocation]:
-        energy = sum(float(s.error[0]) for s in spectra)
-        if self.size is not None:
-            chosen = allocate(spectra, nbytes=max(self.size - fixed, 0) * share)
-            least = fixed + sum(float(s.nbytes[int(single)]) for s in spectra) / share
-            if least > self.size:  # after all that fit, the smallest first
-                return -OUT_OF_REACH - log2(least), chosen
-            worth = decibels(energy, chosen.error)
-            if self.ceiling is None or worth <= self.ceiling:
-                return worth, chosen
-            chosen = allocate(spectra, error=energy * 10 ** (-self.ceiling / 10))
-            return self.ceiling + log2(self.size / (chosen.nbytes / share + fixed)), chosen
-        assert self.error is not None
-        error = self.error * share
-        chosen = allocate(spectra, error=error)
-        short = max(0.0, decibels(chosen.error, error))
-        # Candidates that cannot reach the goal come after all that can, the nearest first.
-        return -OUT_OF_REACH - short if short > 0.01 else -log2(chosen.nbytes / share + fixed), chosen
 
 
 def trial_of(
@@ -208,7 +237,7 @@ def trial_of(
     # Squared errors of transformed values, times this, are those of the source's values.
     stretch = 1.0 if transform.name == "identity" else max(slopes / prod(source.shape), 1e-300)
     signal = energy if transform.name == "identity" else signal
-    error = None if snr is None else signal / stretch * 10 ** (-snr / 10)
+    error = None if snr is None else signal / stretch * 10 ** (-snr / 10) / max(energy, 1e-300)
     higher_by = decibels(energy, signal / stretch) if energy else 0.0
     return Trial(source, error, size, None if ceiling is None else ceiling + higher_by, decode_cost, seed)
 
@@ -218,21 +247,18 @@ def decibels(signal: float, error: float) -> float:
     return snr_db(max(signal, 1e-300), max(error, 1e-14 * signal, 1e-300))
 
 
-def _cut(trial: Trial, organisation: Organisation, grid: tuple[int, ...], sample: int, threads: int) -> _Cut:
-    """Sampled blocks of the grid as tensors of the organisation's modes; blocks of zeros are left out."""
-    source, parts, seen, thinned = trial.source, list[_Part](), 0, False
-    for block in _sample_blocks(source, grid, sample, trial.seed):
-        elements = prod(axis.size for axis in block.axes)
-        seen += elements
-        thinned |= block.values.size < elements
-        tensor = np.ascontiguousarray(organise(block.values, block.thinned, organisation))
-        energy = squared_norm(tensor)
-        if energy > 0:
-            parts.append(_Part(tensor, energy, mode_sizes(block.axes, organisation)))
-    counts = {axis.name: count for axis, count in zip(source.axes, grid, strict=True)}
-    clusters = tuple(prod(counts[name] for name in mode) for mode in organisation)
-    sizes = mode_sizes(source.axes, organisation)
-    return _Cut(organisation, grid, parts, thinned, seen / prod(source.shape), sizes, clusters, threads)
+def _left(energy: F64, table: F64, choices: Choices) -> F64:
+    """Squared error of each block by each choice, `[B, choices]`, the first of which is to store nothing."""
+    whole = energy[:, None]
+    return np.concatenate([whole, np.maximum(whole - table[:, choices.entry], LEAST_ERROR * whole)], axis=1)
+
+
+def _organised(blocks: F32, axes: Sequence[Axis], organisation: Organisation) -> F32:
+    """Blocks `[B, axes]` as tensors of the organisation's modes."""
+    order = axis_order(axes, organisation)
+    sizes = iter(blocks.shape[1 + n] for n in order)
+    modes = [prod(next(sizes) for _ in mode) for mode in organisation]
+    return blocks.transpose(0, *(1 + n for n in order)).reshape(len(blocks), *modes)
 
 
 def _best(found: Sequence[tuple[float, Candidate]]) -> float:
@@ -251,49 +277,9 @@ def _promising(cut: _Cut, ranks: Sequence[int]) -> Iterator[int]:
             continue
         core, basis = size * (others // rank), size * (rank + 1)
         # Thinned blocks flatter it: few numbers are left for each of the mode's rows.
-        short = not cut.thinned and size <= LONGEST_UNDECOMPOSED and rank >= NEARLY_FULL * size
+        short = not cut.blocks.thinned and size <= LONGEST_UNDECOMPOSED and rank >= NEARLY_FULL * size
         if (short and len(cut.sizes) > 1) or core <= basis + others:
             yield n
-
-
-def _sample_blocks(source: Source, grid: tuple[int, ...], sample: int, seed: int) -> Iterator[Block]:
-    """Blocks of the grid, spread by chance, until the sample is used up; a block beyond the sample is thinned."""
-    rng = np.random.default_rng([seed, *grid])
-    number, elements = prod(grid), prod(source.shape)
-    # Few large blocks would be chance: at least four, thinned.
-    wanted = int(min(number, max(4, round(sample * number / elements))))
-    for flat in sorted(int(block) for block in rng.permutation(number)[:wanted]):
-        place = _unravelled(flat, grid)
-        rows = [
-            np.flatnonzero(uniform_blocks(length, count) == index)
-            for index, count, length in zip(place, grid, source.shape, strict=True)
-        ]
-        lengths = [len(r) for r in rows]
-        steps = _thinning(lengths, 2 * sample // wanted)
-        part = tuple(slice(int(r[0]), int(r[-1]) + 1, step) for r, step in zip(rows, steps, strict=True))
-        values = source.values(part)
-        yield Block(values, _resized(source.axes, lengths), _resized(source.axes, values.shape))
-
-
-def _unravelled(flat: int, grid: Sequence[int]) -> list[int]:
-    """Block indices along each axis of the flat-th block in C order."""
-    place: list[int] = []
-    for count in reversed(grid):
-        flat, index = divmod(flat, count)
-        place.insert(0, index)
-    return place
-
-
-def _thinning(lengths: Sequence[int], limit: int) -> list[int]:
-    """Steps along each axis that leave about `limit` elements, the longest axes thinned first."""
-    steps = [1] * len(lengths)
-    while prod(-(-length // step) for length, step in zip(lengths, steps, strict=True)) > limit:
-        steps[max(range(len(lengths)), key=lambda n: lengths[n] / steps[n])] += 1
-    return steps
-
-
-def _resized(axes: Sequence[Axis], sizes: Sequence[int]) -> tuple[Axis, ...]:
-    return tuple(Axis(axis.name, int(size), axis.role) for axis, size in zip(axes, sizes, strict=True))
 
 
 def plan_of(source: Source, best: Candidate, snr: float | None, size: int | None, decode_cost: int) -> Plan:

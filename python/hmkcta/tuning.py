@@ -17,28 +17,52 @@ from math import prod
 from .axes import Axis, Organisation
 from .errors import invalid
 from .filesize import planned_bytes
+from .fit import EFFORTS
 from .hierarchy import Progress, Run
 from .plan import Plan
 from .source import Source
 from .trial import OUT_OF_REACH, Candidate, Trial, plan_of, trial_of
 
-#: Elements looked at for a candidate: to rank organisations, to rank grids, and to settle the blocks.
-SURVEY, COMPARE, REFINE = (1 << 17, 1 << 19), 1 << 20, 1 << 23
 #: Block edges never fall below this, nor elements of a block below so many times the sum of its edges.
 SMALLEST_EDGE, THIN = 4, 4
 #: Most blocks, and the gain in dB (or octaves of bytes) that a change of the grid must bring.
 MOST_BLOCKS, WORTHWHILE = 4096, 0.01
 #: Up to so many axes all organisations are tried; of more, the best so many are merged further.
 FEW_AXES, BEAM = 5, 3
-#: How many organisations and candidates are looked at closer, and from how many the search climbs on.
-ORGANISATIONS, FINALISTS, MATRICES, CLIMBS = (12, 4), 4, 2, 2
-
 #: Elements of all the samples that are worked on at once.
 TOGETHER = 1 << 24
 #: In dB or octaves of bytes: twice as many blocks are tried where one more loses no more than the first, and none again
 #: where one loses more than the second; a second start is left where it is if it lies the last behind the first, once
 #: that has climbed.
-STEEP, HOPELESS, FAR = 0.05, 0.5, 1.0
+STEEP, HOPELESS = 0.05, 0.5
+
+
+@dataclass(frozen=True)
+class Care:
+    """How much is looked at.
+
+    Attributes:
+        survey: elements looked at of each candidate to rank organisations, twice; the best `organisations` go on.
+        compare: elements to rank grids; the best `finalists` go on, and as many `matrices`.
+        refine: elements to settle the blocks, from the best; and from a second start that lies no more than `far`, in
+            dB or octaves of bytes, behind what that led to. No climb begins another round after so many `steps`.
+    """
+
+    survey: tuple[int, int]
+    organisations: tuple[int, int]
+    compare: int
+    finalists: int
+    matrices: int
+    refine: int
+    far: float
+    steps: int
+
+
+CARES = {
+    EFFORTS["fast"]: Care((1 << 15, 1 << 18), (4, 1), 1 << 18, 2, 0, 1 << 22, 0.0, 4),
+    EFFORTS["medium"]: Care((1 << 17, 1 << 20), (6, 2), 1 << 19, 4, 1, 1 << 23, 0.3, 16),
+    EFFORTS["thorough"]: Care((1 << 17, 1 << 19), (12, 4), 1 << 20, 4, 2, 1 << 23, 1.0, 1000),
+}
 
 Ranked = list[tuple[float, Candidate]]
 Choice = tuple[Organisation, tuple[int, ...]]
@@ -55,6 +79,7 @@ class Search:
     trial: Trial
     plain: Organisation
     threads: int
+    care: Care
     seen: dict[tuple[Organisation, tuple[int, ...], int], Ranked] = field(
         default_factory=dict[tuple[Organisation, tuple[int, ...], int], Ranked]
     )
@@ -63,12 +88,10 @@ class Search:
         """The best candidate with each organisation and grid; `told` hears which share of them is judged."""
         sample = min(sample, prod(self.trial.source.shape))
         new = list(dict.fromkeys(choice for choice in choices if (*choice, sample) not in self.seen))
-        # Side by side as far as memory goes; what threads are left work on the blocks of one.
-        workers = max(1, min(self.threads, len(new), TOGETHER // sample))
-        inner = max(1, self.threads // workers)
+        workers = max(1, min(self.threads, len(new), TOGETHER // sample))  # side by side as far as memory goes
 
         def judge(choice: Choice) -> Ranked:
-            return self.trial.worths(*choice, sample, inner)
+            return self.trial.worths(*choice, sample)
 
         with ThreadPoolExecutor(workers) as pool:
             try:
@@ -89,7 +112,7 @@ class Search:
             for (modes, grid, _), ranked in self.seen.items()
             if len(modes) == 2 and set(grid) == {1} and ranked
         }
-        return sorted(found, key=lambda modes: -found[modes])[:MATRICES]
+        return sorted(found, key=lambda modes: -found[modes])[: self.care.matrices]
 
 
 def tune(
@@ -105,9 +128,9 @@ def tune(
     """The best plan found for bytes (`size`) or for an SNR; with a `ceiling` in dB bytes are not spent beyond it."""
     plain = next(organisations(source.axes)) if organisation is None else organisation
     trial = trial_of(source, snr, size, ceiling, decode_cost, run.seed)
-    search = Search(trial, plain, run.threads)
+    search = Search(trial, plain, run.threads, CARES.get(run.effort, CARES[EFFORTS["medium"]]))
     if sum(length > 1 for length in source.shape) < 2:  # a vector has nothing to cut or to merge
-        highest = worth, best = search.best([(plain, (1,) * len(source.shape))], REFINE)[0]
+        highest = worth, best = search.best([(plain, (1,) * len(source.shape))], search.care.refine)[0]
     else:
         finalists = _finalists(search, organisation is not None, run.progress)
         highest = finalists[0]
@@ -126,9 +149,10 @@ def tune(
 def _finalists(search: Search, fixed: bool, progress: Progress) -> Ranked:
     """Organisations by a survey over few grids, then more grids for the best of them."""
     shape = search.trial.source.shape
-    few = _few_grids(shape)
-    left = [search.plain] if fixed else _merged(search, few, progress)
-    for sample, most in zip(SURVEY, ORGANISATIONS, strict=True):
+    grids = _few_grids(shape)
+    left = [search.plain] if fixed else _merged(search, grids, progress)
+    for turn, (sample, most) in enumerate(zip(search.care.survey, search.care.organisations, strict=True)):
+        few = grids[not turn :] or grids
         judged = search.best(list(product(left, few)), sample, partial(progress, "organisation"))
         worth = {modes: max(found for found, _ in judged[n * len(few) : (n + 1) * len(few)])
                  for n, modes in enumerate(left)}
@@ -136,9 +160,9 @@ def _finalists(search: Search, fixed: bool, progress: Progress) -> Ranked:
         # A survey thins large blocks and so misjudges high ranks: nothing merged always stays in the race.
         left += [search.plain] if search.plain not in left else []
     many = [(modes, grid) for grid in _many_grids(shape) for modes in left]
-    ranked = search.best(many, COMPARE, partial(progress, "blocks"))
+    ranked = search.best(many, search.care.compare, partial(progress, "blocks"))
     ranked.sort(key=lambda item: -item[0])
-    return ranked[:FINALISTS]
+    return ranked[: search.care.finalists]
 
 
 def _merged(search: Search, few: Sequence[tuple[int, ...]], progress: Progress) -> list[Organisation]:
@@ -149,7 +173,7 @@ def _merged(search: Search, few: Sequence[tuple[int, ...]], progress: Progress) 
     found = best = [search.plain]
     for modes in range(len(search.plain), 2, -1):
         new = list(dict.fromkeys(merged for organisation in best for merged in _merges(organisation, axes)))
-        judged = search.best(list(product(new, few)), SURVEY[0])
+        judged = search.best(list(product(new, few)), search.care.survey[0])
         worth = {each: max(w for w, _ in judged[n * len(few) : (n + 1) * len(few)]) for n, each in enumerate(new)}
         best = sorted(new, key=lambda each: -worth[each])[:BEAM]
         found = found + new
@@ -169,11 +193,11 @@ def _settled(search: Search, finalists: Sequence[Candidate], progress: Progress)
     again += [(search.plain, grid) for grid in _few_grids(shape)]
     again += [(modes, whole) for modes in search.matrices()]
     again = list(dict.fromkeys(again))
-    judged = search.best(again, REFINE, lambda share: progress("finer choice of blocks", share / 3))
+    judged = search.best(again, search.care.refine, lambda share: progress("finer choice of blocks", share / 3))
     climbed: Ranked = []
-    for number, (worth, candidate) in enumerate(sorted(judged, key=_worth)[: -CLIMBS - 1 : -1], start=1):
-        if not climbed or worth > climbed[0][0] - FAR:
-            climbed.append(_climbed(search, candidate, REFINE))
+    for number, (worth, candidate) in enumerate(sorted(judged, key=_worth)[:-3:-1], start=1):
+        if not climbed or worth > climbed[0][0] - search.care.far:
+            climbed.append(_climbed(search, candidate, search.care.refine))
         progress("finer choice of blocks", (1 + number) / 3)
     progress("finer choice of blocks", 1.0)
     return max(climbed, key=_worth)
@@ -186,8 +210,8 @@ def _worth(item: tuple[float, Candidate]) -> float:
 def _climbed(search: Search, start: Candidate, sample: int) -> tuple[float, Candidate]:
     """Change the blocks along one axis after the other while that helps."""
     now = search.best([(start.organisation, start.grid)], sample)[0]
-    idle, n, hopeless = 0, 0, set[tuple[int, int]]()
-    while idle < len(start.grid):
+    idle, n, hopeless, before = 0, 0, set[tuple[int, int]](), len(search.seen)
+    while idle < len(start.grid) and len(search.seen) - before < search.care.steps:
         found = max([now, *_around(search, now, n, sample, hopeless)], key=_worth)
         if found[0] > now[0] + WORTHWHILE:
             now, idle = found, 0

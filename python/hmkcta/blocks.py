@@ -1,0 +1,98 @@
+"""A sample of the blocks of a grid, all of one shape, for candidates to be judged on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import prod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .source import Source
+
+F32 = NDArray[np.float32]
+
+#: Fewer blocks than these would be chance, and are thinned where they hold more elements than asked for; more tell no
+#: more.
+FEWEST, MOST = 4, 256
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Some blocks of a grid, `[B, rows along each axis]`.
+
+    Blocks of a grid differ by a row at most; here all have the rows of the largest, and short ones share some with the
+    next.
+
+    Attributes:
+        values: every steps-th row of the blocks.
+        edges: rows of a block along each axis, before any were left out.
+        share: how many of the grid's blocks they are.
+        elements: how many of all elements, which is more as they overlap.
+        thinned: whether rows were left out.
+    """
+
+    values: F32
+    edges: tuple[int, ...]
+    share: float
+    elements: float
+    thinned: bool
+
+
+def sampled_blocks(source: Source, values: F32 | None, grid: Sequence[int], sample: int, seed: int) -> Blocks:
+    """Blocks that hold about `sample` elements, evenly spread; `values` are those of the source where they are held."""
+    number, shape = prod(grid), source.shape
+    wanted = int(min(number, MOST, max(FEWEST, round(sample * number / prod(shape)))))
+    edges = tuple(-(-length // count) for length, count in zip(shape, grid, strict=True))
+    steps = thinning(edges, 2 * sample // wanted)
+    chosen: list[F32] = []
+    for place in spread(grid, wanted, seed):
+        starts = map(_start, place, grid, shape)
+        part = tuple(slice(start, start + edge, step) for start, edge, step in zip(starts, edges, steps, strict=True))
+        chosen.append(source.values(part) if values is None else values[part])
+    elements = wanted * prod(edges) / prod(shape)
+    return Blocks(np.stack(chosen), edges, wanted / number, elements, max(steps) > 1)
+
+
+def _start(index: int, count: int, length: int) -> int:
+    """First row of one of so many blocks of equal length."""
+    short, longer = divmod(length, count)
+    return min(index * short + min(index, longer), length - -(-length // count))
+
+
+def spread(grid: Sequence[int], wanted: int, seed: int) -> list[tuple[int, ...]]:
+    """Places of so many blocks that lie evenly: where points of an additive recurrence fall (Roberts, 2018).
+
+    All grids are looked at around the same points, so that what chance makes of the sample they share.
+
+    >>> spread((2, 2), 4, 0)
+    [(0, 0), (0, 1), (1, 0), (1, 1)]
+    """
+    if wanted == prod(grid):
+        return [tuple(int(i) for i in place) for place in np.ndindex(*grid)]
+    found = dict[tuple[int, ...], None]()
+    for point in _points(len(grid), seed):
+        found[tuple(min(int(x * count), count - 1) for x, count in zip(point, grid, strict=True))] = None
+        if len(found) == wanted:
+            return sorted(found)
+    raise AssertionError
+
+
+def _points(order: int, seed: int) -> Iterator[list[float]]:
+    root = 2.0
+    for _ in range(64):
+        root = (1 + root) ** (1 / (order + 1))
+    start = np.random.default_rng(seed).random(order)
+    number = 0
+    while True:
+        number += 1
+        yield [float((start[n] + number * root ** -(n + 1)) % 1) for n in range(order)]
+
+
+def thinning(lengths: Sequence[int], limit: int) -> list[int]:
+    """Steps along each axis that leave about `limit` elements, the longest axes thinned first."""
+    steps = [1] * len(lengths)
+    while prod(-(-length // step) for length, step in zip(lengths, steps, strict=True)) > limit:
+        steps[max(range(len(lengths)), key=lambda n: lengths[n] / steps[n])] += 1
+    return steps

@@ -1,0 +1,148 @@
+"""HOSVD cores of many blocks of one shape at once, and the energy that they capture at a choice of ranks.
+
+It is what `tucker.full_core` finds of one tensor exactly, found faster where only comparisons hang on it: columns are
+thinned where there are far more than rows, and high ranks are looked at in steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import gcd, prod
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+Ladder = tuple[int, ...]
+
+#: Most choices of ranks of a block, and by how much a rank at most grows from one that is looked at to the next.
+FEW_CHOICES, CHOICES = 10_000, 40_000
+GROWTH = (1.0, 1.08, 1.12, 1.16, 1.2, 1.25, 1.3, 1.35, 1.42, 1.5, 1.6, 1.8, 2.2)
+#: Squares summed in float32.
+TERMS = 1024
+#: Up to this side a Gram matrix is decomposed; beyond it a subspace of the rank wanted, and so many more, is iterated.
+SIDE, BESIDE, ITERATIONS = 160, 16, 1
+#: Columns looked at to find singular vectors, for each row of an unfolding, and at the least.
+COLUMNS, LEAST_COLUMNS = 64, 16384
+
+
+def ladders(limits: Sequence[int], blocks: int = 1) -> list[Ladder]:
+    """Ranks to look at of each mode up to its limit: all, or with growing steps where there would be too many choices.
+
+    >>> ladders([3, 4])
+    [(1, 2, 3), (1, 2, 3, 4)]
+    """
+    most = max(FEW_CHOICES, min(CHOICES, 8 * CHOICES // blocks))
+    tried = ([_ladder(limit, growth) for limit in limits] for growth in GROWTH)
+    return next((found for found in tried if prod(map(len, found)) <= most), [_ladder(limit, 3.0) for limit in limits])
+
+
+def _ladder(limit: int, growth: float) -> Ladder:
+    ranks = [1]
+    while ranks[-1] < limit:
+        ranks.append(min(limit, max(ranks[-1] + 1, int(ranks[-1] * growth))))
+    return tuple(ranks)
+
+
+def cores(batch: F32, limits: Sequence[int | None], dtype: Any = np.float32) -> F32:
+    """Blocks `[B, I_1, .., I_N]` rotated into their leading singular vectors: `[B, R_1, .., R_N]`; None: not rotated.
+
+    Gram matrices are formed in `dtype`.
+    """
+    order = batch.ndim - 1
+    sizes = batch.shape[1:]
+    first = min(range(order), key=lambda n: (limits[n] or sizes[n]) / sizes[n])
+    turn = [(first + k) % order for k in range(order)]
+    core = np.ascontiguousarray(batch.transpose(0, *(1 + n for n in turn)))
+    for at, n in enumerate(turn):
+        limit, rest = limits[n], core.shape[2:]
+        unfolded = core.reshape(len(core), core.shape[1], -1)  # the turn brings each mode to the front
+        still = prod(rest[: order - 1 - at])  # columns as they come; those of rotated modes are no sample
+        rotated = unfolded.swapaxes(1, 2) if limit is None else _rotated(unfolded, limit, still, dtype)
+        core = np.ascontiguousarray(rotated).reshape(len(core), *rest, rotated.shape[2])
+    return core.transpose(0, *(1 + turn.index(n) for n in range(order)))
+
+
+def _rotated(unfolded: F32, limit: int, still: int, dtype: Any) -> F32:
+    """``A^T U`` of every unfolding `[rows, columns]`, U being its leading left singular vectors.
+
+    Of the columns, in so many groups of which each `still` is like the others, some groups are enough to find U.
+    """
+    rows, columns = unfolded.shape[1:]
+    if min(rows, columns) > SIDE and limit + BESIDE < min(rows, columns) // 2:
+        return _iterated(unfolded, limit)
+    if rows <= columns:
+        step = _coprime_step(min(still // 64, columns // max(COLUMNS * rows, LEAST_COLUMNS)), still)
+        thin = unfolded.reshape(*unfolded.shape[:2], still, -1)[:, :, ::step].reshape(*unfolded.shape[:2], -1)
+        thin = thin.astype(dtype, copy=False)
+        vectors = np.linalg.eigh(thin @ thin.swapaxes(1, 2))[1]
+        return unfolded.swapaxes(1, 2) @ vectors[:, :, : -limit - 1 : -1].astype(np.float32)
+    exact = unfolded.astype(dtype, copy=False)
+    squares, vectors = np.linalg.eigh(exact.swapaxes(1, 2) @ exact)
+    scaled = (vectors * np.sqrt(np.maximum(squares, 0))[:, None])[:, :, : -limit - 1 : -1]
+    return np.asarray(scaled, np.float32)
+
+
+def _coprime_step(step: int, length: int) -> int:
+    """A step of about so many columns that does not beat with the lengths of merged modes."""
+    while step > 1 and gcd(step, length) > 1:
+        step -= 1
+    return max(1, step)
+
+
+def _iterated(unfolded: F32, limit: int) -> F32:
+    """As `_rotated`, by subspace iteration from random mixtures of all columns."""
+    flipped = unfolded.swapaxes(1, 2)
+    mixed = unfolded @ _signs(unfolded.shape[2], limit + BESIDE)
+    for _ in range(ITERATIONS):
+        mixed = unfolded @ (flipped @ _orthonormal(mixed))
+    seen = flipped @ _orthonormal(mixed)
+    vectors = np.linalg.eigh((seen.swapaxes(1, 2) @ seen).astype(np.float64))[1]
+    return np.asarray(seen @ vectors[:, :, : -limit - 1 : -1], np.float32)
+
+
+def _orthonormal(matrix: F32) -> F32:
+    """An orthonormal basis of the columns, zeros where they depend on each other; a QR takes ten times as long."""
+    wide = matrix.astype(np.float64)
+    energies, vectors = np.linalg.eigh(wide.swapaxes(1, 2) @ wide)
+    kept = energies > 1e-12 * energies[:, -1:]
+    scale = np.where(kept, 1 / np.sqrt(np.where(kept, energies, 1)), 0)
+    return (wide @ (vectors * scale[:, None])).astype(np.float32)
+
+
+def _signs(rows: int, columns: int) -> F32:
+    return np.random.default_rng(0).choice(np.array([-1, 1], np.float32), (rows, columns))
+
+
+def captured(core: F32, steps: Sequence[Ladder | None]) -> F64:
+    """Energy that HOSVD captures at each choice of ranks: `[B, entries of each ladder]`; None: all rows of the mode."""
+    table = np.square(core)
+    lengths = [1 if own is None else len(own) for own in steps]
+    for n in sorted(range(len(steps)), key=lambda n: lengths[n] / core.shape[1 + n]):
+        # Sums of few squares may be of float32, sums of these may not.
+        sums = _sums(table.shape[1 + n], steps[n]).astype(table.dtype)
+        shape = table.shape
+        table = sums @ table.reshape(prod(shape[: 1 + n]), shape[1 + n], -1)
+        table = table.reshape(*shape[: 1 + n], lengths[n], *shape[2 + n :]).astype(np.float64, copy=False)
+    for n in range(len(steps)):
+        np.cumsum(table, axis=1 + n, out=table)
+    return table
+
+
+def _sums(rows: int, ranks: Ladder | None) -> F64:
+    """Matrix `[entries, rows]` that adds up the rows between one rank and the next; None: all."""
+    ends = np.array([rows] if ranks is None else ranks)
+    starts = np.concatenate([[0], ends[:-1]])
+    row = np.arange(rows)
+    return ((row >= starts[:, None]) & (row < ends[:, None])).astype(np.float64)
+
+
+def energies(batch: F32) -> F64:
+    """Squared norm of every block."""
+    flat = batch.reshape(len(batch), -1)
+    whole = flat.shape[1] // TERMS * TERMS
+    first = flat[:, :whole].reshape(len(flat), -1, TERMS)
+    rest = np.square(flat[:, whole:], dtype=np.float64).sum(axis=1)
+    return np.einsum("bci,bci->bc", first, first).sum(axis=1, dtype=np.float64) + rest
