@@ -20,7 +20,7 @@ const STILL = 1000; // and when nothing does: longer ones are stopped by some sy
 const SETTLED = 250; // milliseconds after the last change
 const DECODE = 120; // milliseconds of decoding a frame
 const SCALES = [1, 0.7, 0.5, 0.35, 0.25, 0.18, 0.125];
-const CAMERAS = { svbrdf: [20, 20, 3.4], volume: [30, 25, 5], plane: [0, 0, 3.6], cloth: [20, 38, 4.9] } as const;
+const CAMERAS = { svbrdf: [20, 20, 3.4], volume: [30, 25, 5], plane: [0, 0, 3.6], cloth: [20, 38, 5.3] } as const;
 
 export interface Statistics {
   milliseconds: number;
