@@ -10,12 +10,17 @@ import sys
 import time
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 
 import hmkcta
 from cli_tools import finish, refused, report, run, saved, start
-from hmkcta import Journal
+from hmkcta import HmkctaError, Journal
+from hmkcta.cli import main
+from hmkcta.cli.app import may_go_on
+from hmkcta.cli.options import WORDS
+from hmkcta.errors import Kind
 from hmkcta.journal import NODES
 from resume_tools import DATA, LEVELS, MODES, After, Stop
 
@@ -182,3 +187,14 @@ def test_killed_at_twenty_random_moments(source: Path, tmp_path: Path) -> None:
     assert output.read_bytes() == reference[words]
     assert [path.name for path in tmp_path.iterdir() if path.suffix != ".tmp"] == ["a.hmk"]
     assert went_on >= 5, "the kills came too early or too late to test anything"
+
+
+@pytest.mark.parametrize(("kind", "reason", "words", "ends_otherwise"), [
+    (Kind.IO, "disk-full", (), True), (Kind.IO, "partial-busy", (), False), (Kind.CORRUPTION, "x", (), False),
+    (Kind.RESOURCE_LIMIT, "memory", (), True), (Kind.RESOURCE_LIMIT, "memory", ("--max-memory", "1GB"), False),
+])
+def test_resume_is_advised_where_it_can_help(kind: Kind, reason: str, words: tuple[str, ...],
+                                             ends_otherwise: bool) -> None:
+    context = click.Context(main)
+    context.meta[WORDS] = ["a.npy", *words]
+    assert may_go_on(context, HmkctaError(kind, reason, "a.hmk")) == ends_otherwise

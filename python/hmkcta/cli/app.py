@@ -21,7 +21,7 @@ from .demo import demo_command
 from .failure import EXIT_CODES, Exit, Failure
 from .info import info_command
 from .interrupt import Interrupted, interruptible
-from .options import CONTEXT, VERBOSE, examples_first
+from .options import CONTEXT, VERBOSE, WORDS, examples_first
 from .plan import plan_command
 from .render import render_command
 from .resume import abandon, going_on
@@ -47,8 +47,7 @@ class Hmkcta(click.Group):
         except (click.ClickException, click.exceptions.Exit, click.Abort):
             raise
         except HmkctaError as error:
-            ended = error.kind in (Kind.IO, Kind.RESOURCE_LIMIT) and error.reason != "partial-busy"
-            kept = going_on(ctx) if ended else ""
+            kept = going_on(ctx) if may_go_on(ctx, error) else ""
             raise Failure(f"{error} {kept}".rstrip(), error.kind.exit_code, error) from error
         except KeyboardInterrupt as error:
             raise _interruption(ctx, error.number if isinstance(error, Interrupted) else signal.SIGINT) from None
@@ -79,6 +78,13 @@ def main() -> None:
 for _command in (compress_command, plan_command, info_command, verify_command, decompress_command, view_command,
                  render_command, bench_command, demo_command):
     main.add_command(_command)
+
+
+def may_go_on(ctx: click.Context, error: HmkctaError) -> bool:
+    """Whether the same command with --resume can end otherwise."""
+    if error.kind is Kind.RESOURCE_LIMIT:  # with the same --max-memory it ends the same
+        return not any(str(word).startswith("--max-memory") for word in ctx.meta.get(WORDS, ()))
+    return error.kind is Kind.IO and error.reason != "partial-busy"
 
 
 def _interruption(ctx: click.Context, number: int) -> Failure:
