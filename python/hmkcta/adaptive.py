@@ -15,14 +15,14 @@ from .cells import zero_cells
 from .errors import invalid
 from .fit import Labels
 from .hierarchy import Hierarchy, LabelsOf, Run, backfit, fit_nodes, gather, in_parallel, restore, sampled, saved
-from .plan import LevelSpec
+from .plan import MOST_RANKS, LevelSpec
 from .streamed import squared_norm
 from .tucker import core_energies
 
 F32 = NDArray[np.float32]
 
-#: Most ranks a mode is examined at, and most entries of the table of choices of a node, and of one alone in its level.
-MOST_RANKS, TABLE_ENTRIES, LONE_ENTRIES = 160, 60_000, 400_000
+#: Most entries of the table of choices of a node, and of one alone in its level.
+TABLE_ENTRIES, LONE_ENTRIES = 60_000, 400_000
 #: How far above an SNR goal a fit may end, in dB, and how often a fit is repeated to land there.
 OVERSHOOT, ATTEMPTS = 0.25, 16
 
