@@ -59,7 +59,7 @@ class Care:
 
 
 CARES = {
-    EFFORTS["fast"]: Care((1 << 15, 1 << 18), (4, 1), 1 << 18, 2, 0, 1 << 22, 0.0, 4),
+    EFFORTS["fast"]: Care((1 << 17, 1 << 19), (3, 1), 1 << 18, 1, 0, 1 << 22, 0.0, 4),
     EFFORTS["medium"]: Care((1 << 17, 1 << 20), (6, 2), 1 << 19, 4, 1, 1 << 23, 0.3, 16),
     EFFORTS["thorough"]: Care((1 << 17, 1 << 19), (12, 4), 1 << 20, 4, 2, 1 << 23, 1.0, 1000),
 }
@@ -152,7 +152,7 @@ def _finalists(search: Search, fixed: bool, progress: Progress) -> Ranked:
     grids = _few_grids(shape)
     left = [search.plain] if fixed else _merged(search, grids, progress)
     for turn, (sample, most) in enumerate(zip(search.care.survey, search.care.organisations, strict=True)):
-        few = grids[not turn :] or grids
+        few = grids if turn else grids[1:2] or grids
         judged = search.best(list(product(left, few)), sample, partial(progress, "organisation"))
         worth = {modes: max(found for found, _ in judged[n * len(few) : (n + 1) * len(few)])
                  for n, modes in enumerate(left)}
