@@ -4,8 +4,8 @@
 DATA it takes what `hmkcta.synthetic` makes. It prints a markdown table and writes a row for each fit as CSV.
 
 Everyone gets the same bytes: a share of the float32 bytes plus an allowance for header and tables. We are charged for
-the whole file, the peers (`tests/baselines.py`) for float16 coefficients and labels only. ``--peers-allowance 0`` leaves
-the peers the share alone, as they store no header and tables.
+the whole file, the peers (`tests/baselines.py`) for float16 coefficients and labels only. ``--peers-allowance 0``
+leaves the peers the share alone, as they store no header and tables.
 """
 
 from __future__ import annotations
@@ -96,38 +96,13 @@ def measure(
     how = f"{format_organisation(model.metadata.organisation)}: " + " / ".join(
         f"C={','.join(map(str, level.clusters))} R<={','.join(map(str, level.ranks))}" for level in model.bounds
     )
-    rows = [
-        Row(
-            name,
-            rate,
-            budget,
-            OURS,
-            round(model.snr, 3),
-            model.nbytes,
-            model.decode_cost,
-            round(spent, 1),
-            how,
-            machine,
-        )
-    ]
+    snr, cost = round(model.snr, 3), model.decode_cost
+    rows = [Row(name, rate, budget, OURS, snr, model.nbytes, cost, round(spent, 1), how, machine)]
     for method, fit in METHODS.items():
         start = time.perf_counter()
-        result = fit(values, theirs, DECODE_COST)
-        spent = time.perf_counter() - start
-        rows.append(
-            Row(
-                name,
-                rate,
-                theirs,
-                method,
-                round(result.snr_db, 3),
-                result.nbytes,
-                result.cost,
-                round(spent, 1),
-                result.detail,
-                machine,
-            )
-        )
+        found = fit(values, theirs, DECODE_COST)
+        spent, snr = round(time.perf_counter() - start, 1), round(found.snr_db, 3)
+        rows.append(Row(name, rate, theirs, method, snr, found.nbytes, found.cost, spent, found.detail, machine))
     return rows
 
 
