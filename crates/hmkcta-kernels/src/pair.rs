@@ -239,17 +239,15 @@ impl WithSimd for Product<'_> {
         assert!(self.weights.len() >= rows.len() * rank * padded);
         let lanes = S::F32_LANES;
         let wide = if S::REGISTER_COUNT >= 32 { 4 } else { 2 };
-        for t in 0..starts.len() {
-            for lane in (0..padded).step_by(wide * lanes) {
-                // SAFETY: all tuples, rows, columns and lanes lie within the slices.
-                unsafe {
-                    match (wide, (padded - lane) / lanes) {
-                        (_, 1) => self.rows::<S, 8, 1>(simd, t, lane),
-                        (2, _) => self.rows::<S, 4, 2>(simd, t, lane),
-                        (_, 2) => self.rows::<S, 8, 2>(simd, t, lane),
-                        (_, 3) => self.rows::<S, 8, 3>(simd, t, lane),
-                        _ => self.rows::<S, 6, 4>(simd, t, lane),
-                    }
+        for lane in (0..padded).step_by(wide * lanes) {
+            // SAFETY: all tuples, rows, columns and lanes lie within the slices.
+            unsafe {
+                match (wide, (padded - lane) / lanes) {
+                    (_, 1) => self.rows::<S, 8, 1>(simd, lane),
+                    (2, _) => self.rows::<S, 4, 2>(simd, lane),
+                    (_, 2) => self.rows::<S, 8, 2>(simd, lane),
+                    (_, 3) => self.rows::<S, 8, 3>(simd, lane),
+                    _ => self.rows::<S, 6, 4>(simd, lane),
                 }
             }
         }
@@ -257,26 +255,33 @@ impl WithSimd for Product<'_> {
 }
 
 impl Product<'_> {
-    /// All rows of a tuple and of `V` vectors of lanes, `M` at a time.
+    /// All rows of `V` vectors of lanes, `M` at a time: their numbers of all tuples are neighbours, and stay in the cache.
     #[inline(always)]
-    unsafe fn rows<S: Simd, const M: usize, const V: usize>(&mut self, simd: S, t: usize, lane: usize) {
+    unsafe fn rows<S: Simd, const M: usize, const V: usize>(&mut self, simd: S, lane: usize) {
         let (mut row, count) = (0, self.rows.len());
         unsafe {
             while row + M <= count {
-                self.tile::<S, M, V>(simd, t, row, lane);
+                self.tiles::<S, M, V>(simd, row, lane);
                 row += M;
             }
             if M > 4 && row + 4 <= count {
-                self.tile::<S, 4, V>(simd, t, row, lane);
+                self.tiles::<S, 4, V>(simd, row, lane);
                 row += 4;
             }
             while row + 2 <= count {
-                self.tile::<S, 2, V>(simd, t, row, lane);
+                self.tiles::<S, 2, V>(simd, row, lane);
                 row += 2;
             }
             if row < count {
-                self.tile::<S, 1, V>(simd, t, row, lane);
+                self.tiles::<S, 1, V>(simd, row, lane);
             }
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn tiles<S: Simd, const M: usize, const V: usize>(&mut self, simd: S, row: usize, lane: usize) {
+        for t in 0..self.starts.len() {
+            unsafe { self.tile::<S, M, V>(simd, t, row, lane) };
         }
     }
 
