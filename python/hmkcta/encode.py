@@ -20,7 +20,6 @@ from .follow import Task, follow
 from .hierarchy import Progress, Run
 from .hmkfile import KINDS
 from .journal import Journal, decisive
-from .memory import check_memory
 from .model import Model
 from .plan import SCHEMES, Plan, parse_plan
 from .predict import check_least_memory
@@ -29,8 +28,6 @@ from .tuning import tune
 
 #: Default goal: 1/100 of the float32 bytes, and no more than this SNR, beyond which eyes and 8-bit screens see nothing.
 DEFAULT_RATIO, DEFAULT_SNR = 100, 50.0
-#: Elements of the sample that a plan is chosen on at most, and bytes of memory for each.
-TRIAL_ELEMENTS, TRIAL_BYTES = 1 << 24, 20
 #: A default goal is never below these: header and tables alone take several KiB, and a row of a mode, with the least
 #: that can be stored of it (R = 1), up to five bytes. Few long modes leave nothing else to save.
 SMALLEST_DEFAULT, ROW_BYTES = 16384, 5
@@ -239,12 +236,13 @@ def _wanted(
 
 
 def _chosen(source: Source, run: Run, wanted: Wanted) -> Plan:
-    sampled = TRIAL_BYTES * min(prod(source.shape), TRIAL_ELEMENTS)
-    check_memory(sampled, "choosing a plan", "give the levels by --plan, or raise --max-memory", wanted.max_memory)
     fixed = None if wanted.organisation is None else source.organisation(wanted.organisation)
     snr, size, ceiling = wanted.snr, wanted.size, None
     if snr is None and size is None:
         rows = sum(source.shape if fixed is None else mode_sizes(source.axes, fixed))
         size = max(4 * prod(source.shape) // DEFAULT_RATIO, SMALLEST_DEFAULT, ROW_BYTES * rows)
         ceiling = DEFAULT_SNR
-    return tune(source, run, snr=snr, size=size, ceiling=ceiling, decode_cost=wanted.decode_cost, organisation=fixed)
+    return tune(
+        source, run, snr=snr, size=size, ceiling=ceiling, decode_cost=wanted.decode_cost, organisation=fixed,
+        memory=wanted.max_memory,
+    )

@@ -19,7 +19,9 @@ from .errors import invalid
 from .filesize import planned_bytes
 from .fit import EFFORTS
 from .hierarchy import Progress, Run
+from .memory import check_memory, memory_budget
 from .plan import Plan
+from .predict import PROCESS
 from .source import Source
 from .trial import OUT_OF_REACH, Candidate, Trial, plan_of, trial_of
 
@@ -29,8 +31,9 @@ SMALLEST_EDGE, THIN = 4, 4
 MOST_BLOCKS, WORTHWHILE = 4096, 0.01
 #: Up to so many axes all organisations are tried; of more, the best so many are merged further.
 FEW_AXES, BEAM = 5, 3
-#: Elements of all the samples that are worked on at once.
-TOGETHER = 1 << 24
+#: Elements of all the samples that are worked on at once, at most and, where memory is scarce, at the least; and bytes
+#: of memory for each.
+TOGETHER, FEWEST, EACH = 1 << 24, 1 << 20, 40
 #: In dB or octaves of bytes: twice as many blocks are tried where one more loses no more than the first, and none again
 #: where one loses more than the second; a second start is left where it is if it lies the last behind the first, once
 #: that has climbed.
@@ -80,15 +83,16 @@ class Search:
     plain: Organisation
     threads: int
     care: Care
+    together: int
     seen: dict[tuple[Organisation, tuple[int, ...], int], Ranked] = field(
         default_factory=dict[tuple[Organisation, tuple[int, ...], int], Ranked]
     )
 
     def best(self, choices: Sequence[Choice], sample: int, told: Callable[[float], None] = _silent) -> Ranked:
         """The best candidate with each organisation and grid; `told` hears which share of them is judged."""
-        sample = min(sample, prod(self.trial.source.shape))
+        sample = min(sample, prod(self.trial.source.shape), self.together)
         new = list(dict.fromkeys(choice for choice in choices if (*choice, sample) not in self.seen))
-        workers = max(1, min(self.threads, len(new), TOGETHER // sample))  # side by side as far as memory goes
+        workers = max(1, min(self.threads, len(new), self.together // sample))  # side by side as far as memory goes
 
         def judge(choice: Choice) -> Ranked:
             return self.trial.worths(*choice, sample)
@@ -124,11 +128,20 @@ def tune(
     ceiling: float | None,
     decode_cost: int,
     organisation: Organisation | None,
+    memory: int | None = None,
 ) -> Plan:
-    """The best plan found for bytes (`size`) or for an SNR; with a `ceiling` in dB bytes are not spent beyond it."""
+    """The best plan found for bytes (`size`) or for an SNR; with a `ceiling` in dB bytes are not spent beyond it.
+
+    Raises:
+        HmkctaError: the size is too small for the array, or `memory` bytes (None: half of what is free) for a search.
+    """
+    elements = prod(source.shape)
+    hint = "give the levels by --plan, or raise --max-memory"
+    check_memory(PROCESS + EACH * min(elements, FEWEST), "choosing a plan", hint, memory)
+    together = min(TOGETHER, max(FEWEST, (memory_budget(memory) - PROCESS) // EACH))
     plain = next(organisations(source.axes)) if organisation is None else organisation
     trial = trial_of(source, snr, size, ceiling, decode_cost, run.seed)
-    search = Search(trial, plain, run.threads, CARES.get(run.effort, CARES[EFFORTS["medium"]]))
+    search = Search(trial, plain, run.threads, CARES.get(run.effort, CARES[EFFORTS["medium"]]), together)
     if sum(length > 1 for length in source.shape) < 2:  # a vector has nothing to cut or to merge
         highest = worth, best = search.best([(plain, (1,) * len(source.shape))], search.care.refine)[0]
     else:
@@ -138,7 +151,7 @@ def tune(
     if size is not None and worth <= -OUT_OF_REACH:
         least = planned_bytes(plan_of(source, best, None, None, 1), source, seed=run.seed)
         if ceiling is None:
-            allowed = f"at least {least} bytes for an array of {prod(source.shape)} elements"
+            allowed = f"at least {least} bytes for an array of {elements} elements"
             raise invalid("size-too-small", "size", f"{size} bytes", allowed, "ask for more, or merge axes")
         size = least
     if trial.ceiling is not None and highest[0] > trial.ceiling:
