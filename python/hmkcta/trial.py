@@ -19,7 +19,7 @@ from .filesize import planned_bytes
 from .metrics import snr_db
 from .plan import LevelSpec, Plan
 from .source import Source
-from .spectra import captured, cores, energies, ladders
+from .spectra import Ladder, captured, cores, energies, ladders
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -152,7 +152,8 @@ class Trial:
         steps = [None if flag else own for flag, own in zip(flags, kept, strict=True)]
         table = captured(self._core(cut, flags), steps).reshape(len(cut.batch), -1)
         one = Candidate(cut.organisation, cut.grid, choice, carried=False)
-        whole = choices_of(kept, cut.sizes, flags, self.decode_cost, cut.clusters)
+        meant = tuple(map(_unthinned, kept, cut.batch.shape[1:], cut.edges))
+        whole = choices_of(meant, cut.sizes, flags, self.decode_cost, cut.clusters)
         left = _left(cut.energy.sum(keepdims=True), table.sum(axis=0, keepdims=True), whole)[0]
         nbytes = whole.nbytes * cut.blocks.share
         best = pareto(nbytes, left)
@@ -162,7 +163,7 @@ class Trial:
         found = [(worth, one)]
         if prod(cut.clusters) > 1 and self.decode_cost > 1:
             many = replace(one, carried=True)
-            nodes = choices_of(kept, cut.edges, flags, self.decode_cost - 1, (1,) * order)
+            nodes = choices_of(meant, cut.edges, flags, self.decode_cost - 1, (1,) * order)
             path = partial(ration, _left(cut.energy, table, nodes), nodes.nbytes)
             least = float(nodes.nbytes[0]) * len(table)
             found.append((self._worth(path, cut, cut.blocks.elements, self._beside(many, cut), least)[0], many))
@@ -245,6 +246,17 @@ def trial_of(
 def decibels(signal: float, error: float) -> float:
     """SNR, bounded by what float32 can tell."""
     return snr_db(max(signal, 1e-300), max(error, 1e-14 * signal, 1e-300))
+
+
+def _unthinned(ranks: Ladder, have: int, edge: int) -> Ladder:
+    """Ranks that all rows of a mode will want where some of them want these: the same of few, all rows for all.
+
+    A mode thinned to 29 of 64 rows has no errors at rank 29; where it is smooth it has hardly any at rank 3 either way.
+
+    >>> _unthinned((1, 8, 16, 32), 32, 64)
+    (1, 8, 19, 64)
+    """
+    return tuple(round(rank * (edge / have) ** (rank / have) ** 2) for rank in ranks)
 
 
 def _left(energy: F64, table: F64, choices: Choices) -> F64:
