@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise, product
 from typing import Any
 
@@ -10,14 +11,16 @@ import pytest
 from numpy.typing import NDArray
 
 from dense_reference import energy, snr, tucker_product
-from hmkcta import choose_plan
+from hmkcta import choose_plan, compress
 from hmkcta.allocation import allocate, choices_of, pareto, ration, spectrum
 from hmkcta.blocks import sampled_blocks, spread
+from hmkcta.fit import EFFORTS
 from hmkcta.source import prepare
 from hmkcta.spectra import captured, cores, energies, ladders
 from hmkcta.synthetic import light_field
 from hmkcta.trial import Trial, trial_of
 from hmkcta.tucker import core_energies, full_core
+from hmkcta.tuning import CARES
 
 SHAPES = [(5, 6, 7), (60, 3, 4), (3, 4, 60), (4, 9), (9, 4), (7,), (1, 5, 1), (3, 3, 3, 3)]
 
@@ -242,3 +245,13 @@ def test_a_goal_in_db_is_that_of_the_source_not_of_transformed_values(transform:
     noise = rng.standard_normal(values.shape) * np.sqrt(allowed / values.size)
     noisy = source.value_transform.inverse(source.unit * (source.values() + noise))
     assert snr(values, energy(values - noisy)) == pytest.approx(30.0, abs=0.3)
+
+
+def test_rows_left_out_of_a_sample_do_not_flatter_ranks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Six textures of noise: thinned, as many ranks as rows seem to be enough; the plan is to reach the goal itself."""
+    rng, place = np.random.default_rng(0), np.linspace(0, 1, 20)
+    weights = np.stack([np.cos(3 * k * place[:, None] + 2 * k * k * place) for k in range(1, 7)])
+    values = np.einsum("klv,kyx->lvyx", weights, rng.standard_normal((6, 40, 40))).astype(np.float32)
+    few = replace(CARES[EFFORTS["medium"]], survey=(1 << 13, 1 << 14), compare=1 << 14, refine=1 << 16)
+    monkeypatch.setitem(CARES, EFFORTS["medium"], few)
+    assert compress(values, snr=45.0).snr >= 45
