@@ -52,7 +52,7 @@ FRAMES, FPS = 48, 24.0
 @click.option("--frames", type=Count(1), default=FRAMES, metavar="N", help=f"Film: frames ({FRAMES}).")
 @click.option("--fps", type=click.FloatRange(0.1, 240), default=FPS, metavar="N", help=f"Film: a second ({FPS:g}).")
 @click.option("--backend", type=click.Choice(["auto", "gpu", "numpy"]), default="auto", metavar="auto|gpu|numpy",
-              help="Shaders, NumPy, or what works (auto).")
+              help="Shaders (also by an adapter in software), NumPy, or a GPU where there is one, else NumPy (auto).")
 @overwrite_option
 @json_option
 @quiet_option

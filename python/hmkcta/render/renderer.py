@@ -38,7 +38,7 @@ def render(model: Model, scene: Scene | None = None, *, original: Any = None, ba
         model: the model.
         scene: what to show; by default what suits the model's kind.
         original: an array of the model's shape, for scenes that compare with it.
-        backend: ``gpu`` (wgpu), ``numpy``, or ``auto``: the first that works.
+        backend: ``gpu`` (wgpu), ``numpy``, or ``auto``: a GPU where there is one, else NumPy.
 
     Raises:
         HmkctaError: the scene does not fit the model; `backend` is ``gpu`` and there is no adapter.
@@ -85,7 +85,6 @@ class Renderer:
         self._layout = lay_out(model.metadata.axes, self.kind, position)
         self._numpy = NumpyPath(model, model.metadata.axes, self._layout, self.kind, model)
         self._device = None if backend == "numpy" or self.kind == "generic" else _device(backend)
-        self._strict = backend == "gpu"
         self.backend = "numpy" if self._device is None else "gpu"
         self.adapter = "" if self._device is None else str(self._device)
 
@@ -162,12 +161,9 @@ class Renderer:
         if not 1 <= level <= len(self._model.levels):
             raise invalid("level-out-of-range", "level", level, f"1 to {len(self._model.levels)}")
         if self._gpu is not None:
-            refusal = self._gpu.refusal(scene, level)
-            if refusal is None:
-                return self._gpu.radiance(scene, level)
-            if self._strict:
+            if (refusal := self._gpu.refusal(scene, level)) is not None:
                 raise refusal
-            self.backend = "numpy"
+            return self._gpu.radiance(scene, level)
         return self._numpy.radiance(scene, level)
 
     @cached_property
@@ -184,7 +180,8 @@ class Renderer:
 
 
 def _device(backend: str) -> Device | None:
-    """A device of an adapter; None where there is none and the backend is ``auto``."""
+    """A device of an adapter; for ``auto`` None where there is none, or one in software, which NumPy outruns."""
     from .device import find_device, shared_device
 
-    return shared_device() if backend == "gpu" else find_device()
+    device = shared_device() if backend == "gpu" else find_device()
+    return None if backend == "auto" and device is not None and device.software else device
