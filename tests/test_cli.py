@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 import hmkcta
 from cli_tools import finish, report, run, saved, smooth, start
+from hmkcta import synthetic
 from hmkcta.cli import main
 from hmkcta.cli import progress as progress_module
 from hmkcta.cli.progress import Progress
@@ -185,6 +186,24 @@ def test_decompress(packed: Path, tmp_path: Path) -> None:
     run("decompress", packed, "-o", tmp_path / "coarse.npy", "--level", 1, "--max-memory", "1KiB", code=6)
     run("decompress", packed, "-o", tmp_path / "coarse.npy", "--level", 1)
     np.testing.assert_allclose(np.load(tmp_path / "coarse.npy"), model.at_level(1).reconstruct(), rtol=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["uint8", "int64", "float16", "bool"])
+def test_decompress_into_the_sources_type(tmp_path: Path, kind: str) -> None:
+    values = (60 * synthetic.volume((8, 9, 10), frames=1).values[0]).astype(kind)
+    np.save(tmp_path / "a.npy", values)
+    run("compress", tmp_path / "a.npy", "-o", tmp_path / "a.hmk", "--plan", "R=8,9,10")
+    text = run("decompress", tmp_path / "a.hmk", "-o", tmp_path / "b.npy", "--source-type").stdout
+    found = np.load(tmp_path / "b.npy")
+    assert found.dtype == values.dtype
+    assert f"8,9,10 {kind}" in text
+    if kind == "float16":
+        np.testing.assert_allclose(found, values, atol=0.1)
+    else:  # errors of a few thousandths
+        np.testing.assert_array_equal(found, values)
+    out = np.empty(values.shape, kind)
+    assert hmkcta.open(tmp_path / "a.hmk").reconstruct(out) is out
+    np.testing.assert_array_equal(out, found)
 
 
 def test_plan_prints_the_command_that_does_it(source: Path, packed: Path, tmp_path: Path) -> None:

@@ -162,7 +162,10 @@ def test_reconstruct_into_an_array(tmp_path: Path) -> None:
     assert model.reconstruct(mapped) is mapped
     np.testing.assert_allclose(mapped, reference, atol=1e-5 * np.abs(reference).max())
     assert_same(model.reconstruct(), reference)
-    for out in (np.empty(SHAPE[1:], np.float32), np.empty(SHAPE, np.int16), np.empty(SHAPE, np.float16)):
+    whole = np.empty(SHAPE, np.int16)
+    assert model.reconstruct(whole) is whole
+    np.testing.assert_allclose(whole, reference, atol=0.51)
+    for out in (np.empty(SHAPE[1:], np.float32), np.empty(SHAPE, np.complex64), np.empty(SHAPE, "U3")):
         with pytest.raises(HmkctaError) as caught:
             model.reconstruct(out)
         assert caught.value.reason == "out-shape"

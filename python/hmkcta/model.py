@@ -220,19 +220,19 @@ class Model:
         """Decode all elements, slab by slab along the first axis.
 
         Args:
-            out: array of float32 or float64 to fill, of the source's shape, for instance a `numpy.memmap`; a new
-                float32 array by default.
+            out: array to fill, of the source's shape, for instance a `numpy.memmap`; a new float32 array by default.
+                Of integers, say of the type `metadata.source_dtype`, it gets the nearest ones.
             max_memory: bytes to allocate at most; what is available by default.
 
         Returns:
             `out`, or the new array.
 
         Raises:
-            HmkctaError: `out` has another shape or no floats; the memory does not suffice.
+            HmkctaError: `out` has another shape or holds neither floats nor integers; the memory does not suffice.
         """
-        if out is not None and (out.shape != self.shape or out.dtype.kind != "f" or out.itemsize < 4):
+        if out is not None and (out.shape != self.shape or out.dtype.kind not in "fiub"):
             raise invalid("out-shape", "out", f"{out.dtype} of shape {out.shape}",
-                          f"float32 or float64 of shape {self.shape}")
+                          f"floats or integers of shape {self.shape}")
         limit = available_memory() if max_memory is None else max_memory
         own = 0 if out is not None else 4 * self.size
         # A slab and the decoder's working arrays take up to four times its elements.
@@ -240,7 +240,11 @@ class Model:
         check_memory(own + 16 * min(1 << 16, self.size), f"all {self.size} elements",
                      "give a numpy.memmap as out, or index a part", limit)
         result = np.empty(self.shape, np.float32) if out is None else out
-        self._decode(select((), self.shape), result, slab)
+        if result.dtype.kind == "f" and result.itemsize >= 4:
+            self._decode(select((), self.shape), result, slab)
+        else:
+            for part in slabs(self.shape, slab):
+                result[part] = nearest(self[part], result.dtype)
         return result
 
     def _decode(self, chosen: Selection, out: NDArray[Any], slab: int = _SLAB) -> None:
@@ -343,6 +347,22 @@ def _cut(axes: Sequence[Index], part: tuple[slice, ...]) -> list[Index]:
     """The indices of a slab of the selection."""
     return [index[tuple(span if length > 1 else slice(None) for span, length in zip(part, index.shape, strict=False))]
             for index in axes]
+
+
+def nearest(values: Floats, dtype: DTypeLike) -> NDArray[Any]:
+    """The nearest numbers of a type: integers are rounded, and cut off at its range, as floats are.
+
+    >>> nearest(np.array([-3.0, 1.5, 299.0], np.float32), np.uint8).tolist()
+    [0, 2, 255]
+    """
+    kind: np.dtype[Any] = np.dtype(dtype)
+    if kind == np.bool_:
+        return np.asarray(values) >= 0.5
+    info: Any = np.iinfo(kind) if kind.kind in "iu" else np.finfo(kind)
+    wide = np.asarray(values, np.float64)
+    # Beyond 2^53 a float64 next to the largest integer of a type may be more than that.
+    most = float(info.max) if int(float(info.max)) <= int(info.max) else float(np.nextafter(float(info.max), 0.0))
+    return np.clip(np.rint(wide) if kind.kind in "iu" else wide, float(info.min), most).astype(kind)
 
 
 def _all_finite(values: Floats) -> bool:

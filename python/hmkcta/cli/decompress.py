@@ -13,7 +13,7 @@ from ..errors import invalid
 from ..hmkfile import check_output, published
 from ..hmkfile.reasons import fault
 from ..memory import available_memory, check_memory, format_bytes
-from ..model import Model
+from ..model import Model, nearest
 from ..model import open as open_model
 from ..slabs import slabs
 from .options import (
@@ -32,7 +32,7 @@ from .output import emit, seconds
 from .progress import Progress
 
 EXAMPLES = ("hmkcta decompress wood.hmk -o wood.npy", "hmkcta decompress wood.hmk -o coarse.npy --level 1",
-            "hmkcta decompress jet.hmk -o jet.raw")
+            "hmkcta decompress jet.hmk -o jet.raw", "hmkcta decompress film.hmk -o film.npy --source-type")
 
 #: Elements decoded at once, and bytes of memory that takes for each.
 SLAB, BYTES_AN_ELEMENT = 1 << 22, 20
@@ -44,14 +44,15 @@ SMALLEST_SLAB = 1 << 14
 @click.option("-o", "--output", required=True, type=OutputFile(), metavar="OUT",
               help="OUT.npy, or OUT.raw for numbers alone.")
 @click.option("--level", type=Count(1), metavar="N", help="Decode levels 1 to N only.")
+@click.option("--source-type", is_flag=True, help="Numbers of the source's type, integers rounded, instead of float32.")
 @memory_option
 @overwrite_option
 @json_option
 @quiet_option
 @verbose_option
-def decompress_command(file: str, output: str, level: int | None, max_memory: int | None, overwrite: bool,
-                       as_json: bool, quiet: bool, verbose: bool) -> None:
-    """Decode FILE into a float32 array, C order, little-endian."""
+def decompress_command(file: str, output: str, level: int | None, source_type: bool, max_memory: int | None,
+                       overwrite: bool, as_json: bool, quiet: bool, verbose: bool) -> None:
+    """Decode FILE into an array of float32 or of the source's type, C order, little-endian."""
     del verbose
     if Path(output).suffix not in (".npy", ".raw"):
         raise invalid("output-format", "output", repr(output), "a name that ends with .npy or .raw")
@@ -60,18 +61,21 @@ def decompress_command(file: str, output: str, level: int | None, max_memory: in
     model = open_model(file)
     model = model if level is None else model.at_level(level)
     slab = _slab(model, max_memory)
-    _check_room(output, 4 * model.size)
+    kind = np.dtype(model.metadata.source_dtype if source_type else np.float32).newbyteorder("<")
+    nbytes = kind.itemsize * model.size
+    _check_room(output, nbytes)
     with Progress(quiet or as_json) as progress, published(output, overwrite) as target:
         if output.endswith(".npy"):
-            np.lib.format.write_array_header_1_0(target, {"descr": "<f4", "fortran_order": False, "shape": model.shape})
-        _write(model, target, slab, progress)
-    report: dict[str, Any] = {"output": output, "shape": list(model.shape), "dtype": "float32", "bytes": 4 * model.size,
+            header = {"descr": kind.str, "fortran_order": False, "shape": model.shape}
+            np.lib.format.write_array_header_1_0(target, header)
+        _write(model, target, kind, slab, progress)
+    report: dict[str, Any] = {"output": output, "shape": list(model.shape), "dtype": kind.name, "bytes": nbytes,
                               "seconds": round(progress.elapsed, 3)}
     if as_json:
         emit(report)
     elif not quiet:
         shape = ",".join(map(str, model.shape))
-        click.echo(f"{output}: {shape} float32, {format_bytes(4 * model.size)}, in {seconds(progress.elapsed)}")
+        click.echo(f"{output}: {shape} {kind.name}, {format_bytes(nbytes)}, in {seconds(progress.elapsed)}")
 
 
 def _slab(model: Model, max_memory: int | None) -> int:
@@ -90,10 +94,10 @@ def _check_room(output: str, needed: int) -> None:
         raise fault("disk-full", output, format_bytes(needed), most, "free some space")
 
 
-def _write(model: Model, target: BinaryIO, slab: int, progress: Progress) -> None:
+def _write(model: Model, target: BinaryIO, kind: np.dtype[Any], slab: int, progress: Progress) -> None:
     done = 0
     for part in slabs(model.shape, slab):
         values = model[part]
-        target.write(np.ascontiguousarray(values, "<f4").data)
+        target.write(np.ascontiguousarray(values if kind == "<f4" else nearest(values, kind), kind).data)
         done += values.size
         progress("decoding", done / model.size)
