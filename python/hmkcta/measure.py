@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -25,7 +25,7 @@ Progress = Callable[[str, float], None]
 #: Elements measured at once: some 40 bytes each.
 SLAB = 1 << 21
 #: Up to this SNR in dB the rounding of decoding in float32 is nothing beside the errors; above, float64 tells them.
-FINE = 72.0
+FINE = 40.0
 
 
 @dataclass(eq=False)
@@ -98,21 +98,33 @@ def measure_both(model: Model, source: Any, *, nan: float | None = None, progres
     """As `measure`: quality in the domain of the source values, and in that of the value transform."""
     if tuple(source.shape) != model.shape:
         raise invalid("source-shape", "shape of the source", tuple(source.shape), f"{model.shape}, that of the file")
-    plain, transformed = _summed(model, source, nan, progress, slab, np.float32)
-    if not all(np.isfinite(noise) and noise > transformed.signal * 10 ** (-FINE / 10) for noise in transformed.noise):
-        plain, transformed = _summed(model, source, nan, progress, slab, np.float64)
+    parts = list(slabs(model.shape, slab))
+    coarse = _is_coarse(_summed(model, source, nan, None, parts[:1], np.float32)[1])
+    plain, transformed = _summed(model, source, nan, progress, parts, np.float32 if coarse else np.float64)
+    if coarse and not _is_coarse(transformed):
+        plain, transformed = _summed(model, source, nan, progress, parts, np.float64)
     found = transformed.quality()
     return (found if from_json(model.metadata.transform).name == "identity" else plain.quality()), found
 
 
+def _is_coarse(sums: Sums) -> bool:
+    """Whether errors of all levels are so large that float32 tells them."""
+    return all(np.isfinite(noise) and noise > sums.signal * 10 ** (-FINE / 10) for noise in sums.noise)
+
+
 def _summed(
-    model: Model, source: Any, nan: float | None, progress: Progress | None, slab: int, dtype: type[np.floating[Any]]
+    model: Model,
+    source: Any,
+    nan: float | None,
+    progress: Progress | None,
+    parts: Sequence[tuple[slice, ...]],
+    dtype: type[np.floating[Any]],
 ) -> tuple[Sums, Sums]:
     """Sums in both domains, in float64 whatever the type the model is decoded in; plain errors only if they differ."""
     metadata = model.metadata
     transform = from_json(metadata.transform)
     plain, transformed = Sums(len(model.levels)), Sums(len(model.levels))
-    for part in slabs(model.shape, slab):
+    for part in parts:
         values = _finite(np.asarray(source[part], np.float64), nan, part)
         axes = [replace(axis, size=size, coords=None) for axis, size in zip(metadata.axes, values.shape, strict=True)]
         tensor = organise(values, axes, metadata.organisation)
