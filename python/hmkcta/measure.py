@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -98,11 +98,11 @@ def measure_both(model: Model, source: Any, *, nan: float | None = None, progres
     """As `measure`: quality in the domain of the source values, and in that of the value transform."""
     if tuple(source.shape) != model.shape:
         raise invalid("source-shape", "shape of the source", tuple(source.shape), f"{model.shape}, that of the file")
-    parts = list(slabs(model.shape, slab))
-    coarse = _is_coarse(_summed(model, source, nan, None, parts[:1], np.float32)[1])
-    plain, transformed = _summed(model, source, nan, progress, parts, np.float32 if coarse else np.float64)
-    if coarse and not _is_coarse(transformed):
-        plain, transformed = _summed(model, source, nan, progress, parts, np.float64)
+    sums = _summed(model, source, nan, progress, slab, np.float32) or _summed(
+        model, source, nan, progress, slab, np.float64
+    )
+    assert sums is not None
+    plain, transformed = sums
     found = transformed.quality()
     return (found if from_json(model.metadata.transform).name == "identity" else plain.quality()), found
 
@@ -113,17 +113,16 @@ def _is_coarse(sums: Sums) -> bool:
 
 
 def _summed(
-    model: Model,
-    source: Any,
-    nan: float | None,
-    progress: Progress | None,
-    parts: Sequence[tuple[slice, ...]],
-    dtype: type[np.floating[Any]],
-) -> tuple[Sums, Sums]:
-    """Sums in both domains, in float64 whatever the type the model is decoded in; plain errors only if they differ."""
+    model: Model, source: Any, nan: float | None, progress: Progress | None, slab: int, dtype: type[np.floating[Any]]
+) -> tuple[Sums, Sums] | None:
+    """Sums in both domains, in float64 whatever the type the model is decoded in; plain errors only if they differ.
+
+    None where float32 does not tell the errors, of which the first slab mostly warns.
+    """
     metadata = model.metadata
     transform = from_json(metadata.transform)
     plain, transformed = Sums(len(model.levels)), Sums(len(model.levels))
+    parts = list(slabs(model.shape, slab))
     for part in parts:
         values = _finite(np.asarray(source[part], np.float64), nan, part)
         axes = [replace(axis, size=size, coords=None) for axis, size in zip(metadata.axes, values.shape, strict=True)]
@@ -140,6 +139,8 @@ def _summed(
             if transform.name != "identity":
                 plain.add_error(level, tensor - np.asarray(transform.inverse(decoded.astype(np.float64)), np.float64))
         drop_pages(source)
+        if dtype is np.float32 and part in (parts[0], parts[-1]) and not _is_coarse(transformed):
+            return None
         if progress is not None:
             progress("measuring", transformed.count / model.size)
     return plain, transformed
