@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
-Ranks = tuple[int | None, ...]
 
 #: Most nodes that give back what the last step of all hulls leaves unused, or use it; of more nodes than these the last
 #: step is a small one.

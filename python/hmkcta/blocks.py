@@ -9,6 +9,7 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
+from .slabs import thinning
 from .source import Source
 
 F32 = NDArray[np.float32]
@@ -88,11 +89,3 @@ def _points(order: int, seed: int) -> Iterator[list[float]]:
     while True:
         number += 1
         yield [float((start[n] + number * root ** -(n + 1)) % 1) for n in range(order)]
-
-
-def thinning(lengths: Sequence[int], limit: int) -> list[int]:
-    """Steps along each axis that leave about `limit` elements, the longest axes thinned first."""
-    steps = [1] * len(lengths)
-    while prod(-(-length // step) for length, step in zip(lengths, steps, strict=True)) > limit:
-        steps[max(range(len(lengths)), key=lambda n: lengths[n] / steps[n])] += 1
-    return steps

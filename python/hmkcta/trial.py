@@ -17,7 +17,7 @@ from .axes import Axis, Organisation, axis_order, mode_sizes
 from .blocks import Blocks, sampled_blocks
 from .filesize import planned_bytes
 from .metrics import snr_db
-from .plan import LevelSpec, Plan
+from .plan import MOST_RANKS, LevelSpec, Plan
 from .source import Source
 from .spectra import Ladder, captured, cores, energies, ladders
 
@@ -31,7 +31,7 @@ SLAB, HELD = 1 << 20, 1 << 23
 #: Modes up to this length are left undecomposed on trial if their rank takes this share of their rows.
 LONGEST_UNDECOMPOSED, NEARLY_FULL = 128, 0.2
 #: Highest rank looked at, of matrices and of tensors.
-HIGHEST = (160, 64)
+HIGHEST = (MOST_RANKS, 64)
 #: Errors below this share of the energy are not told apart.
 LEAST_ERROR = 1e-8
 

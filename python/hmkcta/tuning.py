@@ -167,8 +167,7 @@ def _finalists(search: Search, fixed: bool, progress: Progress) -> Ranked:
     for turn, (sample, most) in enumerate(zip(search.care.survey, search.care.organisations, strict=True)):
         few = grids if turn else grids[1:2] or grids
         judged = search.best(list(product(left, few)), sample, partial(progress, "organisation"))
-        worth = {modes: max(found for found, _ in judged[n * len(few) : (n + 1) * len(few)])
-                 for n, modes in enumerate(left)}
+        worth = _by_organisation(left, judged)
         left = sorted(left, key=lambda modes: -worth[modes])[:most]
         # A survey thins large blocks and so misjudges high ranks: nothing merged always stays in the race.
         left += [search.plain] if search.plain not in left else []
@@ -187,11 +186,17 @@ def _merged(search: Search, few: Sequence[tuple[int, ...]], progress: Progress) 
     for modes in range(len(search.plain), 2, -1):
         new = list(dict.fromkeys(merged for organisation in best for merged in _merges(organisation, axes)))
         judged = search.best(list(product(new, few)), search.care.survey[0])
-        worth = {each: max(w for w, _ in judged[n * len(few) : (n + 1) * len(few)]) for n, each in enumerate(new)}
+        worth = _by_organisation(new, judged)
         best = sorted(new, key=lambda each: -worth[each])[:BEAM]
         found = found + new
         progress("organisation", (len(search.plain) - modes + 1) / len(search.plain))
     return found
+
+
+def _by_organisation(left: Sequence[Organisation], judged: Ranked) -> dict[Organisation, float]:
+    """What each organisation is worth with the best grid; `judged` has all grids of one after those of another."""
+    grids = len(judged) // max(1, len(left))
+    return {modes: max(map(_worth, judged[n * grids : (n + 1) * grids])) for n, modes in enumerate(left)}
 
 
 def _settled(search: Search, finalists: Sequence[Candidate], progress: Progress) -> tuple[float, Candidate]:
