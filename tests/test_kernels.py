@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from hmkcta.backends import Kernels, native, reference
 from hmkcta.cells import Cells, dense_basis
+from hmkcta.coding import Dictionary
 from hmkcta.errors import HmkctaError
 from hmkcta.plan import LevelSpec
 from hmkcta.projection import Projection
@@ -116,17 +117,26 @@ def check_same(cells: Cells, data: F32, kernels: Kernels = native) -> None:
         close(kernels.project_cells(cells, data, n), reference.project_cells(cells, data, n), 1e-4)
         close(kernels.dictionary_gram(cells, n), reference.dictionary_gram(cells, n), 1e-12)
     check_pairs(cells, data, kernels)
-    left: list[float] = []
-    for backend in (kernels, reference):
-        fit, residual = copy_of(cells), data.copy()
-        backend.fit_cells(fit, residual, 2, 2)
-        # Bases of equal singular values may turn; model and error may not.
-        close(residual + model_of(fit), data + model_of(cells), 1e-4)
-        for x, y in zip((*fit.bases, fit.cores), (*cells.bases, cells.cores), strict=True):
-            assert (x.shape, x.dtype) == (y.shape, np.float32)
-        left.append(energy(residual))
-    whole = energy(data + model_of(cells)) + 1e-30
-    assert abs(left[0] - left[1]) < 1e-3 * whole
+
+
+def check_coding(cells: Cells, data: F32, n: int) -> None:
+    """Both find subsets that explain as much of each row, and coefficients that do explain it."""
+    cores = np.moveaxis(cells.cores, n + 1, 1).reshape(cells.spec.cells, cells.ranks[n], -1)
+    b = cores.astype(np.float64) @ reference.project_cells(cells, data, n).transpose(0, 2, 1)
+    h, clusters, mixture = reference.dictionary_gram(cells, n), cells.spec.clusters, cells.spec.mixture[n]
+    dictionary = Dictionary.of(h, b, clusters, n)
+    for search in ("optimal", "greedy", "fixed"):
+        found, x = native.code_rows(h, b, clusters, n, cells.members[n], mixture, search)
+        expected, _ = reference.code_rows(h, b, clusters, n, cells.members[n], mixture, search)
+        gain = [float(dictionary.gain(tuple(s), np.array([i]))[0]) for i, s in enumerate(expected.tolist())]
+        explained: list[float] = []
+        for i, subset in enumerate(found.tolist()):
+            scaled = (x[i] * dictionary.length[subset]).reshape(-1)
+            h_ss = dictionary.h[subset][:, :, subset].reshape(len(scaled), -1)
+            explained.append(float(2 * scaled @ dictionary.b[subset, :, i].reshape(-1) - scaled @ h_ss @ scaled))
+        assert explained == pytest.approx(gain, rel=1e-3, abs=1e-4 * max(gain) + 1e-30)
+        if search == "fixed":
+            assert np.array_equal(found, cells.members[n])
 
 
 def check_pairs(cells: Cells, data: F32, kernels: Kernels) -> None:
@@ -153,6 +163,21 @@ def test_lanes_are_contracted_alike(sizes: tuple[int, int, int, int, int], seed:
 @given(nodes())
 def test_backends_agree(node: Node) -> None:
     check_same(*node)
+
+
+@settings(max_examples=100, deadline=None)
+@given(nodes())
+def test_codings_agree(node: Node) -> None:
+    cells, data = node
+    for n in range(cells.order):
+        if cells.spec.ranks[n] is not None:
+            check_coding(cells, data, n)
+
+
+@pytest.mark.parametrize(("clusters", "mixture"), [((12, 2), 3), ((3, 4), 2)])
+def test_codings_of_many_clusters_agree(clusters: tuple[int, int], mixture: int) -> None:
+    spec = LevelSpec((3, 2), clusters, (mixture, 1))
+    check_coding(random_cells((60, 31), spec, 3), smooth_data((60, 31), 4), 0)
 
 
 @pytest.mark.parametrize(("sizes", "spec"), LARGE, ids=[str(sizes) for sizes, _ in LARGE])

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from dense_reference import energy, node_rows, unfold
 from hmkcta import backends as kernels
-from hmkcta import coding, compress, projection
+from hmkcta import compress, projection
 from hmkcta.cells import Cells, dense_basis, empty_cells
 from hmkcta.fit import EFFORTS, fit_level, left_by
 from hmkcta.plan import GRAM_CELLS, OPTIMAL_SUBSETS, LevelSpec, parse_level
-from hmkcta.search import choose_rows, code, extend, orthonormalise, right_sides
+from hmkcta.search import choose_rows, extend, orthonormalise, right_sides
 from hmkcta.subdivision import subdivide
 from test_special_cases import MODES, shuffled, smooth
 
@@ -66,7 +66,7 @@ def brute_force(cells: Cells, tensor: F32, n: int, mixture: int) -> tuple[list[t
 def joint_rows(cells: Cells, tensor: F32, n: int, mixture: int, search: str) -> None:
     """New subsets and rows of one mode, the columns not made orthonormal: part of a sweep."""
     seen = right_sides(cells, kernels.project_cells(cells, tensor, n), n)
-    choose_rows(cells, code(cells, seen, n), n, mixture, search)
+    choose_rows(cells, seen, n, mixture, search)
 
 
 def row_errors(cells: Cells, tensor: F32, n: int) -> F64:
@@ -129,24 +129,6 @@ def test_the_greedy_search_lies_between_one_cluster_and_the_optimum(shape: Seque
     one, greedy, optimal = searched(1, "optimal"), searched(mixture, "greedy"), searched(mixture, "optimal")
     assert optimal * 0.9999 <= greedy <= one
     assert greedy <= 1.1 * optimal
-
-
-def test_factors_that_are_not_kept_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    dictionary, slices = np.random.default_rng(0).standard_normal((2, 60, 40))
-    h, b = dictionary.T @ dictionary, dictionary.T @ slices
-    every, few = (coding.Coding.of(h, b, 10) for _ in range(2))
-    every.search(3)
-    monkeypatch.setattr(coding, "MOST_KEPT", 0)  # but as many numbers as H has
-    few.search(3)
-    assert few.subset == every.subset
-    assert np.array_equal(few.gain, every.gain)
-    first = few.subset[0]
-    assert np.array_equal(few.solve(first, np.array([0])), every.solve(first, np.array([0])))
-
-    def kept(of: coding.Coding) -> int:
-        return sum(w.size + low.size for w, low in of._factors.values())  # pyright: ignore[reportPrivateUsage]
-
-    assert kept(few) <= h.size < kept(every)
 
 
 def test_projections_larger_than_the_tensor_are_not_made(monkeypatch: pytest.MonkeyPatch) -> None:

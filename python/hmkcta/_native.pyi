@@ -22,6 +22,16 @@ def contract_lanes(p: _F32, w: _F32, sizes: tuple[int, int, int], rank: int, lan
 def dictionary_gram(
     shape: _Shape, members: _Members, bases: list[_F32], cores: _F32, mode: int
 ) -> NDArray[np.float64]: ...
+def code_rows(
+    h: NDArray[np.float64],
+    b: NDArray[np.float64],
+    clusters: list[int],
+    mode: int,
+    rank: int,
+    kept: NDArray[np.uint16] | None,
+    mixture: int,
+    search: str,
+) -> tuple[NDArray[np.uint16], _F32]: ...
 
 # The arrays of one level by their names in `packed.PackedLevel`, float16 as its bits.
 _Level = dict[str, Any]

@@ -91,11 +91,12 @@ def _assign(distance: F64, most: int) -> NDArray[np.intp]:
         return distance.argmin(1)
     ordered = np.sort(distance, axis=1)
     margin = ordered[:, 1] - ordered[:, 0] if distance.shape[1] > 1 else ordered[:, 0]
-    room = np.full(distance.shape[1], most)
+    nearest: list[list[int]] = distance.argsort(axis=1, kind="stable").tolist()
+    room = [most] * distance.shape[1]
     labels = np.zeros(len(distance), np.intp)
-    for i in np.argsort(-margin, kind="stable"):
-        labels[i] = np.where(room > 0, distance[i], np.inf).argmin()
-        room[labels[i]] -= 1
+    for i in np.argsort(-margin, kind="stable").tolist():
+        labels[i] = k = next(k for k in nearest[i] if room[k])
+        room[k] -= 1
     return labels
 
 

@@ -1,12 +1,11 @@
 """Cluster subsets and rows of one mode, jointly optimal given all else, by coding in the dictionary of the others.
 
-The optimal search looks at every subset (the paper's section 5), the greedy one lets subsets grow by their best next
-cluster, and `extend` adds clusters by the residual's energy where even H does not fit.
+`extend` adds clusters by the residual's energy where even H does not fit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +13,6 @@ from numpy.typing import NDArray
 
 from . import backends as kernels
 from .cells import Cells, dense_basis, store_basis
-from .coding import Coding, Rows, Subset
 from .projection import passes, project
 
 F32 = NDArray[np.float32]
@@ -26,39 +24,28 @@ def sweep(cells: Cells, tensor: F32, mixture: Sequence[int], search: str) -> Non
     for kept in passes(cells):
         seen = project(cells, tensor, kept)
         for n in kept:
-            choose_rows(cells, code(cells, right_sides(cells, seen.onto(cells, n), n), n), n, mixture[n], search)
+            choose_rows(cells, right_sides(cells, seen.onto(cells, n), n), n, mixture[n], search)
             orthonormalise(cells, n)
 
 
-def choose_rows(cells: Cells, coding: Coding, n: int, mixture: int, search: str) -> None:
-    """New subsets (of `mixture` clusters) and basis rows of mode n, jointly optimal given all else, from its `code`.
+def choose_rows(cells: Cells, b: F64, n: int, mixture: int, search: str) -> None:
+    """New subsets (of `mixture` clusters) and basis rows of mode n, jointly optimal given all else.
 
-    `search` is ``optimal``, ``greedy`` or ``fixed`` (keep the subsets). The rows are not orthonormal afterwards.
+    b `[PC, R_n, I_n]` are its `right_sides`; `search` is ``optimal``, ``greedy`` or ``fixed`` (keep the subsets). The
+    rows are not orthonormal afterwards.
     """
-    if search == "optimal":
-        coding.search(mixture)
-    else:
-        if search == "greedy":
-            _grow(coding, mixture)
-        if search == "fixed" or cells.members[n].shape[1] == mixture:  # what was there stays where growing is worse
-            for subset, rows in _patterns(cells.members[n]):
-                coding.offer(subset, rows, coding.gain_of(subset, rows))
-    _store(cells, n, coding, mixture)
+    spec, size = cells.spec, cells.sizes[n]
+    kept = cells.members[n] if search == "fixed" or cells.members[n].shape[1] == mixture else None
+    h = kernels.dictionary_gram(cells, n)
+    cells.members[n], x = kernels.code_rows(h, b, spec.clusters, n, kept, mixture, search)
+    cells.bases[n] = x.reshape(size, mixture, spec.cells // spec.clusters[n], cells.ranks[n])
+    cells.spec = replace(spec, mixture=(*spec.mixture[:n], mixture, *spec.mixture[n + 1 :]))
 
 
 def right_sides(cells: Cells, y: NDArray[np.floating], n: int) -> F64:
     """b of mode n `[PC, R_n, I_n]` from the projections `y` `[PC, I_n, prod_{m != n} R_m]`."""
     cores = np.moveaxis(cells.cores, n + 1, 1).reshape(cells.spec.cells, cells.ranks[n], -1)
     return np.matmul(cores.astype(np.float64), y.transpose(0, 2, 1))
-
-
-def code(cells: Cells, b: F64, n: int) -> Coding:
-    """b `[PC, R_n, I_n]` and H of mode n, grouped by its clusters."""
-    rank, clusters = cells.ranks[n], cells.spec.clusters[n]
-    order = np.argsort(np.indices(cells.spec.clusters)[n].reshape(-1), kind="stable")
-    columns = (order[:, None] * rank + np.arange(rank)).reshape(-1)  # grouped by the mode's cluster
-    h = kernels.dictionary_gram(cells, n)[np.ix_(columns, columns)]
-    return Coding.of(h, b.reshape(-1, cells.sizes[n])[columns], clusters)
 
 
 def project_model(cells: Cells, other: Cells, n: int) -> F64:
@@ -86,36 +73,6 @@ def project_model(cells: Cells, other: Cells, n: int) -> F64:
         else:
             y.append(x.sum(axis=0).reshape(cells.sizes[n], -1))
     return np.array(y)
-
-
-def _patterns(subsets: NDArray[np.uint16]) -> Iterable[tuple[Subset, Rows]]:
-    """The distinct subsets in use, each with its rows."""
-    distinct, which = np.unique(subsets, axis=0, return_inverse=True)
-    for number, subset in enumerate(distinct):
-        yield tuple(int(k) for k in subset), np.flatnonzero(which.reshape(-1) == number)
-
-
-def _grow(coding: Coding, mixture: int) -> None:
-    """Greedy search with joint re-projection: every subset in use tries every further cluster."""
-    coding.search(1)
-    for _ in range(mixture - 1):
-        grown = list(_patterns(np.array(coding.subset, np.uint16)))
-        coding.gain[:] = -1.0
-        for subset, rows in grown:
-            for k in set(range(coding.clusters)) - set(subset):
-                wider = tuple(sorted((*subset, k)))
-                coding.offer(wider, rows, coding.gain_of(wider, rows))
-
-
-def _store(cells: Cells, n: int, coding: Coding, mixture: int) -> None:
-    """Coefficients of a subset are ordered cluster, flat(c_-n), rank: the stored order of a basis row."""
-    others, rank, size = cells.spec.cells // cells.spec.clusters[n], cells.ranks[n], cells.sizes[n]
-    cells.members[n] = np.array(coding.subset, np.uint16).reshape(size, mixture)
-    basis = np.empty((size, mixture * others * rank), np.float32)
-    for subset, rows in _patterns(cells.members[n]):
-        basis[rows] = coding.solve(subset, rows).T
-    cells.bases[n] = basis.reshape(size, mixture, others, rank)
-    cells.spec = replace(cells.spec, mixture=(*cells.spec.mixture[:n], mixture, *cells.spec.mixture[n + 1 :]))
 
 
 def extend(cells: Cells, residual: F32, n: int) -> None:

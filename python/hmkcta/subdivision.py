@@ -9,10 +9,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from . import backends as kernels
 from .cells import Cells
+from .coding import Dictionary
 from .memberships import uniform_blocks
 from .projection import Projection, passes, project
-from .search import code, project_model, right_sides
+from .search import project_model, right_sides
 
 F32 = NDArray[np.float32]
 
@@ -45,11 +47,12 @@ def _parts(cells: Cells, seen: Projection | None, n: int, scheme: str) -> NDArra
 def _subset_errors(cells: Cells, seen: Projection | None, n: int) -> NDArray[np.float64]:
     """`[I_n, K_n]`: squared error of each row by each of its subsets alone, less |t_i|^2."""
     y = project_model(cells, cells, n) if seen is None else seen.onto(cells, n)
-    coding = code(cells, right_sides(cells, y, n), n)
+    h = kernels.dictionary_gram(cells, n)
+    dictionary = Dictionary.of(h, right_sides(cells, y, n), cells.spec.clusters, n)
     x = cells.bases[n].astype(np.float64)  # [I_n, K_n, PC_-n, R_n]
     errors = np.empty(cells.members[n].shape)
-    for k, length in enumerate(coding.length):
-        h_kk, b_k = coding.h[k, :, k], coding.b[k].T  # b_k: [I_n, PC_-n R_n]
+    for k, length in enumerate(dictionary.length):
+        h_kk, b_k = dictionary.h[k, :, k], dictionary.b[k].T  # b_k: [I_n, PC_-n R_n]
         rows, slots = np.nonzero(cells.members[n] == k)
         x_k = x[rows, slots].reshape(len(rows), len(length)) * length
         errors[rows, slots] = np.einsum("iq,iq->i", x_k, x_k @ h_kk - 2.0 * b_k[rows])

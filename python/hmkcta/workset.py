@@ -24,7 +24,7 @@ from .memory import check_memory
 from .pieces import Rows
 from .plan import LevelSpec, Plan
 from .predict import PROCESS, WORKING
-from .search import choose_rows, code, orthonormalise, project_model, right_sides
+from .search import choose_rows, orthonormalise, project_model, right_sides
 from .slabs import slabs
 from .streamed import Block, Streamed, thinned_cells
 
@@ -165,8 +165,7 @@ def solve_rows(residual: Streamed, number: int, cells: Cells, n: int, search: st
     """Best rows of mode n given all else, on the tensor thinned by `steps`, as modes of the cells may be already."""
     full = [own == size for own, size in zip(cells.sizes, residual.shape, strict=True)]
     seen = thinned_cells(cells, [step if whole else 1 for step, whole in zip(steps, full, strict=True)])
-    coding = code(seen, sides(residual, number, seen, n, steps), n)
-    choose_rows(seen, coding, n, cells.spec.mixture[n], search)
+    choose_rows(seen, sides(residual, number, seen, n, steps), n, cells.spec.mixture[n], search)
     orthonormalise(seen, n)
     cells.members[n], cells.bases[n], cells.cores = seen.members[n], seen.bases[n], seen.cores
 

@@ -178,7 +178,7 @@ impl<'a> Node<'a> {
 }
 
 /// K_n distinct subsets below C_n for each of `size` rows.
-fn check_members(members: &[u16], size: usize, clusters: usize, mixture: usize) -> Result<(), String> {
+pub fn check_members(members: &[u16], size: usize, clusters: usize, mixture: usize) -> Result<(), String> {
     if members.len() != size * mixture {
         return Err(format!("{size} x {mixture} numbers expected, got {}", members.len()));
     }

@@ -4,10 +4,13 @@ mod binding;
 mod block;
 mod cells;
 mod chain;
+mod coding;
 mod contract;
 mod dense;
+mod dictionary;
 mod dots;
 mod element;
+mod elimination;
 mod gauss_seidel;
 mod gemm;
 mod gram;
@@ -37,6 +40,8 @@ mod widened;
 
 use binding::Arrays;
 use cells::{Node, Shape};
+use coding::Search;
+use dictionary::Given;
 use element::Decode;
 use gauss_seidel::Effort;
 use numpy::{Element, IntoPyArray, PyArray1, PyReadonlyArray1, PyReadwriteArray1};
@@ -45,6 +50,8 @@ use pyo3::prelude::*;
 
 type Members<'py> = Vec<PyReadonlyArray1<'py, u16>>;
 type Floats<'py> = PyReadonlyArray1<'py, f32>;
+/// Cluster subsets and coefficients.
+type Coded<'py> = (Bound<'py, PyArray1<u16>>, Bound<'py, PyArray1<f32>>);
 
 fn node<'a>(shape: Shape, members: &'a Members) -> PyResult<Node<'a>> {
     let members = members.iter().map(|m| m.as_slice()).collect::<Result<_, _>>()?;
@@ -211,6 +218,45 @@ fn dictionary_gram<'py>(
     Ok(py.detach(|| gram::dictionary_gram(&node, &bases, cores, mode)).into_pyarray(py))
 }
 
+/// The best cluster subsets of a mode's rows and their coefficients, flat, from H and b.
+#[pyfunction]
+#[allow(clippy::too_many_arguments, reason = "two matrices, what their sides stand for, and what is wanted")]
+fn code_rows<'py>(
+    py: Python<'py>,
+    h: PyReadonlyArray1<'py, f64>,
+    b: PyReadonlyArray1<'py, f64>,
+    clusters: Vec<usize>,
+    mode: usize,
+    rank: usize,
+    kept: Option<PyReadonlyArray1<'py, u16>>,
+    mixture: usize,
+    search: &str,
+) -> PyResult<Coded<'py>> {
+    let (h, b) = (h.as_slice()?, b.as_slice()?);
+    let kept = kept.as_ref().map(|kept| kept.as_slice()).transpose()?;
+    let side = clusters.iter().product::<usize>() * rank;
+    let own = clusters.get(mode).copied().unwrap_or(0);
+    if side == 0 || mixture == 0 || mixture > own || own > usize::from(u16::MAX) {
+        return Err(PyValueError::new_err(format!(
+            "mode {mode} needs 1 <= K <= C and R >= 1, got C={clusters:?} K={mixture} R={rank}"
+        )));
+    }
+    let given = Given { h, b, clusters: &clusters, mode, rank, rows: b.len() / side };
+    check_length("H", h.len(), side * side)?;
+    check_length("b", b.len(), given.rows * side)?;
+    if let Some(kept) = kept {
+        cells::check_members(kept, given.rows, own, mixture).map_err(PyValueError::new_err)?;
+    }
+    let search = match search {
+        "optimal" => Search::Optimal,
+        "greedy" => Search::Greedy,
+        "fixed" if kept.is_some() => Search::Fixed,
+        _ => return Err(PyValueError::new_err(format!("no search is called {search:?}, or it needs subsets to keep"))),
+    };
+    let (subsets, x) = py.detach(|| coding::code_rows(&given, kept, mixture, search));
+    Ok((subsets.into_pyarray(py), x.into_pyarray(py)))
+}
+
 /// Add the values of scattered elements at `coords` `[elements, N]` to `out`.
 fn decode_scattered<'py, T: Decode + Element>(
     py: Python<'py>,
@@ -278,6 +324,7 @@ fn _native(module: &Bound<PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(project_pair, module)?)?;
     module.add_function(wrap_pyfunction!(contract_lanes, module)?)?;
     module.add_function(wrap_pyfunction!(dictionary_gram, module)?)?;
+    module.add_function(wrap_pyfunction!(code_rows, module)?)?;
     module.add_function(wrap_pyfunction!(decode_scattered_f32, module)?)?;
     module.add_function(wrap_pyfunction!(decode_scattered_f64, module)?)?;
     module.add_function(wrap_pyfunction!(decode_block, module)?)?;

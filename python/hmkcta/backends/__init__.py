@@ -7,7 +7,7 @@ On the CPU they are native (Rust) where they are installed, or the readable NumP
 from __future__ import annotations
 
 import os
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache
@@ -15,13 +15,14 @@ from typing import TYPE_CHECKING
 from warnings import warn
 
 from ..cells import F32, Cells
+from ..coding import U16
 from ..errors import invalid
 from . import reference
 from .device import Device, Kernels
 from .reference import F64
 
-__all__ = ["Device", "Kernels", "accumulate", "contract_lanes", "dictionary_gram", "find_device", "fit_cells", "name",
-           "project_cells", "project_pair", "set_threads", "use"]  # fmt: skip
+__all__ = ["Device", "Kernels", "accumulate", "code_rows", "contract_lanes", "dictionary_gram", "find_device",
+           "fit_cells", "name", "project_cells", "project_pair", "set_threads", "use"]  # fmt: skip
 
 #: Where the kernels of the work at hand run; None: on the CPU.
 _device: ContextVar[Kernels | None] = ContextVar("device", default=None)
@@ -55,8 +56,9 @@ def on_cpu() -> Kernels:
     except ImportError as error:
         if wanted == "native":
             advice = "install hmkcta from a wheel or with a Rust compiler"
-            raise invalid("missing-backend", "HMKCTA_BACKEND", f"'native', which is missing ({error})", "reference",
-                          advice) from error
+            raise invalid(
+                "missing-backend", "HMKCTA_BACKEND", f"'native', which is missing ({error})", "reference", advice
+            ) from error
         warn(
             f"The native kernels are missing ({error}); the NumPy reference takes their place, 10 to 100 times slower. "
             "Install hmkcta from a wheel or with a Rust compiler, or set HMKCTA_BACKEND=reference if this is meant.",
@@ -137,6 +139,13 @@ def contract_lanes(p: F32, w: F32) -> F32:
 def dictionary_gram(cells: Cells, n: int) -> F64:
     """Inner products of all dictionary columns of mode n; see `reference.dictionary_gram`."""
     return _kernels().dictionary_gram(cells, n)
+
+
+def code_rows(
+    h: F64, b: F64, clusters: Sequence[int], n: int, kept: U16 | None, mixture: int, search: str
+) -> tuple[U16, F32]:
+    """The best cluster subsets of a mode's rows and their coefficients; see `coding.code_rows`."""
+    return _kernels().code_rows(h, b, clusters, n, kept, mixture, search)
 
 
 def set_threads(count: int) -> None:

@@ -10,7 +10,7 @@ CuPy is imported by `found` and `Cuda` only, so that nobody needs it for anythin
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from itertools import pairwise
 from math import prod
@@ -20,6 +20,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ..cells import F32, Cells, empty_cells
+from ..coding import U16
 from ..errors import HmkctaError, Kind
 from ..plan import LevelSpec
 from . import batched, reference
@@ -98,6 +99,12 @@ class Cuda:
         if self._worthwhile(cells.spec.cells**2 * prod(cells.ranks)):
             return self._run(cells, lambda on: batched.dictionary_gram(on, cells, n))
         return self._cpu.dictionary_gram(cells, n)
+
+    def code_rows(
+        self, h: F64, b: F64, clusters: Sequence[int], n: int, kept: U16 | None, mixture: int, search: str
+    ) -> tuple[U16, F32]:
+        """The best cluster subsets of a mode's rows and their coefficients, on the CPU."""
+        return self._cpu.code_rows(h, b, clusters, n, kept, mixture, search)
 
     def set_threads(self, count: int) -> None:
         """How many threads of the CPU work on large nodes."""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 from ..cells import F32, Cells
+from ..coding import U16
 from .reference import F64
 
 
@@ -39,6 +41,12 @@ class Kernels(Protocol):
 
     def dictionary_gram(self, cells: Cells, n: int) -> F64:
         """Inner products of all dictionary columns of mode n."""
+        ...
+
+    def code_rows(
+        self, h: F64, b: F64, clusters: Sequence[int], n: int, kept: U16 | None, mixture: int, search: str
+    ) -> tuple[U16, F32]:
+        """The best cluster subsets of a mode's rows and their coefficients, from H and b."""
         ...
 
     def set_threads(self, count: int) -> None:

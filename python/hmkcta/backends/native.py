@@ -6,11 +6,14 @@ themselves worked on by several threads; results do not depend on how many.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from .. import _native
 from ..cells import F32, Cells, check_shape
+from ..coding import U16
 from ..errors import invalid
 
 F64 = NDArray[np.float64]
@@ -72,6 +75,17 @@ def dictionary_gram(cells: Cells, n: int) -> F64:
     """`H_n = D_n^T D_n` of the dictionaries of all cells: `[PC R_n, PC R_n]`."""
     side = cells.spec.cells * cells.ranks[n]
     return _native.dictionary_gram(*_node(cells), _bases(cells), _flat(cells.cores), n).reshape(side, side)
+
+
+def code_rows(
+    h: F64, b: F64, clusters: Sequence[int], n: int, kept: U16 | None, mixture: int, search: str
+) -> tuple[U16, F32]:
+    """The best cluster subsets of a mode's rows `[I_n, K_n]` and their coefficients `[I_n, K_n, PC_-n R_n]`."""
+    rank, size = b.shape[1:]
+    own = None if kept is None else np.ascontiguousarray(kept, np.uint16).reshape(-1)
+    h, b = (np.ascontiguousarray(array, np.float64).reshape(-1) for array in (h, b))
+    subsets, x = _native.code_rows(h, b, list(clusters), n, rank, own, mixture, search)
+    return subsets.reshape(size, mixture), x.reshape(size, mixture, -1)
 
 
 def _node(cells: Cells) -> tuple[Shape, list[NDArray[np.uint16]]]:

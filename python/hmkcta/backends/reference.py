@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cells import F32, Cells, dense_basis
+from ..coding import code_rows as code_rows  # the twin of the native search
 
 F64 = NDArray[np.float64]
 
