@@ -90,13 +90,13 @@ class Dictionary:
         >>> dictionary.solve((0,), row).round(3).tolist(), dictionary.gain((0,), row).round(3).tolist()
         ([[[2.0]]], [16.0])
         """
-        cells = np.moveaxis(np.arange(len(b)).reshape(clusters), n, 0).reshape(-1, 1)
-        columns: Rows = (cells * b.shape[1] + np.arange(b.shape[1])).reshape(-1)
-        h, b = h[np.ix_(columns, columns)], b.reshape(len(h), -1)[columns]
+        side, rank = len(h), b.shape[1]
+        columns: Rows = np.moveaxis(np.arange(side).reshape(*clusters, rank), n, 0).reshape(-1)
+        h, b = h[np.ix_(columns, columns)], b.reshape(side, -1)[columns]
         squared = np.einsum("ii->i", h)
         length = np.sqrt(np.where(squared > 0, squared, 1.0))
-        h = h / length / length[:, None] + RIDGE * np.eye(len(h))
-        own, q = clusters[n], len(h) // clusters[n]
+        h = h / length / length[:, None] + RIDGE * np.eye(side)
+        own, q = clusters[n], side // clusters[n]
         return cls(h.reshape(own, q, own, q), (b / length[:, None]).reshape(own, q, -1), length.reshape(own, q))
 
     def gain(self, subset: Subset, rows: Rows) -> F64:
