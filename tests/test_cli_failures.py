@@ -302,6 +302,19 @@ def test_second_interrupt_ends_at_once(source: Path, tmp_path: Path) -> None:
     assert finish(process)[0] == 130
 
 
+@pytest.mark.parametrize("module", ["numpy", "hmkcta.cli.app"])
+def test_an_interrupt_while_modules_are_loaded_leaves_no_traceback(module: str, packed: Path) -> None:
+    """Loading them takes half a second, more than many people wait before they see that a letter was wrong."""
+    process = start("info", packed, before=f"""
+class Pressed:
+    def find_spec(self, name, *rest):
+        if name == {module!r}:
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Pressed())
+""")
+    assert finish(process) == (130, "", "hmkcta: interrupted; nothing is left half written.\n")
+
+
 def await_file(path: Path) -> None:
     """Wait until the other process has made it."""
     deadline = time.monotonic() + 30

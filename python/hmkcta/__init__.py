@@ -4,14 +4,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from ._version import __version__
-from .axes import Axis
-from .errors import HmkctaError
-from .model import Model, open
-from .plan import LevelSpec, Plan, parse_plan
 
 if TYPE_CHECKING:
+    from .axes import Axis
     from .encode import choose_plan, compress
+    from .errors import HmkctaError
     from .journal import Journal
+    from .model import Model, open
+    from .plan import LevelSpec, Plan, parse_plan
 
 __all__ = [
     "Axis",
@@ -28,8 +28,20 @@ __all__ = [
 ]
 
 
-#: What only fitting needs, by its module: whoever decodes does not wait for it.
-_FITTING = {"choose_plan": "encode", "compress": "encode", "Journal": "journal"}
+#: Public names by their modules, loaded when they are first used: whoever decodes does not wait for what fits, and the
+#: command line is ready for Ctrl-C before NumPy is loaded.
+_MODULES = {
+    "Axis": "axes",
+    "HmkctaError": "errors",
+    "Journal": "journal",
+    "LevelSpec": "plan",
+    "Model": "model",
+    "Plan": "plan",
+    "choose_plan": "encode",
+    "compress": "encode",
+    "open": "model",
+    "parse_plan": "plan",
+}
 
 
 def __dir__() -> list[str]:
@@ -37,9 +49,9 @@ def __dir__() -> list[str]:
 
 
 def __getattr__(name: str) -> Any:
-    """`hmkcta.render`, `hmkcta.serve` and what fits are loaded when they are first used."""
-    if name in ("render", "serve"):
+    """Public names and modules, loaded when they are first used."""
+    if name in ("axes", "errors", "model", "plan", "render", "serve"):
         return import_module(f".{name}", __name__)
-    if name in _FITTING:
-        return getattr(import_module(f".{_FITTING[name]}", __name__), name)
+    if name in _MODULES:
+        return getattr(import_module(f".{_MODULES[name]}", __name__), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
