@@ -11,14 +11,14 @@ import pytest
 from numpy.typing import NDArray
 
 from dense_reference import energy, snr, tucker_product
-from hmkcta import choose_plan, compress
+from hmkcta import HmkctaError, choose_plan, compress, parse_plan
 from hmkcta.allocation import allocate, choices_of, pareto, ration, spectrum
-from hmkcta.blocks import sampled_blocks, spread
+from hmkcta.blocks import finer, sampled_blocks, spread
 from hmkcta.fit import EFFORTS
 from hmkcta.source import prepare
 from hmkcta.spectra import captured, cores, energies, ladders
 from hmkcta.synthetic import light_field
-from hmkcta.trial import Trial, trial_of
+from hmkcta.trial import Candidate, Trial, trial_of
 from hmkcta.tucker import core_energies, full_core
 from hmkcta.tuning import CARES
 
@@ -187,6 +187,75 @@ def test_a_sample_of_all_blocks_holds_every_element() -> None:
     assert few.thinned
     assert few.values.size <= 40
     assert sampled_blocks(source, None, (5, 3), 24, 0).share == 4 / 15
+
+
+# Blocks that may be cut further
+
+
+def half_noise() -> NDArray[np.float32]:
+    """Two blocks: one of rank four, one that is another thing of rank four in each half."""
+    rng = np.random.default_rng(0)
+
+    def of_rank_four(*shape: int) -> NDArray[np.float64]:
+        return np.einsum("ra,rb,rc->abc", *(rng.standard_normal((4, size)) for size in shape))
+
+    halves = [of_rank_four(20, 20, 12) for _ in range(2)]
+    return np.concatenate([of_rank_four(20, 20, 24), np.concatenate(halves, axis=2)]).astype(np.float32)
+
+
+def test_a_node_is_cut_where_that_pays() -> None:
+    """One way for each node; what is stored decodes to what was fitted, in the bytes that were asked for."""
+    values = half_noise()
+    plan, size = "R=1 grid=axis0:2 / R<=8 cut<=axis2:2", 11500
+    model = compress(values, plan, size=size, threads=1)
+    assert model.levels[-1].shape[:, 0].tolist() == [[1, 1, 1], [1, 1, 2]]
+    assert model.nbytes <= size
+    assert snr(values, energy(values - np.asarray(model, np.float64))) == pytest.approx(model.snr, abs=1e-3)
+    assert model.snr > compress(values, "R=1 grid=axis0:2 / R<=8", size=size, threads=1).snr + 3
+    whole = compress(values, plan, snr=40.0, threads=1)
+    assert whole.snr >= 40
+
+
+def test_cuts_are_written_and_read_back() -> None:
+    modes = (("y",), ("x", "rgb"))
+    plan = parse_plan("R=1 grid=y:2 / R<=8 cut<=y:2,x:6", modes)
+    assert parse_plan(str(plan), modes) == plan
+    assert [way.clusters for way in plan.levels[1].ways(modes)] == [(y, x) for y in (1, 2) for x in (1, 2, 3, 6)]
+
+
+@pytest.mark.parametrize(
+    ("plan", "reason"),
+    [
+        ("R=4 cut<=axis1:2", "plan-syntax"),
+        ("R<=4 grid=axis1:2 cut<=axis1:2", "plan-syntax"),
+        ("R<=4 cut<=axis1:0", "clusters-too-small"),
+        ("R<=4 cut<=axis7:2", "plan-grid"),
+        ("R<=4 cut<=axis1:840,axis2:840", "plan-grid"),
+        ("R<=4,*,4 cut<=axis1:2", "undecomposed-clustered"),
+    ],
+)
+def test_cuts_that_make_no_sense_are_refused(plan: str, reason: str) -> None:
+    with pytest.raises(HmkctaError) as caught:
+        compress(noise(6, 7, 8), plan, size=9000)
+    assert caught.value.reason == reason
+
+
+def test_judging_cuts_takes_the_best_way_of_each_block() -> None:
+    source = prepare(half_noise(), None, "identity", None)
+    trial = trial_of(source, None, 11500, None, 4096, 0)
+    whole = Candidate((("axis0",), ("axis1",), ("axis2",)), (2, 1, 1), cuts=(1, 1, 1))
+    worths = [trial.worth(replace(whole, cuts=cuts), 1 << 20, (2, 1, 1)) for cuts in ((1, 1, 1), (1, 1, 2), (1, 2, 2))]
+    assert worths[1] > worths[0] + 3
+    assert worths[2] >= worths[1] - 1e-6
+
+
+def test_parts_of_a_block_hold_all_of_it() -> None:
+    blocks = sampled_blocks(prepare(noise(12, 10), None, "identity", None), None, (2, 1), 120, 0)
+    parts = finer(blocks, (2, 1), (4, 3))
+    assert parts.values.shape == (12, 3, 4)
+    assert parts.edges == (3, 4)
+    assert parts.elements == 12 * 12 / 120
+    assert set(parts.values.reshape(-1)) == set(blocks.values.reshape(-1))
 
 
 @pytest.mark.parametrize(("snr", "size"), [(30.0, None), (None, 20000), (None, None)])

@@ -10,11 +10,11 @@ from math import inf, prod
 import numpy as np
 from numpy.typing import NDArray
 
-from .allocation import Allocation, Spectrum, allocate, spectrum, trimmed
+from .allocation import Allocation, Spectrum, allocate, merged, spectrum, trimmed
 from .cells import zero_cells
 from .errors import invalid
 from .fit import Labels
-from .hierarchy import Hierarchy, LabelsOf, Run, backfit, fit_nodes, gather, in_parallel, restore, sampled, saved
+from .hierarchy import Hierarchy, LabelsOf, Node, Run, backfit, fit_nodes, gather, in_parallel, restore, sampled, saved
 from .plan import MOST_RANKS, LevelSpec
 from .streamed import squared_norm
 from .tucker import core_energies
@@ -116,27 +116,33 @@ def summed(tables: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
     ) + np.zeros(shape)
 
 
-def fit_to_goal(
-    tree: Hierarchy, spec: LevelSpec, goal: Goal, decode_cost: int, run: Run, labels: LabelsOf = lambda _: None
-) -> None:
+#: A way to fit a node: ranks up to which, clusters, and the memberships that its cells start from.
+Way = tuple[LevelSpec, LabelsOf]
+
+
+def fit_to_goal(tree: Hierarchy, ways: Sequence[Way], goal: Goal, decode_cost: int, run: Run) -> None:
     """Fit the deepest level with node shapes of its own, again with corrected ranks until the goal is met."""
     nodes = tree.levels[-1]
     spectra: list[Spectrum | None] = [None] * len(nodes)
 
     def examine(s: int) -> None:
-        node, part = nodes[s], labels(nodes[s])
-        sample = sampled(tree, node, spec)
-        tensor, steps = (gather(tree.residual, node), [1] * len(node.sizes)) if sample is None else sample
-        part = None if part is None else [own[::step] for own, step in zip(part, steps, strict=True)]
-        spectra[s] = node_spectrum(
-            tensor, spec, decode_cost, run.seed, part, alone=len(nodes) == 1, nbytes=goal.size or inf,
-            true_sizes=node.sizes,
-        )
+        node, alone = nodes[s], len(nodes) == 1
+        found: list[Spectrum] = []
+        for spec, labels in ways:
+            part = labels(node)
+            sample = sampled(tree, node, spec)
+            tensor, steps = (gather(tree.residual, node), [1] * len(node.sizes)) if sample is None else sample
+            part = None if part is None else [own[::step] for own, step in zip(part, steps, strict=True)]
+            own = node_spectrum(
+                tensor, spec, decode_cost, run.seed, part, alone=alone, nbytes=goal.size or inf, true_sizes=node.sizes
+            )
+            found += [] if own is None else [own]
+        spectra[s] = merged(found, hull=not alone) if found else None
 
     in_parallel(examine, nodes, "ranks of each node", run, tree.residual)
     found = [(s, choices) for s, choices in enumerate(spectra) if choices is not None]
     if found:
-        level = _LastLevel(tree, found, spec, goal, run, labels)
+        level = _LastLevel(tree, found, ways, goal, run)
         level.to_size(goal.size) if goal.size is not None else level.to_snr(goal.snr or 0.0)
 
 
@@ -147,8 +153,8 @@ Found = Sequence[tuple[int, Spectrum]]
 class _LastLevel:
     """The fit before the last level, and the choices of ranks from which each attempt starts afresh."""
 
-    def __init__(self, tree: Hierarchy, found: Found, spec: LevelSpec, goal: Goal, run: Run, labels: LabelsOf) -> None:
-        self.tree, self.found, self.spec, self.goal, self.run, self.labels = tree, found, spec, goal, run, labels
+    def __init__(self, tree: Hierarchy, found: Found, ways: Sequence[Way], goal: Goal, run: Run) -> None:
+        self.tree, self.found, self.ways, self.goal, self.run = tree, found, ways, goal, run
         self.spectra = [choices for _, choices in found]
         self.residual = saved(tree)
         self.cells = [[node.cells for node in nodes] for nodes in tree.levels]
@@ -194,18 +200,25 @@ class _LastLevel:
         for nodes, before in zip(self.tree.levels, self.cells, strict=True):
             for node, cells in zip(nodes, before, strict=True):
                 node.cells = cells
-        fit_nodes(self.tree, self._specs(chosen), self.run, self.labels)
+        nodes, labels = self.tree.levels[-1], dict[int, LabelsOf]()
+        for (s, choices), choice in zip(self.found, chosen.choice, strict=True):
+            labels[id(nodes[s])] = self.ways[int(choices.way[int(choice)])][1]
+
+        def labels_of(node: Node) -> Labels | None:
+            return labels[id(node)](node)
+
+        fit_nodes(self.tree, self._specs(chosen), self.run, labels_of)
         for _ in range(self.run.effort.backfits if len(self.tree.levels) > 1 else 0):
             backfit(self.tree, self.run)
 
     def _specs(self, chosen: Allocation) -> list[LevelSpec | None]:
-        """Each node's chosen ranks."""
+        """Each node's chosen way and ranks."""
         specs: list[LevelSpec | None] = [None] * len(self.tree.levels[-1])
         for (s, choices), choice in zip(self.found, chosen.choice, strict=True):
             if choice:
-                row = choices.ranks[choice]
-                ranks = tuple(None if r is None else int(v) for r, v in zip(self.spec.ranks, row, strict=True))
-                specs[s] = replace(self.spec, ranks=ranks, own=False)
+                spec, row = self.ways[int(choices.way[int(choice)])][0], choices.ranks[choice]
+                ranks = tuple(None if r is None else int(v) for r, v in zip(spec.ranks, row, strict=True))
+                specs[s] = replace(spec, ranks=ranks, own=False)
         return specs
 
     def _within(self, size: float) -> Allocation:

@@ -38,12 +38,14 @@ class Spectrum:
         nbytes: bytes in the file, `[choices]`, ascending.
         ranks: `[choices, N]`.
         steps: indices of the choices that a multiplier may pick.
+        way: number of the way to cut the node into cells, `[choices]`.
     """
 
     error: F64
     nbytes: F64
     ranks: NDArray[np.int32]
     steps: NDArray[np.intp]
+    way: NDArray[np.intp]
 
 
 def node_bytes(
@@ -83,7 +85,20 @@ def spectrum(
     error = np.concatenate([[energy], np.maximum(energy - table.reshape(-1)[choices.entry], 0.0)])
     kept = pareto(choices.nbytes, error)
     error, nbytes = error[kept], choices.nbytes[kept]
-    return Spectrum(error, nbytes, choices.ranks[kept], _hull(nbytes, error) if hull else np.arange(len(kept)))
+    every = np.arange(len(kept))
+    return Spectrum(error, nbytes, choices.ranks[kept], _hull(nbytes, error) if hull else every, np.zeros_like(every))
+
+
+def merged(ways: Sequence[Spectrum], *, hull: bool = True) -> Spectrum:
+    """The choices of a node that can be cut in several ways, numbered as they come; `hull`: as of `spectrum`."""
+    if len(ways) == 1:
+        return ways[0]
+    number = np.repeat(np.arange(len(ways)), [len(own.error) for own in ways])
+    error, nbytes, ranks = (np.concatenate([getattr(own, of) for own in ways]) for of in ("error", "nbytes", "ranks"))
+    order = np.lexsort((-error, nbytes))
+    order = order[pareto(nbytes[order], error[order])]
+    error, nbytes = error[order], nbytes[order]
+    return Spectrum(error, nbytes, ranks[order], _hull(nbytes, error) if hull else np.arange(len(order)), number[order])
 
 
 @dataclass(frozen=True)
@@ -217,6 +232,12 @@ def trimmed(spectra: Sequence[Spectrum], chosen: Allocation, error: float) -> Al
     return Allocation(choice, nbytes, left)
 
 
+def plausible(errors: F64) -> NDArray[np.intp]:
+    """Choices, of errors `[nodes, choices]` by ascending bytes, that may be those of some node."""
+    total = errors.sum(axis=0)
+    return np.flatnonzero(total <= ASIDE * np.minimum.accumulate(total))
+
+
 def ration(errors: F64, nbytes: F64, *, limit: float | None = None, error: float | None = None) -> tuple[float, float]:
     """Bytes and error of many nodes with the same choices, by one multiplier; between two of its steps, on a line.
 
@@ -226,8 +247,7 @@ def ration(errors: F64, nbytes: F64, *, limit: float | None = None, error: float
         limit: bytes to spend; or
         error: squared error to leave.
     """
-    total = errors.sum(axis=0)
-    kept = np.flatnonzero(total <= ASIDE * np.minimum.accumulate(total))
+    kept = plausible(errors)
     errors, nbytes, rows = errors[:, kept], nbytes[kept], np.arange(len(errors))
 
     def chosen(multiplier: float) -> tuple[float, float]:

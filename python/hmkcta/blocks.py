@@ -56,6 +56,32 @@ def sampled_blocks(source: Source, values: F32 | None, grid: Sequence[int], samp
     return Blocks(np.stack(chosen), edges, wanted / number, elements, max(steps) > 1)
 
 
+def split(values: F32, counts: Sequence[int]) -> F32:
+    """Blocks `[B, rows along each axis]` cut into so many along each axis, those of one block one after another.
+
+    >>> split(np.arange(10, dtype=np.float32).reshape(2, 5), (2,)).tolist()
+    [[0.0, 1.0, 2.0], [2.0, 3.0, 4.0], [5.0, 6.0, 7.0], [7.0, 8.0, 9.0]]
+    """
+    sizes = values.shape[1:]
+    edges = [-(-size // count) for size, count in zip(sizes, counts, strict=True)]
+    parts: list[F32] = []
+    for place in np.ndindex(*counts):
+        starts = map(_start, place, counts, sizes)
+        part = tuple(slice(start, start + edge) for start, edge in zip(starts, edges, strict=True))
+        parts.append(values[(slice(None), *part)])
+    return np.stack(parts, axis=1).reshape(-1, *edges)
+
+
+def finer(blocks: Blocks, around: Sequence[int], grid: Sequence[int]) -> Blocks:
+    """Blocks of the grid `around` as those of a `grid` of multiples of its counts."""
+    counts = [own // before for own, before in zip(grid, around, strict=True)]
+    if prod(counts) == 1:
+        return blocks
+    edges = tuple(-(-edge // count) for edge, count in zip(blocks.edges, counts, strict=True))
+    more = prod(counts) * prod(edges) / prod(blocks.edges)
+    return Blocks(split(blocks.values, counts), edges, blocks.share, blocks.elements * more, blocks.thinned)
+
+
 def _start(index: int, count: int, length: int) -> int:
     """First row of one of so many blocks of equal length."""
     short, longer = divmod(length, count)

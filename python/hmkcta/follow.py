@@ -70,11 +70,13 @@ def follow(task: Task) -> Model:
             if not tree.levels[-1]:  # nothing is left to approximate
                 tree.levels.pop()
                 break
-        labels = grid_labels(spec, task.source.axes, plan.organisation)
+        axes = task.source.axes
         if spec.own:
             above = sum(level.decode_cost() for level in plan.levels[:number])
-            fit_to_goal(tree, spec, goal, max(1, task.decode_cost - above), run, labels)
+            ways = [(way, grid_labels(way, axes, plan.organisation)) for way in spec.ways(plan.organisation)]
+            fit_to_goal(tree, ways, goal, max(1, task.decode_cost - above), run)
         else:
+            labels = grid_labels(spec, axes, plan.organisation)
             last = number == len(plan.levels) - 1 and rounds == 0
             fit_nodes(tree, [spec] * len(tree.levels[-1]), run, labels, last=last)
             if plan.snr is not None and goal.snr_now(tree) >= plan.snr:

@@ -348,6 +348,7 @@ def _fits(cells: Cells, sizes: Sequence[int], spec: LevelSpec) -> bool:
 def _plan(content: Mapping[str, Any]) -> Plan:
     levels = tuple(
         LevelSpec(tuple(level["ranks"]), tuple(level["clusters"]), tuple(level["mixture"]), level["scheme"],
-                  tuple((axis, count) for axis, count in level["grid"]), level["own"])
+                  tuple((axis, count) for axis, count in level["grid"]), level["own"],
+                  tuple((axis, count) for axis, count in level["cuts"]))
         for level in content["levels"])
     return Plan(tuple(map(tuple, content["organisation"])), levels, content["snr"], content["size"])

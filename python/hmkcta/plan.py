@@ -7,7 +7,8 @@ one number stands for all modes, ``R=*`` leaves a mode undecomposed.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
 from math import comb, prod
 
 from .axes import Organisation
@@ -21,6 +22,9 @@ OPTIMAL_SUBSETS = 64
 #: Most ranks of a mode that a level with ranks of its own (R<=..) is given.
 MOST_RANKS = 160
 
+#: Most ways to cut a node (cut<=..), each of which is tried on it.
+MOST_WAYS = 64
+
 #: Beyond this many cells, or columns PC R_n of all their bases of a mode, joint least squares give way to Gauss-Seidel
 #: alone: their Gram matrix H_n has (PC R_n)^2 numbers, and each takes the contraction of two cores.
 GRAM_CELLS, GRAM_COLUMNS = 1536, 2048
@@ -32,6 +36,8 @@ class LevelSpec:
 
     `grid` lists axes that are cut into equal blocks, which then are the clusters; with `own` set every node gets
     ranks of its own up to R, by one Lagrange multiplier over the level (`allocation.py`), as the plan's goal allows.
+    `cuts` lists axes that each such node may be cut along into so many equal blocks, or a divisor of that, as pays: its
+    cells, which then all have the same ranks.
 
     >>> LevelSpec((2, 2, None), (4, 3, 1), (2, 2, 1)).search
     'optimal'
@@ -43,10 +49,13 @@ class LevelSpec:
     scheme: str = "most"
     grid: tuple[tuple[str, int], ...] = ()
     own: bool = False
+    cuts: tuple[tuple[str, int], ...] = ()
 
     def __post_init__(self) -> None:
         if self.scheme not in SCHEMES:
             raise invalid("unknown-scheme", "scheme", self.scheme, ", ".join(SCHEMES))
+        if any(count < 1 for _, count in self.cuts):
+            raise invalid("clusters-too-small", "cut<=", _grid_text(self.cuts), "1 or more of each axis")
         if not len(self.ranks) == len(self.clusters) == len(self.mixture):
             found = f"{len(self.ranks)} R, {len(self.clusters)} C, {len(self.mixture)} K"
             raise invalid("level-modes", "level", found, "as many of each as there are modes")
@@ -69,6 +78,18 @@ class LevelSpec:
     def order(self) -> int:
         """N, the number of modes."""
         return len(self.ranks)
+
+    def ways(self, organisation: Organisation) -> list[LevelSpec]:
+        """What a node may become: one spec, or with `cuts` one for each choice of blocks, not cut first.
+
+        >>> [way.clusters for way in parse_level("R<=8 cut<=y:4", (("y",), ("x",))).ways((("y",), ("x",)))]
+        [(1, 1), (2, 1), (4, 1)]
+        """
+        if not self.cuts:
+            return [self]
+        counts = [[(axis, n) for n in range(1, most + 1) if most % n == 0] for axis, most in self.cuts]
+        grids = (tuple((axis, n) for axis, n in grid if n > 1) for grid in product(*counts))
+        return [replace(self, clusters=_clusters(grid, organisation), grid=grid, cuts=()) for grid in grids]
 
     @property
     def search(self) -> str:
@@ -116,13 +137,25 @@ class LevelSpec:
             return texts[0] if len(set(texts)) == 1 else ",".join(texts)
 
         text = ("R<=" if self.own else "R=") + ",".join("*" if r is None else str(r) for r in self.ranks)
+        if self.cuts:
+            return f"{text} cut<={_grid_text(self.cuts)}"
         if self.grid:
-            return f"{text} grid={','.join(f'{axis}:{count}' for axis, count in self.grid)}"
+            return f"{text} grid={_grid_text(self.grid)}"
         if self.cells > 1:
             text += f" C={','.join(map(str, self.clusters))}"
         if max(self.mixture) > 1:
             text += f" K={joined(self.mixture)}"
         return text
+
+
+def _grid_text(grid: Sequence[tuple[str, int]]) -> str:
+    return ",".join(f"{axis}:{count}" for axis, count in grid)
+
+
+def _clusters(grid: Sequence[tuple[str, int]], organisation: Organisation) -> tuple[int, ...]:
+    """Blocks of each mode."""
+    counts = dict(grid)
+    return tuple(prod(counts.get(axis, 1) for axis in mode) for mode in organisation)
 
 
 def multiply_adds(cost: int) -> str:
@@ -151,32 +184,26 @@ def parse_level(text: str, organisation: Organisation, scheme: str = "most") -> 
     words: dict[str, str] = {}
     for word in text.split():
         key, equals, values = word.partition("=")
-        if not equals or key not in ("R", "R<", "C", "K", "grid") or key in words:
-            raise invalid(
-                "plan-syntax", "plan", repr(word), "R=.., R<=.., C=.., K=.., grid=.. once a level, levels parted by /"
-            )
+        if not equals or key not in ("R", "R<", "C", "K", "grid", "cut<") or key in words:
+            allowed = "R=.., R<=.., C=.., K=.., grid=.., cut<=.. once a level, levels parted by /"
+            raise invalid("plan-syntax", "plan", repr(word), allowed)
         words[key] = values
-    if ("R" in words) == ("R<" in words) or ("C" in words and "grid" in words):
-        raise invalid(
-            "plan-syntax",
-            "plan",
-            repr(text.strip()),
-            "either R=.. or R<=.. in each level, and not both C=.. and grid=..",
-        )
     own = "R<" in words
+    if ("R" in words) == own or len({"C", "grid", "cut<"} & words.keys()) > 1 or ("cut<" in words and not own):
+        allowed = "either R=.. or R<=.. in each level, one of C=.., grid=.. and cut<=.. at most, the last with R<="
+        raise invalid("plan-syntax", "plan", repr(text.strip()), allowed)
     ranks = tuple(
         None if word == "*" else _number("R", word) for word in _words("R", words.get("R", words.get("R<", "")), order)
     )
-    grid = _grid(words.get("grid", ""), organisation)
-    counts = dict(grid)
-    clusters = tuple(prod(counts.get(axis, 1) for axis in mode) for mode in organisation)
+    grid, cuts = (_grid(words.get(key, ""), organisation) for key in ("grid", "cut<"))
+    clusters = _clusters(grid, organisation)
     if "C" in words:
         clusters = tuple(_number("C", word) for word in _words("C", words["C"], order))
     given = _words("K", words.get("K", "1"), order)
     mixture = tuple(_number("K", word) for word in given)
     if len(set(given)) == 1:
         mixture = tuple(min(k, c) for k, c in zip(mixture, clusters, strict=True))
-    return LevelSpec(ranks, clusters, mixture, "most" if grid else scheme, grid, own)
+    return LevelSpec(ranks, clusters, mixture, "most" if grid else scheme, grid, own, cuts)
 
 
 def _grid(text: str, organisation: Organisation) -> tuple[tuple[str, int], ...]:
@@ -185,9 +212,8 @@ def _grid(text: str, organisation: Organisation) -> tuple[tuple[str, int], ...]:
     for word in text.split(",") if text else []:
         axis, _, count = word.partition(":")
         if axis not in axes or axis in dict(grid):
-            raise invalid(
-                "plan-grid", "grid of the plan", repr(word), f"AXIS:COUNT, each axis of {', '.join(axes)} at most once"
-            )
+            allowed = f"AXIS:COUNT, each axis of {', '.join(axes)} at most once"
+            raise invalid("plan-grid", "blocks of the plan", repr(word), allowed)
         grid.append((axis, _number("grid", count)))
     return tuple(grid)
 
@@ -257,6 +283,9 @@ def check_plan(plan: Plan, sizes: Sequence[int]) -> None:
         if level.own and level.cells > 1 and not level.grid:
             allowed = "R<= with blocks, grid=AXIS:COUNT, or below a level that has the clusters"
             raise invalid("own-ranks-clusters", f"level {number}", str(level), allowed)
+        if len(level.ways(plan.organisation)) > MOST_WAYS:
+            allowed = f"at most {MOST_WAYS} ways to cut a node: products of divisors of the counts"
+            raise invalid("plan-grid", f"level {number}", str(level), allowed)
     for n, (rank, clusters, size) in enumerate(zip(first.ranks, first.clusters, sizes, strict=True)):
         if rank is not None and rank > size and not first.own:
             allowed = f"1 to {size}, or * for an undecomposed mode"

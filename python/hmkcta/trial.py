@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from itertools import combinations
+from itertools import combinations, product
 from math import inf, log2, prod
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .allocation import Choices, best_of_one, choices_of, empty_node_bytes, node_bytes, pareto, ration
+from .allocation import Choices, best_of_one, choices_of, empty_node_bytes, node_bytes, pareto, plausible, ration
 from .axes import Axis, Organisation, axis_order, mode_sizes
-from .blocks import Blocks, sampled_blocks
+from .blocks import Blocks, finer, sampled_blocks, split
 from .filesize import planned_bytes
 from .metrics import snr_db
 from .plan import MOST_RANKS, LevelSpec, Plan
@@ -46,12 +46,14 @@ class Candidate:
         undecomposed: mode numbers.
         carried: the blocks are nodes with ranks of their own below a first level of rank one; else they are the
             cells of a single level, all of the same ranks.
+        cuts: carried blocks may each be cut into so many, or a divisor of it, along each source axis; (): they are not.
     """
 
     organisation: Organisation
     grid: tuple[int, ...]
     undecomposed: tuple[int, ...] = ()
     carried: bool = True
+    cuts: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,10 +62,10 @@ class _Cut:
 
     Attributes:
         batch: the sampled blocks as tensors, `[B, modes]`; with `energy`, their squared norms.
-        core: their truncated HOSVD cores, no mode shorter than its entry of `limits`.
         edges: mode sizes of a block before thinning.
         sizes: mode sizes of the whole.
         clusters: numbers of blocks along each mode.
+        precision: what Gram matrices are summed in.
     """
 
     organisation: Organisation
@@ -71,11 +73,16 @@ class _Cut:
     blocks: Blocks
     batch: F32
     energy: F64
-    core: F32
     limits: tuple[int, ...]
     edges: tuple[int, ...]
     sizes: tuple[int, ...]
     clusters: tuple[int, ...]
+    precision: Any
+
+    @cached_property
+    def core(self) -> F32:
+        """Their truncated HOSVD cores, no mode shorter than its entry of `limits`."""
+        return cores(self.batch, self.limits, self.precision)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +99,11 @@ class Trial:
     ceiling: float | None
     decode_cost: int
     seed: int
+
+    @cached_property
+    def _ways(self) -> dict[Any, tuple[F64, F64]]:
+        """What `_way` found before."""
+        return {}
 
     @cached_property
     def values(self) -> F32 | None:
@@ -114,20 +126,61 @@ class Trial:
                 found += self._judged(cut, pair)[0]
         return found
 
+    def worth(self, candidate: Candidate, sample: int, around: tuple[int, ...]) -> float:
+        """What a carried candidate is worth whose blocks may be cut further, each as pays.
+
+        The sample is of blocks of the grid `around`, of which its own are parts: candidates are compared on one.
+        """
+        organisation = candidate.organisation
+        blocks = sampled_blocks(self.source, self.values, around, sample, self.seed)
+        cut = self._cut_of(organisation, candidate.grid, finer(blocks, around, candidate.grid))
+        flags = tuple(n in candidate.undecomposed for n in range(len(cut.sizes)))
+        found: list[tuple[F64, F64]] = []
+        for way in product(*map(_divisors, candidate.cuts)):
+            key = (organisation, candidate.grid, flags, way, sample, around)
+            if key not in self._ways:
+                self._ways[key] = self._way(cut, flags, way)
+            found.append(self._ways[key])
+        errors = np.concatenate([left for left, _ in found], axis=1)
+        nbytes = np.concatenate([own for _, own in found])
+        order = np.argsort(nbytes, kind="stable")
+        path = partial(ration, errors[:, order], nbytes[order])
+        least = float(nbytes.min()) * len(errors)
+        return self._worth(path, cut, cut.blocks.elements, self._beside(candidate, cut), least)[0]
+
+    def _way(self, cut: _Cut, flags: tuple[bool, ...], way: Sequence[int]) -> tuple[F64, F64]:
+        """Error that each block is left with and bytes, at every choice of ranks, if all are cut in the same way."""
+        axes, clusters = self.source.axes, _clusters(self.source.axes, way, cut.organisation)
+        parts = _organised(split(cut.blocks.values, way), axes, cut.organisation)
+        edges = tuple(-(-edge // count) for edge, count in zip(cut.edges, clusters, strict=True))
+        limits = self._limits(parts.shape[1:], edges)
+        ladder = tuple(ladders([1 if flag else limit for flag, limit in zip(flags, limits, strict=True)], len(parts)))
+        chosen = [None if flag else limit for flag, limit in zip(flags, limits, strict=True)]
+        steps = [None if flag else own for flag, own in zip(flags, ladder, strict=True)]
+        energy, table = energies(parts), captured(cores(parts, chosen, self._precision), steps)
+        meant = tuple(map(_unthinned, ladder, parts.shape[1:], edges))
+        choices = choices_of(meant, cut.edges, flags, max(1, self.decode_cost - 1), clusters)
+        together = (len(cut.batch), prod(way), -1)
+        left = _left(energy.reshape(together).sum(axis=(1, 2)), table.reshape(together).sum(axis=1), choices)
+        # Parts of a block share a row where it is no multiple of theirs.
+        left *= cut.energy.sum() / max(energy.sum(), 1e-300)
+        kept = plausible(left)
+        return left[:, kept], choices.nbytes[kept]
+
     def _cut(self, organisation: Organisation, grid: tuple[int, ...], sample: int) -> _Cut:
         """Sampled blocks of the grid as tensors of the organisation's modes."""
+        return self._cut_of(organisation, grid, sampled_blocks(self.source, self.values, grid, sample, self.seed))
+
+    def _cut_of(self, organisation: Organisation, grid: tuple[int, ...], blocks: Blocks) -> _Cut:
+        """Blocks as tensors of the organisation's modes."""
         axes = self.source.axes
-        blocks = sampled_blocks(self.source, self.values, grid, sample, self.seed)
         batch = _organised(blocks.values, axes, organisation)
-        counts = {axis.name: count for axis, count in zip(axes, grid, strict=True)}
-        clusters = tuple(prod(counts[name] for name in mode) for mode in organisation)
+        clusters = _clusters(axes, grid, organisation)
         sizes = mode_sizes(axes, organisation)
         rows = dict(zip((axis.name for axis in axes), blocks.edges, strict=True))
         edges = tuple(prod(rows[name] for name in mode) for mode in organisation)
         limits = self._limits(batch.shape[1:], edges)
-        energy = energies(batch)
-        core = cores(batch, limits, self._precision)
-        return _Cut(organisation, grid, blocks, batch, energy, core, limits, edges, sizes, clusters)
+        return _Cut(organisation, grid, blocks, batch, energies(batch), limits, edges, sizes, clusters, self._precision)
 
     def _limits(self, have: Sequence[int], edges: Sequence[int]) -> tuple[int, ...]:
         """Highest rank of each mode: what there is, what the bytes can store, what may be decoded."""
@@ -273,6 +326,16 @@ def _organised(blocks: F32, axes: Sequence[Axis], organisation: Organisation) ->
     return blocks.transpose(0, *(1 + n for n in order)).reshape(len(blocks), *modes)
 
 
+def _clusters(axes: Sequence[Axis], counts: Sequence[int], organisation: Organisation) -> tuple[int, ...]:
+    """Blocks along each mode, of the counts along each axis."""
+    of = {axis.name: count for axis, count in zip(axes, counts, strict=True)}
+    return tuple(prod(of[name] for name in mode) for mode in organisation)
+
+
+def _divisors(most: int) -> list[int]:
+    return [count for count in range(1, most + 1) if most % count == 0]
+
+
 def _best(found: Sequence[tuple[float, Candidate]]) -> float:
     return max(worth for worth, _ in found)
 
@@ -299,12 +362,12 @@ def plan_of(source: Source, best: Candidate, snr: float | None, size: int | None
     sizes = mode_sizes(source.axes, best.organisation)
     ones = (1,) * len(sizes)
     grid = tuple((axis.name, count) for axis, count in zip(source.axes, best.grid, strict=True) if count > 1)
-    counts = dict(grid)
-    clusters = tuple(prod(counts.get(name, 1) for name in mode) for mode in best.organisation)
-    most = tuple(None if n in best.undecomposed else min(i, decode_cost, 1024) for n, i in enumerate(sizes))
+    clusters = _clusters(source.axes, best.grid, best.organisation)
+    most = tuple(None if n in best.undecomposed else min(i, decode_cost, MOST_RANKS) for n, i in enumerate(sizes))
     if not grid:
         return Plan(best.organisation, (LevelSpec(most, ones, ones, own=True),), snr, size)
     if not best.carried:
         return Plan(best.organisation, (LevelSpec(most, clusters, ones, "most", grid, own=True),), snr, size)
     carrier = LevelSpec(tuple(None if rank is None else 1 for rank in most), clusters, ones, "most", grid)
-    return Plan(best.organisation, (carrier, LevelSpec(most, ones, ones, own=True)), snr, size)
+    cuts = tuple((axis.name, count) for axis, count in zip(source.axes, best.cuts, strict=False) if count > 1)
+    return Plan(best.organisation, (carrier, LevelSpec(most, ones, ones, own=True, cuts=cuts)), snr, size)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import combinations, product
 from math import prod
@@ -38,6 +38,8 @@ TOGETHER, FEWEST, EACH = 1 << 24, 1 << 20, 40
 #: where one loses more than the second; a second start is left where it is if it lies the last behind the first, once
 #: that has climbed.
 STEEP, HOPELESS = 0.05, 0.5
+#: Blocks that may be cut further are no fewer than these, and are cut into no more than so many parts.
+FEWEST_BLOCKS, MOST_CUTS = 4, 8
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,7 @@ class Care:
         compare: elements to rank grids; the best `finalists` go on, and as many `matrices`.
         refine: elements to settle the blocks, from the best; and from a second start that lies no more than `far`, in
             dB or octaves of bytes, behind what that led to. No climb begins another round after so many `steps`.
+        cuts: elements to find axes along which blocks are cut further, each as pays; 0: none.
     """
 
     survey: tuple[int, int]
@@ -59,12 +62,13 @@ class Care:
     refine: int
     far: float
     steps: int
+    cuts: int
 
 
 CARES = {
-    EFFORTS["fast"]: Care((1 << 17, 1 << 19), (3, 1), 1 << 18, 1, 0, 1 << 22, 0.0, 4),
-    EFFORTS["medium"]: Care((1 << 17, 1 << 20), (6, 2), 1 << 19, 4, 1, 1 << 23, 0.3, 16),
-    EFFORTS["thorough"]: Care((1 << 17, 1 << 19), (12, 4), 1 << 20, 4, 2, 1 << 23, 1.0, 1000),
+    EFFORTS["fast"]: Care((1 << 17, 1 << 19), (3, 1), 1 << 18, 1, 0, 1 << 22, 0.0, 4, 0),
+    EFFORTS["medium"]: Care((1 << 17, 1 << 20), (6, 2), 1 << 19, 4, 1, 1 << 23, 0.3, 16, 1 << 20),
+    EFFORTS["thorough"]: Care((1 << 17, 1 << 19), (12, 4), 1 << 20, 4, 2, 1 << 23, 1.0, 1000, 1 << 23),
 }
 
 Ranked = list[tuple[float, Candidate]]
@@ -148,6 +152,8 @@ def tune(
         finalists = _finalists(search, organisation is not None, run.progress)
         highest = finalists[0]
         worth, best = _settled(search, [candidate for _, candidate in finalists], run.progress)
+        gained, best = _cut_further(search, best, run.progress)
+        worth += gained
     if size is not None and worth <= -OUT_OF_REACH:
         least = planned_bytes(plan_of(source, best, None, None, 1), source, seed=run.seed)
         if ceiling is None:
@@ -238,6 +244,41 @@ def _climbed(search: Search, start: Candidate, sample: int) -> tuple[float, Cand
             idle += 1
         n = (n + 1) % len(start.grid)
     return now
+
+
+def _cut_further(search: Search, best: Candidate, progress: Progress) -> tuple[float, Candidate]:
+    """Let each block be cut in two along axes where that helps, or in twos from blocks twice as long; and the gain."""
+    if not best.carried or search.care.cuts == 0:
+        return 0.0, best
+    now, gained, worth = replace(best, cuts=(1,) * len(best.grid)), 0.0, search.trial.worth
+    for n in range(len(best.grid)):
+        tried: Ranked = []
+        for each in _cut_along(search, now, n):
+            # Whole blocks, as thinned ones flatter those that are large; the same ones for both.
+            whole = FEWEST_BLOCKS * prod(search.trial.source.shape) // prod(each.grid)
+            sample = min(search.together, max(search.care.cuts, min(whole, search.care.refine)))
+            tried.append((worth(each, sample, each.grid) - worth(now, sample, each.grid), each))
+        gain, found = max(tried, key=_worth, default=(0.0, now))
+        if gain > WORTHWHILE:
+            now, gained = found, gained + gain
+        progress("blocks cut further", (n + 1) / len(best.grid))
+    return gained, now if gained else best
+
+
+def _cut_along(search: Search, now: Candidate, n: int) -> Iterator[Candidate]:
+    """The candidate whose blocks may each be cut in two along axis n, and that with blocks twice as long besides."""
+    grid = now.grid
+    if _undecomposed(search, now, n) or prod(now.cuts) >= MOST_CUTS:
+        return
+    if 2 * grid[n] * SMALLEST_EDGE <= search.trial.source.shape[n]:
+        yield replace(now, cuts=_changed(now.cuts, n, 2))
+    if grid[n] % 2 == 0 and prod(grid) >= 2 * FEWEST_BLOCKS:
+        yield replace(now, grid=_changed(grid, n, grid[n] // 2), cuts=_changed(now.cuts, n, 2))
+
+
+def _undecomposed(search: Search, candidate: Candidate, n: int) -> bool:
+    name = search.trial.source.axes[n].name
+    return any(name in candidate.organisation[mode] for mode in candidate.undecomposed)
 
 
 def _few_grids(shape: Sequence[int]) -> list[tuple[int, ...]]:
