@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from math import isfinite
 from pathlib import Path
@@ -11,7 +12,8 @@ import numpy as np
 import pytest
 
 from dense_reference import energy, snr
-from hmkcta import HmkctaError, Model, choose_plan, compress
+from hmkcta import HmkctaError, Model, Plan, choose_plan, compress
+from hmkcta.follow import Task, follow
 from hmkcta.synthetic import light_field, material, volume
 from hmkcta.synthetic.dataset import Dataset
 
@@ -142,7 +144,8 @@ def test_the_default_goal_leaves_room_for_long_modes(shape: tuple[int, ...], org
 def test_what_has_one_long_mode_takes_two_bytes_a_row_at_rank_one() -> None:
     """The long mode has no basis: its rows lie in the core, without cluster numbers, and cost no second factor."""
     signal = np.sin(np.arange(20_000) / 50)
-    one, two = compress(signal), compress(np.stack([signal, np.cos(np.arange(20_000) / 50)]), snr=60.0)
+    other = np.cos(np.arange(20_000) / 50)
+    one, two = compress(signal), compress(np.stack([signal, other, signal + other]), snr=60.0)
     assert [one.metadata.undecomposed, two.metadata.undecomposed] == [(0,), (1,)]
     assert one.snr > 60
     assert one.nbytes < 2 * 20_000 + 2048
@@ -244,8 +247,34 @@ def test_a_size_below_the_tables_names_the_least(plan: str | None) -> None:
 def test_an_snr_out_of_reach_is_tried_and_reported() -> None:
     """Float16 ends near 70 dB."""
     tensor = light_field(views=2, size=16, frames=2).values
-    model = compress(tensor, snr=200.0, threads=1, quality="fast")
-    assert 50 < model.snr < 200
+    with pytest.warns(UserWarning, match="another is tried"):
+        model = compress(tensor, snr=200.0, threads=1, quality="fast")
+    assert 100 < model.snr < 200
+
+
+@pytest.mark.parametrize(("shape", "cost"), [((30, 40, 50), 16), ((3, 4, 5, 6), 1)])
+def test_an_snr_is_met_whatever_the_data(shape: tuple[int, ...], cost: int) -> None:
+    """Noise has no ranks to find: as float16, two bytes an element, it meets any goal up to some 70 dB."""
+    noise = np.random.default_rng(0).standard_normal(shape)
+    model = compress(noise, snr=50.0, decode_cost=cost, threads=1, quality="fast")
+    assert model.snr >= 50
+    assert model.decode_cost <= cost
+    assert model.nbytes < 2 * noise.size + 4096
+
+
+def test_where_a_plan_misses_its_snr_another_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fits are held to half of what the plan promises: a level more makes up for it."""
+    followed: list[Plan] = []
+
+    def weak(task: Task) -> Model:
+        followed.append(task.plan)
+        return follow(replace(task, plan=replace(task.plan, snr=20.0)) if len(followed) == 1 else task)
+
+    monkeypatch.setattr("hmkcta.follow.follow", weak)
+    with pytest.warns(UserWarning, match=r"a plan chosen for 40 dB came to 2\d\.\d+: another is tried, R="):
+        model = fitted("material", snr=40.0)
+    assert model.snr >= 40
+    assert [len(plan.levels) for plan in followed] == [1, 2]
 
 
 def test_an_snr_of_nothing_stores_next_to_nothing() -> None:

@@ -158,6 +158,8 @@ class _LastLevel:
         self.spectra = [choices for _, choices in found]
         self.residual = saved(tree)
         self.cells = [[node.cells for node in nodes] for nodes in tree.levels]
+        #: What was fitted last.
+        self.fitted = b""
         #: Squared error outside the nodes that have choices, and bytes beside what the choices count.
         self.elsewhere = tree.error - sum(float(choices.error[0]) for choices in self.spectra)
         self.beside = goal.file_bytes(tree) - allocate(self.spectra, nbytes=0.0).nbytes
@@ -170,32 +172,32 @@ class _LastLevel:
                 return
 
     def to_snr(self, snr: float) -> None:
-        """The least that reaches `snr`; ranks come in steps, so the last attempt is the best one that reached it."""
-        target, reached, tried = snr, None, set[bytes]()
+        """The fewest bytes that were found to reach `snr`; the search ends where they exceed it by little."""
+        target, best, tried = snr, None, set[bytes]()
         for _ in range(ATTEMPTS):
             error = self.goal.energy * 10 ** (-target / 10)
             error = max(error - self.elsewhere, 0.0)
             chosen = trimmed(self.spectra, allocate(self.spectra, error=error), error)
             if chosen.choice.tobytes() in tried:
-                if reached is not None:
+                if best is not None:
                     break
                 target += OVERSHOOT  # the next step of ranks is further away than the error was off
                 continue
             tried.add(chosen.choice.tobytes())
             self._fit(chosen)
             over = self.goal.snr_now(self.tree) - snr
-            if over >= 0 and (reached is None or over < reached[0]):
-                reached = (over, chosen)
+            if over >= 0 and (best is None or chosen.nbytes < best.nbytes):
+                best = chosen
             if 0 <= over <= OVERSHOOT:
-                return
+                break
             # Land a little above: HOOI and back-fitting gain about as much at the next, nearby, choice of ranks.
             target -= over - 0.4 * OVERSHOOT
-        if reached is not None:
-            self._fit(reached[1])
-        else:
-            self._fit(allocate(self.spectra, error=0.0))
+        last = best or allocate(self.spectra, error=0.0)
+        if last.choice.tobytes() != self.fitted:
+            self._fit(last)
 
     def _fit(self, chosen: Allocation) -> None:
+        self.fitted = chosen.choice.tobytes()
         restore(self.tree, self.residual)
         for nodes, before in zip(self.tree.levels, self.cells, strict=True):
             for node, cells in zip(nodes, before, strict=True):

@@ -16,7 +16,7 @@ from .axes import Axis, mode_sizes
 from .backends import Device
 from .errors import invalid
 from .fit import EFFORTS
-from .follow import Task, follow
+from .follow import Task, follow, follow_any
 from .hierarchy import Progress, Run
 from .hmkfile import KINDS
 from .journal import Journal, decisive
@@ -74,7 +74,7 @@ def choose_plan(
     _check_types(organisation, transform, nan, max_memory)
     with _threads(run.threads):
         source = prepare(array, axes, transform, nan, run.threads)
-        return _chosen(source, run, _wanted(snr, size, decode_cost, organisation, max_memory))
+        return _chosen(source, run, _wanted(snr, size, decode_cost, organisation, max_memory))[0]
 
 
 def compress(
@@ -131,6 +131,8 @@ def compress(
         HmkctaError: an argument is out of range, the array holds NaN or infinity, memory would not do, or the journal
             is of another call. A goal that is out of reach is no error: the model is the best found, see `Model.snr`.
 
+    Where a plan chosen for an SNR misses it, a warning says so, and another one is fitted.
+
     >>> import numpy as np
     >>> ramp = np.add.outer(np.arange(32.0), np.arange(24.0))
     >>> model = compress(ramp, "R=2")
@@ -155,9 +157,10 @@ def compress(
             run = replace(run, journal=journal)
             journal.begin(decisive(source, plan, kind=kind, quality=quality, scheme=scheme, seed=run.seed,
                                    device=device.described, **asdict(wanted)))
-        plan = plan or run.journal.plan(lambda: _chosen(source, run, wanted))
+        plans = [plan] if plan else run.journal.plans(lambda: _chosen(source, run, wanted))
+        task = Task(source, plans[0], scheme, wanted.decode_cost, kind or source.kind, run, wanted.max_memory)
         with kernels.use(device):
-            return follow(Task(source, plan, scheme, wanted.decode_cost, kind or source.kind, run, wanted.max_memory))
+            return follow(task) if plan else follow_any(task, plans[1:], lambda said: warn(said, stacklevel=5))
 
 
 @contextmanager
@@ -235,7 +238,7 @@ def _wanted(
     return Wanted(snr, size, int(decode_cost), organisation, None if max_memory is None else int(max_memory))
 
 
-def _chosen(source: Source, run: Run, wanted: Wanted) -> Plan:
+def _chosen(source: Source, run: Run, wanted: Wanted) -> list[Plan]:
     fixed = None if wanted.organisation is None else source.organisation(wanted.organisation)
     snr, size, ceiling = wanted.snr, wanted.size, None
     if snr is None and size is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import prod
 
@@ -85,6 +85,36 @@ def follow(task: Task) -> Model:
         for number in range(rounds):
             backfit(tree, run, last=number == rounds - 1)
     return _measured(task, tree)
+
+
+def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]) -> Model:
+    """The model of the task's plan; where it misses its SNR, of the first further plan that does not, or the best.
+
+    Further are the same plan with a level more, for what float16 or the ranks of one leave, and then the `others`;
+    `missed` is told of every plan that missed.
+    """
+    model = best = follow(task)
+    further = list(others)
+    if (deeper := _deeper(task, model)) is not None:
+        further.insert(0, deeper)
+    for plan in further:
+        if task.plan.snr is None or best.snr >= task.plan.snr:
+            break
+        missed(f"a plan chosen for {task.plan.snr:g} dB came to {model.snr:.2f}: another is tried, {plan}")
+        model = follow(replace(task, plan=plan))
+        best = max(best, model, key=lambda each: each.snr)
+    return best
+
+
+def _deeper(task: Task, model: Model) -> Plan | None:
+    """A plan of one level as it was fitted, and below it a second with ranks of its own; None where that cannot be."""
+    own, *more = task.plan.levels
+    found = model.bounds[0].ranks
+    if more or not own.own or model.decode_cost >= task.decode_cost or 0 in found:  # 0: nothing was stored
+        return None
+    ranks = tuple(None if most is None else rank for most, rank in zip(own.ranks, found, strict=True))
+    below = replace(own, clusters=(1,) * own.order, grid=())
+    return replace(task.plan, levels=(replace(own, ranks=ranks, own=False), below))
 
 
 def _begun(task: Task) -> tuple[Hierarchy, Goal]:

@@ -2,7 +2,7 @@
 
 Fitting is deterministic, so a run that is begun again makes the same steps in the same order; the fitted cells of a
 node are known by the number of the step and of the node. The residual is never stored: it follows from the cells.
-A journal is a folder with `run.json` (all that decides the result), `plan.json` (the plan, if it was chosen),
+A journal is a folder with `run.json` (all that decides the result), `plan.json` (the plans, if they were chosen),
 `limit.json` (what memory allowed) and `nodes.log` (`recordlog.py`).
 """
 
@@ -49,8 +49,8 @@ class Finished:
 class NoJournal:
     """Nothing is kept: every node is fitted."""
 
-    def plan(self, choose: Callable[[], Plan]) -> Plan:
-        """The plan that this run chose before, or chooses now."""
+    def plans(self, choose: Callable[[], list[Plan]]) -> list[Plan]:
+        """The plans that this run chose before, or chooses now, the best first."""
         return choose()
 
     def settled(self, name: str, choose: Callable[[], Any]) -> Any:
@@ -162,11 +162,11 @@ class Journal(NoJournal):
                 raise
         self._steps = 0
 
-    def plan(self, choose: Callable[[], Plan]) -> Plan:
-        """The plan of the interrupted run; else the one chosen now, which is written down."""
-        content = self.settled("plan", lambda: asdict(choose()))
+    def plans(self, choose: Callable[[], list[Plan]]) -> list[Plan]:
+        """The plans of the interrupted run; else those chosen now, which are written down."""
+        content = self.settled("plan", lambda: [asdict(plan) for plan in choose()])
         try:
-            return _plan(content)
+            return [_plan(each) for each in content]
         except (KeyError, TypeError, ValueError, HmkctaError) as error:
             raise self._useless("no plan in plan.json", "the files of a run") from error
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import combinations, product
-from math import inf, log2, prod
+from math import inf, log2, log10, prod
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,8 @@ LONGEST_UNDECOMPOSED, NEARLY_FULL = 128, 0.2
 HIGHEST = (MOST_RANKS, 64)
 #: Errors below this share of the energy are not told apart.
 LEAST_ERROR = 1e-8
+#: What float16 leaves at the most, as a share of the energy.
+VERBATIM = 1e-7
 
 
 @dataclass(frozen=True)
@@ -125,6 +127,21 @@ class Trial:
             if len(pair) < len(cut.sizes):
                 found += self._judged(cut, pair)[0]
         return found
+
+    def verbatim(self, organisation: Organisation) -> tuple[float, Candidate]:
+        """All values as float16: two bytes each for an SNR of about 73 dB, whatever they are."""
+        every = tuple(range(len(organisation)))
+        candidate = Candidate(organisation, (1,) * len(self.source.shape), every, carried=False)
+        nbytes = planned_bytes(plan_of(self.source, candidate, None, None, 1), self.source, seed=self.seed)
+        if self.size is None:
+            short = 10 * log10(VERBATIM / self.error) if self.error else inf
+            return (-log2(nbytes) if short <= 0 else -OUT_OF_REACH - short), candidate
+        if nbytes > self.size:
+            return -OUT_OF_REACH - log2(nbytes), candidate
+        reached = -10 * log10(VERBATIM)
+        if self.ceiling is None or reached <= self.ceiling:
+            return reached, candidate
+        return self.ceiling + log2(self.size / nbytes), candidate
 
     def worth(self, candidate: Candidate, sample: int, around: tuple[int, ...]) -> float:
         """What a carried candidate is worth whose blocks may be cut further, each as pays.

@@ -40,6 +40,8 @@ TOGETHER, FEWEST, EACH = 1 << 24, 1 << 20, 40
 STEEP, HOPELESS = 0.05, 0.5
 #: Blocks that may be cut further are no fewer than these, and are cut into no more than so many parts.
 FEWEST_BLOCKS, MOST_CUTS = 4, 8
+#: Further plans for an SNR.
+SPARE = 2
 
 
 @dataclass(frozen=True)
@@ -133,8 +135,10 @@ def tune(
     decode_cost: int,
     organisation: Organisation | None,
     memory: int | None = None,
-) -> Plan:
+) -> list[Plan]:
     """The best plan found for bytes (`size`) or for an SNR; with a `ceiling` in dB bytes are not spent beyond it.
+
+    For an SNR others follow, the best of other kinds, in case that a fit of the first does not keep what it promised.
 
     Raises:
         HmkctaError: the size is too small for the array, or `memory` bytes (None: half of what is free) for a search.
@@ -162,7 +166,22 @@ def tune(
         size = least
     if trial.ceiling is not None and highest[0] > trial.ceiling:
         snr, size = ceiling, None  # what fills the bytes beyond the ceiling reaches it with fewer
-    return plan_of(source, best, snr, size, decode_cost)
+    verbatim = trial.verbatim(plain)
+    if verbatim[0] > worth:
+        best = verbatim[1]
+    spare = [*_spare(search, best), verbatim[1]] if snr is not None and best != verbatim[1] else []
+    return [plan_of(source, each, snr, size, decode_cost) for each in (best, *spare)]
+
+
+def _spare(search: Search, best: Candidate) -> list[Candidate]:
+    """The best candidates that are of other kinds than the best and said to reach the goal."""
+    most = max(sample for *_, sample in search.seen)
+    judged = [item for (*_, sample), found in search.seen.items() if sample == most for item in found]
+    kinds = {(best.organisation, best.undecomposed, best.carried): best}
+    for worth, each in sorted(judged, key=_worth, reverse=True):
+        if worth > -OUT_OF_REACH:
+            kinds.setdefault((each.organisation, each.undecomposed, each.carried), each)
+    return list(kinds.values())[1 : 1 + SPARE]
 
 
 def _finalists(search: Search, fixed: bool, progress: Progress) -> Ranked:

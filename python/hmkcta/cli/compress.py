@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from typing import Any
+from warnings import catch_warnings, simplefilter
 
 import click
 from numpy.typing import NDArray
@@ -37,7 +38,7 @@ EXAMPLES = (
     'hmkcta compress wood.npy -o wood.hmk --plan "R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2"',
 )
 
-#: From about so many dB on it is float16 that ends what one level reaches, not its ranks.
+#: From about so many dB a level on it is float16 that ends what it reaches, not its ranks.
 FLOAT16_SNR = 60.0
 #: How far below --snr a result may be and still be what was asked for: what is printed is rounded more.
 SNR_SLACK = 0.005
@@ -62,7 +63,9 @@ def compress_command(source: str, output: str, plan: str | None, kind: str | Non
     where = find_device(device)
     if where.missing:
         click.echo(f"hmkcta: {where.fallback}", err=True)
-    with Progress(quiet or as_json) as progress, journal_beside(output, resume, overwrite) as journal:
+    with (Progress(quiet or as_json) as progress, journal_beside(output, resume, overwrite) as journal,
+          catch_warnings(record=True) as warned):
+        simplefilter("always")
         if resume and not journal.holds_work:
             click.echo(f"hmkcta: there is nothing in {journal.folder} to go on with: it begins anew.", err=True)
         array = goal.open(source)
@@ -70,7 +73,7 @@ def compress_command(source: str, output: str, plan: str | None, kind: str | Non
                          journal=journal, **goal.settings)
         model.save(output, overwrite=overwrite)
     report = {**describe(model, array, progress), "device": asdict(where), "nodes_resumed": journal.found}
-    missed, said = missed_goal(model, goal), notes(model, array)
+    missed, said = missed_goal(model, goal), [*(str(each.message) for each in warned), *notes(model, array)]
     if as_json:
         emit({"output": output, **report, "reached": missed is None, "notes": said})
     elif not quiet:
@@ -129,6 +132,7 @@ def missed_goal(model: Model, goal: Goal) -> str | None:
 
 def advice(model: Model, plan: str | None) -> str:
     """What may reach the goal that was missed."""
-    if model.snr > FLOAT16_SNR and len(model.levels) == 1:
-        return 'write a second level, for what the first one\'s float16 numbers leave: --plan "R=.. / R=.."'
+    levels = len(model.levels)
+    if model.snr > FLOAT16_SNR * levels:
+        return f'write a level more, for what float16 numbers leave: --plan "{" / ".join(["R=.."] * (levels + 1))}"'
     return "allow a higher --decode-cost, or try --quality thorough" if plan is None else "add ranks or a level"
