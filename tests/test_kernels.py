@@ -353,6 +353,35 @@ def test_broken_cells_are_refused() -> None:
         native.dictionary_gram(cells, 0)
 
 
+@settings(max_examples=60, deadline=None)
+@given(nodes(), st.integers(0, 2**32 - 1))
+def test_sub_tensors_are_gathered_and_put_back(node: Node, seed: int) -> None:
+    data, rng = node[1], np.random.default_rng(seed)
+    rows: list[NDArray[np.intp]] = [
+        np.arange(size)[rng.permutation(size) < share * size]
+        for size, share in zip(data.shape, rng.uniform(0.0, 1.2, data.ndim), strict=True)
+    ]
+    block = native.gather(data, rows)
+    assert np.array_equal(block, reference.gather(data, rows))
+    assert np.array_equal(native.gather(data.T, rows[::-1]), block.T)
+    found, expected = data.copy(), data.copy()
+    native.scatter(found, rows, block + 1)
+    reference.scatter(expected, rows, block + 1)
+    assert np.array_equal(found, expected)
+
+
+def test_sub_tensors_outside_are_refused() -> None:
+    data, inside = np.zeros((4, 5), np.float32), np.arange(4)
+    for wrong in ([3, 4], [2, 1], [1, 1]):
+        with pytest.raises(ValueError, match="ascending rows"):
+            native.gather(data, [np.array(wrong), inside])
+    with pytest.raises(ValueError, match="the block must hold 16"):
+        native.scatter(data, [inside, inside], np.zeros(15, np.float32))
+    data.flags.writeable = False
+    with pytest.raises(HmkctaError, match="not-in-place"):
+        native.scatter(data, [inside, inside], np.zeros(16, np.float32))
+
+
 def backend_of(choice: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", "from hmkcta import backends; print(backends.name)"]
     environment = os.environ | {"HMKCTA_BACKEND": choice, "PYTHONPATH": os.pathsep.join(sys.path)}

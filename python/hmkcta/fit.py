@@ -47,8 +47,8 @@ EFFORTS = {"fast": Effort(2, 3, 2, 0), "medium": Effort(3, 5, 4, 1), "thorough":
 SAMPLE, JUDGED = 2_000_000, 1 << 19
 #: Joint sweeps at the least, before Gauss-Seidel sweeps where those are faster.
 SEARCHES = 2
-#: What a joint sweep costs in visits to an element: each number of H, each element, and as such.
-GRAM_VISITS, PASS_VISITS, SWEEP_VISITS = 24, 4, 4_000_000
+#: What a joint sweep costs in visits to an element: each number of H, and each element.
+GRAM_VISITS, PASS_VISITS = 12, 4
 
 #: Subspace iterations of a cell's mode update: at a random start, and when it is warm.
 COLD, WARM = 4, 2
@@ -125,7 +125,7 @@ def _joint_pays(cells: Cells) -> bool:
     decomposed = [n for n, skip in enumerate(cells.undecomposed) if not skip]
     numbers = sum((cells.spec.cells * cells.ranks[n]) ** 2 for n in decomposed)
     visits = prod(cells.spec.mixture)
-    return prod(cells.sizes) * (visits - PASS_VISITS) > GRAM_VISITS * numbers + SWEEP_VISITS
+    return prod(cells.sizes) * (visits - PASS_VISITS) > GRAM_VISITS * numbers
 
 
 def left_by(cells: Cells, tensor: F32) -> F32:

@@ -95,7 +95,7 @@ def gather(tensor: F32 | Streamed, node: Node) -> F32:
         return tensor.gather(node.rows, node.piece)
     if node.sizes == tensor.shape:
         return tensor.copy()
-    return np.ascontiguousarray(tensor[np.ix_(*node.rows)])
+    return kernels.gather(tensor, node.rows)
 
 
 def scatter(tensor: F32 | Streamed, node: Node, values: F32) -> None:
@@ -105,7 +105,7 @@ def scatter(tensor: F32 | Streamed, node: Node, values: F32) -> None:
     elif node.sizes == tensor.shape:
         tensor[...] = values
     else:
-        tensor[np.ix_(*node.rows)] = values
+        kernels.scatter(tensor, node.rows, values)
 
 
 def saved(tree: Hierarchy) -> F32 | Saved:

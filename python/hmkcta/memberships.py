@@ -94,7 +94,8 @@ def _assign(distance: F64, most: int) -> NDArray[np.intp]:
     nearest: list[list[int]] = distance.argsort(axis=1, kind="stable").tolist()
     room = [most] * distance.shape[1]
     labels = np.zeros(len(distance), np.intp)
-    for i in np.argsort(-margin, kind="stable").tolist():
+    order: list[int] = np.argsort(-margin, kind="stable").tolist()
+    for i in order:
         labels[i] = k = next(k for k in nearest[i] if room[k])
         room[k] -= 1
     return labels

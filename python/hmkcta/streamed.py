@@ -222,17 +222,17 @@ class Streamed:
         assert self._held.piece is piece
         if len(rows[0]) and all(len(r) == size for r, size in zip(rows, piece.sizes, strict=True)):
             return self._held.tensor.copy()
-        return np.ascontiguousarray(self._held.tensor[self._within(rows, piece)])
+        return kernels.gather(self._held.tensor, self._within(rows, piece))
 
     def scatter(self, rows: Rows, piece: Piece | None, values: F32) -> None:
         """Put it back."""
         assert piece is not None
         assert self._held.piece is piece
-        self._held.tensor[self._within(rows, piece)] = values
+        kernels.scatter(self._held.tensor, self._within(rows, piece), values)
         self._held.changed = True
 
-    def _within(self, rows: Rows, piece: Piece) -> tuple[NDArray[np.intp], ...]:
-        return np.ix_(*[np.searchsorted(all_, r) for all_, r in zip(piece.rows, rows, strict=True)])
+    def _within(self, rows: Rows, piece: Piece) -> list[NDArray[np.intp]]:
+        return [np.searchsorted(all_, r) for all_, r in zip(piece.rows, rows, strict=True)]
 
     def settle(self) -> None:
         """All pieces have been held with the present terms: there are none any more."""

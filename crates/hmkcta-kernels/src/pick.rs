@@ -49,27 +49,49 @@ impl Pick {
 
     /// `block = x[rows]`
     pub fn copy(&self, x: &[f32], block: &mut [f32]) {
-        assert!(x.len() >= self.end && block.len() == self.len());
-        let (x, block) = (x.as_ptr(), block.as_mut_ptr());
-        // SAFETY: `Visit` asks only for places within the pick, which both slices hold.
+        assert!(x.len() >= self.end);
+        // SAFETY: `x` holds all elements of the pick.
+        unsafe { self.copy_from(x.as_ptr(), block) };
+    }
+
+    /// The same from where a tensor starts.
+    ///
+    /// # Safety
+    /// The tensor holds all elements of the pick, and nobody writes to these meanwhile.
+    pub unsafe fn copy_from(&self, x: *const f32, block: &mut [f32]) {
+        assert_eq!(block.len(), self.len());
+        let block = block.as_mut_ptr();
+        // SAFETY: `Visit` asks only for places within the pick, which both hold.
         let places = move |tensor, at| unsafe { (x.add(tensor), block.add(at)) };
         dispatch(Visit::<_, false> { pick: self, places });
     }
 
     /// `x[rows] = block`
     pub fn put(&self, x: &mut [f32], block: &[f32]) {
-        self.onto::<false>(x, block);
+        assert!(x.len() >= self.end);
+        // SAFETY: as in `copy`.
+        unsafe { self.put_into(x.as_mut_ptr(), block) };
+    }
+
+    /// The same from where a tensor starts.
+    ///
+    /// # Safety
+    /// The tensor holds all elements of the pick, and nobody else uses these meanwhile.
+    pub unsafe fn put_into(&self, x: *mut f32, block: &[f32]) {
+        unsafe { self.onto::<false>(x, block) };
     }
 
     /// `x[rows] += block`
     pub fn add_onto(&self, x: &mut [f32], block: &[f32]) {
-        self.onto::<true>(x, block);
+        assert!(x.len() >= self.end);
+        // SAFETY: as in `copy`.
+        unsafe { self.onto::<true>(x.as_mut_ptr(), block) };
     }
 
-    fn onto<const ADD: bool>(&self, x: &mut [f32], block: &[f32]) {
-        assert!(x.len() >= self.end && block.len() == self.len());
-        let (x, block) = (x.as_mut_ptr(), block.as_ptr());
-        // SAFETY: as in `copy`.
+    unsafe fn onto<const ADD: bool>(&self, x: *mut f32, block: &[f32]) {
+        assert_eq!(block.len(), self.len());
+        let block = block.as_ptr();
+        // SAFETY: as in `copy_from`.
         let places = move |tensor, at| unsafe { (block.add(at), x.add(tensor)) };
         dispatch(Visit::<_, ADD> { pick: self, places });
     }

@@ -1,7 +1,8 @@
-//! What all cells that meet at some leading indices add to one plane, tile by tile.
+//! What all cells that meet at some leading indices add to one plane, some lines at a time.
 
 use crate::machine::prefetch;
-use crate::planes::{Buffers, COLUMNS, Partial, Planes, ROWS};
+use crate::planes::{Buffers, Group, LINES, PAD, Partial, Planes};
+use crate::threads::room;
 use pulp::{Simd, WithSimd};
 
 /// One plane.
@@ -16,154 +17,168 @@ impl WithSimd for Plane<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(mut self, simd: S) {
-        for number in 0..self.planes.row_tiles.len() {
-            self.prefetch(number);
-            self.coefficients(simd, number);
-            for column in 0..self.planes.column_tiles.len() {
-                match COLUMNS / S::F32_LANES {
-                    1 => self.tile::<S, 8, 1>(simd, number, column),
-                    2 => self.tile::<S, 4, 2>(simd, number, column),
-                    _ => self.tile::<S, 2, 4>(simd, number, column),
-                }
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Plane { planes, present, buffers: Buffers { choices, coefficients, lines }, x } = self;
+        let (node, line) = (planes.node, planes.line());
+        let numbers = node.clusters[planes.depth + 1] * node.ranks[planes.depth + 1] * LINES;
+        let coefficients = room(coefficients, present.cells.len() * node.mixture[planes.depth] * numbers);
+        let lines = room(lines, LINES * line + PAD);
+        for group in &planes.groups {
+            for &row in &group.rows {
+                prefetch(&x[row as usize * planes.columns..][..planes.columns]);
             }
-            self.store(simd, number);
+            choose(planes, present, &group.subsets, choices);
+            contract(planes, choices, &present.cores, group, coefficients);
+            let tiles = Tiles { planes, choices, coefficients, numbers };
+            match group.rows.len() {
+                1 => tiles.all::<S, 1>(simd, lines),
+                2 => tiles.all::<S, 2>(simd, lines),
+                3 => tiles.all::<S, 3>(simd, lines),
+                4 => tiles.all::<S, 4>(simd, lines),
+                5 => tiles.all::<S, 5>(simd, lines),
+                6 => tiles.all::<S, 6>(simd, lines),
+                7 => tiles.all::<S, 7>(simd, lines),
+                _ => tiles.all::<S, 8>(simd, lines),
+            }
+            planes.places.add(simd, lines, line, &group.rows, x);
         }
     }
 }
 
-impl Plane<'_> {
-    /// Contract the cells' `[R_a, R_b]` with the rows of one tile.
-    #[inline(always)]
-    fn coefficients<S: Simd>(&mut self, _: S, number: usize) {
-        let Plane { planes, present, buffers, .. } = self;
-        let (a, b) = (planes.depth, planes.depth + 1);
-        let (rank_a, rank_b, clusters_b) = (planes.node.ranks[a], planes.node.ranks[b], planes.node.clusters[b]);
-        let (tile, start) = (&planes.row_tiles[number], planes.row_starts[number]);
-        let length = planes.row_bases.len() / (planes.node.cells() / planes.node.clusters[a]);
-        let (cells, numbers) = planes.left(a);
-        let coefficients = &mut buffers.coefficients;
-        coefficients.resize(present.cells.len() * tile.subsets.len() * clusters_b * rank_b * ROWS, 0.0);
-        let mut outs = coefficients.chunks_exact_mut(rank_b * ROWS);
-        for (&leading, cores) in present.cells.iter().zip(present.cores.chunks_exact(cells * numbers)) {
-            for (subset, &c) in tile.subsets.iter().enumerate() {
-                for c_b in 0..clusters_b {
-                    let core = &cores[(usize::from(c) * clusters_b + c_b) * numbers..][..numbers];
-                    let at = (leading * clusters_b + c_b) * length + start + subset * rank_a * ROWS;
-                    let rows = &planes.row_bases[at..][..rank_a * ROWS];
-                    let Some(out) = outs.next() else { return };
-                    for (r_b, out) in out.chunks_exact_mut(ROWS).enumerate() {
-                        let mut sum = [0.0; ROWS];
-                        for (r_a, rows) in rows.chunks_exact(ROWS).enumerate() {
-                            let z = core[r_a * rank_b + r_b];
-                            sum.iter_mut().zip(rows).for_each(|(to, &u)| *to += z * u);
-                        }
-                        out.copy_from_slice(&sum);
-                    }
-                }
-            }
-        }
-    }
+/// One cell but for its cluster of mode b, of those that lines of a group belong to.
+pub struct Choice {
+    /// Where its core `[R_a, lanes]` is among those present.
+    core: usize,
+    /// Where its numbers `[C_b, R_a, LINES]` are in the basis of a group.
+    basis: usize,
+    /// Where its panels start.
+    panel: usize,
+}
 
-    /// Sum up one tile, `M` rows by `V` vectors at a time, into `lines`.
-    #[inline(always)]
-    fn tile<S: Simd, const M: usize, const V: usize>(&mut self, simd: S, number: usize, column: usize) {
-        let Plane { planes, present, buffers, .. } = self;
-        let (a, b) = (planes.depth, planes.depth + 1);
-        let (rank, clusters_a, clusters_b) = (planes.node.ranks[b], planes.node.clusters[a], planes.node.clusters[b]);
-        let (rows, columns) = (&planes.row_tiles[number], &planes.column_tiles[column]);
-        let length = planes.column_bases.len() / (planes.node.cells() / clusters_b);
-        let panel = columns.subsets.len() * rank * COLUMNS;
-        let width = planes.column_tiles.len() * COLUMNS;
-        for top in (0..ROWS).step_by(M) {
-            let mut sums = [[simd.splat_f32s(0.0); V]; M];
-            let mut blocks = buffers.coefficients.chunks_exact(clusters_b * rank * ROWS);
-            for &leading in &present.cells {
-                for &c in &rows.subsets {
-                    let Some(block) = blocks.next() else { return };
-                    let at = (leading * clusters_a + usize::from(c)) * length + planes.column_starts[column];
-                    let mut numbers = planes.column_bases[at..][..panel].as_ptr();
-                    for &c_b in &columns.subsets {
-                        let mut weights = block[usize::from(c_b) * rank * ROWS + top..].as_ptr();
-                        for _ in 0..rank {
-                            // SAFETY: a panel has `rank` lines of 16 numbers a subset, a block `rank` lines of 8 a cluster.
-                            unsafe {
-                                let mut values = [simd.splat_f32s(0.0); V];
-                                for (v, value) in values.iter_mut().enumerate() {
-                                    *value = numbers.add(v * S::F32_LANES).cast::<S::f32s>().read_unaligned();
-                                }
-                                for (m, line) in sums.iter_mut().enumerate() {
-                                    let weight = simd.splat_f32s(*weights.add(m));
-                                    for (sum, &value) in line.iter_mut().zip(&values) {
-                                        *sum = simd.mul_add_e_f32s(weight, value, *sum);
-                                    }
-                                }
-                                numbers = numbers.add(COLUMNS);
-                                weights = weights.wrapping_add(ROWS);
-                            }
-                        }
-                    }
-                }
-            }
-            for (m, line) in sums.iter().enumerate() {
-                let out = &mut buffers.lines[(top + m) * width + column * COLUMNS..][..COLUMNS];
-                // SAFETY: V vectors are 16 numbers.
-                unsafe {
-                    for (v, &sum) in line.iter().enumerate() {
-                        out.as_mut_ptr().add(v * S::F32_LANES).cast::<S::f32s>().write_unaligned(sum);
-                    }
-                }
-            }
-        }
-    }
-
-    /// Ask for the rows of a tile, which `store` will add to, while its sums are still being computed.
-    #[inline(always)]
-    fn prefetch(&self, number: usize) {
-        let columns = self.planes.columns;
-        for &row in &self.planes.row_tiles[number].rows {
-            prefetch(&self.x[row as usize * columns..][..columns]);
-        }
-    }
-
-    /// Add the lines to the plane, columns back in their places.
-    #[inline(always)]
-    fn store<S: Simd>(&mut self, _: S, number: usize) {
-        let Plane { planes, buffers, x, .. } = self;
-        let width = planes.column_tiles.len() * COLUMNS;
-        for (&row, line) in planes.row_tiles[number].rows.iter().zip(buffers.lines.chunks_exact(width)) {
-            let x = &mut x[row as usize * planes.columns..][..planes.columns];
-            #[cfg(target_arch = "x86_64")]
-            if S::F32_LANES == 16 {
-                // SAFETY: `Planes::new` made every place one of a line; 16 lanes are AVX-512.
-                unsafe { add_picked(x, line, &planes.places) };
-                continue;
-            }
-            for (to, &place) in x.iter_mut().zip(&planes.places) {
-                *to += line[place as usize];
-            }
+/// The cells of lines with these subsets of mode a: `[combinations, K_a]`.
+fn choose(planes: &Planes, present: &Partial, subsets: &[u16], choices: &mut Vec<Choice>) {
+    let (node, a) = (planes.node, planes.depth);
+    let (clusters, rank) = (node.clusters[a], node.ranks[a]);
+    let (size, numbers) = (rank * planes.lanes, node.clusters[a + 1] * rank * LINES);
+    let (leading, panel): (usize, usize) = (node.clusters[..a].iter().product(), planes.panel());
+    choices.clear();
+    for (combination, &cell) in present.cells.iter().enumerate() {
+        for (k, &c) in subsets.iter().enumerate() {
+            let c = usize::from(c);
+            choices.push(Choice {
+                core: (combination * clusters + c) * size,
+                basis: (k * leading + cell) * numbers,
+                panel: (cell * clusters + c) * panel,
+            });
         }
     }
 }
 
-/// `x[i] += line[places[i]]`
-///
-/// # Safety
-/// The machine has AVX-512, and all places lie in the line.
-#[cfg(target_arch = "x86_64")]
+/// Contract the cores with the rows of mode a of a group: `[choices, C_b, R_b, LINES]`.
 #[inline(always)]
-unsafe fn add_picked(x: &mut [f32], line: &[f32], places: &[u32]) {
-    use std::arch::x86_64::*;
-    let mut places = places.chunks_exact(16);
-    let mut targets = x.chunks_exact_mut(16);
-    for (x, places) in targets.by_ref().zip(places.by_ref()) {
-        unsafe {
-            let index = _mm512_loadu_si512(places.as_ptr().cast());
-            let picked = _mm512_i32gather_ps::<4>(index, line.as_ptr());
-            _mm512_storeu_ps(x.as_mut_ptr(), _mm512_add_ps(_mm512_loadu_ps(x.as_ptr()), picked));
+fn contract(planes: &Planes, choices: &[Choice], cores: &[f32], group: &Group, coefficients: &mut [f32]) {
+    let ranks = (planes.node.ranks[planes.depth], planes.node.ranks[planes.depth + 1]);
+    match ranks {
+        (3, 3) => contract_ranks::<3, 3>(planes, choices, cores, group, coefficients),
+        (2, 2) => contract_ranks::<2, 2>(planes, choices, cores, group, coefficients),
+        (1, 1) => contract_ranks::<1, 1>(planes, choices, cores, group, coefficients),
+        _ => contract_ranks::<0, 0>(planes, choices, cores, group, coefficients),
+    }
+}
+
+/// `A`, `B`: R_a and R_b where they are known, else 0.
+#[inline(always)]
+fn contract_ranks<const A: usize, const B: usize>(
+    planes: &Planes,
+    choices: &[Choice],
+    cores: &[f32],
+    group: &Group,
+    coefficients: &mut [f32],
+) {
+    let (a, b) = (planes.depth, planes.depth + 1);
+    let (rank_a, rank_b) = if A > 0 { (A, B) } else { (planes.node.ranks[a], planes.node.ranks[b]) };
+    let clusters = planes.node.clusters[b];
+    let (lines, _) = coefficients.as_chunks_mut::<LINES>();
+    let mut outs = lines.chunks_exact_mut(rank_b);
+    for choice in choices {
+        let core = &cores[choice.core..][..rank_a * planes.lanes];
+        let (basis, _) = group.basis[choice.basis..][..clusters * rank_a * LINES].as_chunks::<LINES>();
+        for (c, (basis, outs)) in basis.chunks_exact(rank_a).zip(&mut outs).enumerate() {
+            for (r, out) in outs.iter_mut().enumerate() {
+                let mut sum = [0.0; LINES];
+                for (weights, core) in basis.iter().zip(core.chunks_exact(planes.lanes)) {
+                    let z = core[c * rank_b + r];
+                    sum.iter_mut().zip(weights).for_each(|(sum, u)| *sum += z * u);
+                }
+                *out = sum;
+            }
         }
     }
-    for (x, &place) in targets.into_remainder().iter_mut().zip(places.remainder()) {
-        *x += line[place as usize];
+}
+
+/// Products of some lines' coefficients with the panels of their cells.
+struct Tiles<'t> {
+    planes: &'t Planes<'t>,
+    choices: &'t [Choice],
+    /// `[choices, C_b, R_b, LINES]`, so many numbers for each choice.
+    coefficients: &'t [f32],
+    numbers: usize,
+}
+
+impl Tiles<'_> {
+    /// `M` lines.
+    #[inline(always)]
+    fn all<S: Simd, const M: usize>(&self, simd: S, lines: &mut [f32]) {
+        let b = self.planes.depth + 1;
+        // As many registers as there are, for sums, vectors and a weight.
+        let wide = if S::REGISTER_COUNT >= 32 { 3 } else { (S::REGISTER_COUNT - 2) / (M + 1) };
+        for c in 0..self.planes.node.clusters[b] {
+            let vectors = self.planes.node.rows(b, c).len().div_ceil(S::F32_LANES);
+            let step = vectors.div_ceil(vectors.div_ceil(wide.max(1)).max(1));
+            for first in (0..vectors).step_by(step.max(1)) {
+                // SAFETY: members are padded to whole vectors, and lines are as long as all of them.
+                unsafe {
+                    match step.min(vectors - first) {
+                        1 => self.tile::<S, M, 1>(simd, c, first, lines),
+                        2 => self.tile::<S, M, 2>(simd, c, first, lines),
+                        _ => self.tile::<S, M, 3>(simd, c, first, lines),
+                    }
+                }
+            }
+        }
+    }
+
+    /// `M` lines of `V` vectors of the members of one cluster of mode b, which stay in registers.
+    #[inline(always)]
+    unsafe fn tile<S: Simd, const M: usize, const V: usize>(&self, simd: S, c: usize, first: usize, lines: &mut [f32]) {
+        let Tiles { planes, choices, coefficients, numbers: each } = *self;
+        let rank = planes.node.ranks[planes.depth + 1];
+        let (start, line) = (planes.starts[c], planes.line());
+        let width = planes.starts[c + 1] - start;
+        let mut sums = [[simd.splat_f32s(0.0); V]; M];
+        unsafe {
+            let mut weights = coefficients.as_ptr().add(c * rank * LINES);
+            for choice in choices {
+                let mut numbers = planes.panels.as_ptr().add(choice.panel + start * rank + first * S::F32_LANES);
+                for r in 0..rank {
+                    let values: [S::f32s; V] =
+                        std::array::from_fn(|v| numbers.add(v * S::F32_LANES).cast::<S::f32s>().read_unaligned());
+                    for (m, sums) in sums.iter_mut().enumerate() {
+                        let weight = simd.splat_f32s(*weights.add(r * LINES + m));
+                        for (sum, value) in sums.iter_mut().zip(values) {
+                            *sum = simd.mul_add_e_f32s(weight, value, *sum);
+                        }
+                    }
+                    numbers = numbers.wrapping_add(width);
+                }
+                weights = weights.wrapping_add(each);
+            }
+            for (m, sums) in sums.into_iter().enumerate() {
+                let out = lines.as_mut_ptr().add(m * line + start + first * S::F32_LANES);
+                for (v, sum) in sums.into_iter().enumerate() {
+                    out.add(v * S::F32_LANES).cast::<S::f32s>().write_unaligned(sum);
+                }
+            }
+        }
     }
 }

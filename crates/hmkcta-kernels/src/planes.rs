@@ -1,20 +1,21 @@
-//! Reconstruction of overlapping cells plane by plane: the last two modes make up a plane, `rows` by `columns`.
+//! Reconstruction of overlapping cells plane by plane: the last two modes make up a plane, of lines along the last one.
 //!
-//! For fixed leading indices the cores of the cells that meet there are contracted to `[R_a, R_b]` each. Eight rows of the
-//! plane that share cluster subsets and 16 columns that do are one tile: what all their cells add to it is summed in
-//! registers, so the tensor is read and written once whatever the mixture.
+//! For fixed leading indices the cores of the cells that meet there are contracted to `[R_a, R_b]` each. Lines that share
+//! their cluster subsets are products of matrices then: coefficients by the bases of the last mode, cluster by cluster of
+//! its subsets, whose columns are put back in their places as the line is added to the tensor.
 
 use crate::cells::Node;
 use crate::machine::dispatch;
-use crate::plane::Plane;
+use crate::places::Places;
+use crate::plane::{Choice, Plane};
 use crate::threads::{PARALLEL, for_each};
-use crate::tiles::{Tile, tiles};
 use pulp::{Simd, WithSimd};
 use std::ops::Range;
 
-/// Rows and columns of a tile.
-pub const ROWS: usize = 8;
-pub const COLUMNS: usize = 16;
+/// More numbers than any vector has; what vectors run along is padded to whole ones.
+pub const PAD: usize = 16;
+/// Lines worked on at a time.
+pub const LINES: usize = 8;
 /// Pieces the planes are shared out in.
 const PIECES: usize = 64;
 
@@ -31,43 +32,40 @@ pub fn applies(node: &Node) -> bool {
 /// `tensor += weight * model`
 pub fn accumulate(node: &Node, tensor: &mut [f32], bases: &[&[f32]], cores: &[f32], weight: f32) {
     let planes = Planes::new(node, bases);
-    let weighted: Vec<f32> = cores.iter().map(|z| weight * z).collect();
-    let all = Partial { cells: vec![0], cores: weighted };
+    let all = planes.cores(cores, weight);
     let plane = planes.rows * planes.columns;
     let count = tensor.len() / plane;
     let piece = count.div_ceil(PIECES);
     let parallel = tensor.len() >= PARALLEL;
     for_each(parallel, tensor.chunks_mut(piece * plane).enumerate().collect(), |(number, tensor)| {
-        let mut work = Work::new(&planes);
+        let mut levels = vec![Partial::default(); planes.depth];
         let from = number * piece;
-        planes.descend(0, from..from + tensor.len() / plane, &all, &mut work.levels, &mut work.plane, tensor);
+        planes.descend(0, from..from + tensor.len() / plane, &all, &mut levels, &mut Buffers::default(), tensor);
     });
 }
 
-/// A node prepared for it.
+/// A node prepared for it. Modes a and b are the last two; lanes are the clusters of mode b and its ranks, `C_b R_b`, padded.
 pub struct Planes<'a> {
     pub node: &'a Node<'a>,
-    pub bases: &'a [&'a [f32]],
-    /// N - 2, the number of leading modes.
+    /// N - 2, the number of leading modes, which is mode a.
     pub depth: usize,
     pub rows: usize,
     pub columns: usize,
-    pub row_tiles: Vec<Tile>,
-    pub column_tiles: Vec<Tile>,
-    /// Of each row tile the first of its `[subsets, R_a, ROWS]` numbers among those of one leading and column subset.
-    pub row_starts: Vec<usize>,
-    /// Of each column tile the first of its `[subsets, R_b, COLUMNS]` numbers among those of one leading and row subset.
-    pub column_starts: Vec<usize>,
-    /// Basis numbers of the rows, `[leading cells, C_b, row tiles..]`, zero where a row is not the cell's.
-    pub row_bases: Vec<f32>,
-    /// Basis numbers of the columns, `[leading cells, C_a, column tiles..]`.
-    pub column_bases: Vec<f32>,
-    /// Where each column stands in a line of column tiles.
-    pub places: Vec<u32>,
+    pub lanes: usize,
+    /// For each leading mode `[I_n, K_n, cells of the modes before, of those after but b, R_n, lanes]`.
+    expanded: Vec<Vec<f32>>,
+    /// Rows of mode a with the same subsets, some at a time.
+    pub groups: Vec<Group>,
+    /// Where the columns of each cluster of mode b start in a line of all their members, and where the last ones end.
+    pub starts: Vec<usize>,
+    /// For each cell of the modes but b, and each cluster of b, `[R_b, members]`.
+    pub panels: Vec<f32>,
+    /// Where each column of the plane is in a line.
+    pub places: Places,
 }
 
-/// Combinations of leading subsets that meet at the present leading indices, and their cores contracted with the rows
-/// of these: `[combinations, remaining cells, remaining ranks]`.
+/// Combinations of subsets that meet at the present rows of the modes before n, and their cores contracted with these
+/// rows: `[combinations, cells from mode n on but b, R_n, .., R_a, lanes]`.
 #[derive(Clone, Default)]
 pub struct Partial {
     pub cells: Vec<usize>,
@@ -75,60 +73,97 @@ pub struct Partial {
 }
 
 /// Buffers of one task.
-struct Work {
-    levels: Vec<Partial>,
-    plane: Buffers,
-}
-
+#[derive(Default)]
 pub struct Buffers {
-    /// Rows' coefficients of one row tile, `[combinations, subsets, C_b, R_b, ROWS]`.
+    /// The cells that lines of a group belong to.
+    pub choices: Vec<Choice>,
+    /// Of the lines of a group, `[combinations, K_a, C_b, R_b, LINES]`.
     pub coefficients: Vec<f32>,
-    /// `[ROWS, column tiles, COLUMNS]`
+    /// Of these rows, lines of all clusters' members.
     pub lines: Vec<f32>,
 }
 
-impl Work {
-    fn new(planes: &Planes) -> Work {
-        let lines = vec![0.0; ROWS * planes.column_tiles.len() * COLUMNS];
-        Work { levels: vec![Partial::default(); planes.depth], plane: Buffers { coefficients: vec![], lines } }
-    }
-}
-
 impl<'a> Planes<'a> {
-    fn new(node: &'a Node<'a>, bases: &'a [&'a [f32]]) -> Self {
+    fn new(node: &'a Node<'a>, bases: &[&[f32]]) -> Self {
         let depth = node.order() - 2;
         let (a, b) = (depth, depth + 1);
-        let row_tiles = tiles(node.members(a), node.mixture[a], ROWS);
-        let column_tiles = tiles(node.members(b), node.mixture[b], COLUMNS);
-        let (row_starts, row_length) = starts(&row_tiles, node.ranks[a] * ROWS);
-        let (column_starts, column_length) = starts(&column_tiles, node.ranks[b] * COLUMNS);
-        let others = |n: usize| node.cells() / node.clusters[n];
-        let mut places = vec![0; node.sizes[b]];
-        for (number, tile) in column_tiles.iter().enumerate() {
-            for (lane, &column) in tile.rows.iter().enumerate() {
-                places[column as usize] = (number * COLUMNS + lane) as u32;
-            }
+        let members: Vec<&[u32]> = (0..node.clusters[b]).map(|c| node.rows(b, c)).collect();
+        let mut starts = vec![0];
+        for members in &members {
+            starts.push(starts[starts.len() - 1] + members.len().next_multiple_of(PAD));
         }
-        // flat(c_-a) is the leading cell and c_b; flat(c_-b) the leading cell and c_a.
-        Planes {
-            row_bases: tiled(node, a, bases[a], &row_tiles, (ROWS, row_length, others(a))),
-            column_bases: tiled(node, b, bases[b], &column_tiles, (COLUMNS, column_length, others(b))),
+        let mut planes = Planes {
             rows: node.sizes[a],
             columns: node.sizes[b],
             node,
-            bases,
             depth,
-            row_tiles,
-            column_tiles,
-            row_starts,
-            column_starts,
-            places,
+            lanes: (node.clusters[b] * node.ranks[b]).next_multiple_of(PAD),
+            expanded: vec![],
+            groups: groups(node, a, bases[a]),
+            places: Places::new(&members, &starts, node.sizes[b]),
+            starts,
+            panels: vec![],
+        };
+        planes.expanded = (0..a).map(|n| planes.expand(bases[n], node.ranks[n])).collect();
+        planes.load_panels(bases[b]);
+        planes
+    }
+
+    /// Numbers `[.., C_b, rank]` as `[.., rank, lanes]`.
+    fn expand(&self, numbers: &[f32], rank: usize) -> Vec<f32> {
+        let b = self.depth + 1;
+        let (clusters, repeats) = (self.node.clusters[b], self.node.ranks[b]);
+        let mut all = vec![0.0; numbers.len() / clusters * self.lanes];
+        for (from, to) in numbers.chunks_exact(clusters * rank).zip(all.chunks_exact_mut(rank * self.lanes)) {
+            for (at, &u) in from.iter().enumerate() {
+                to[at % rank * self.lanes + at / rank * repeats..][..repeats].fill(u);
+            }
+        }
+        all
+    }
+
+    /// All cores `[cells, R_1, .., R_N]` times the weight, as `[cells but b, R_1, .., R_a, lanes]`.
+    fn cores(&self, cores: &[f32], weight: f32) -> Partial {
+        let b = self.depth + 1;
+        let (clusters, rank) = (self.node.clusters[b], self.node.ranks[b]);
+        let others: usize = self.node.ranks[..b].iter().product();
+        let mut all = vec![0.0; cores.len() / (clusters * rank) * self.lanes];
+        for (from, to) in cores.chunks_exact(clusters * others * rank).zip(all.chunks_exact_mut(others * self.lanes)) {
+            for (at, line) in from.chunks_exact(rank).enumerate() {
+                let to = &mut to[at % others * self.lanes + at / others * rank..][..rank];
+                to.iter_mut().zip(line).for_each(|(to, z)| *to = weight * z);
+            }
+        }
+        Partial { cells: vec![0], cores: all }
+    }
+
+    /// Basis numbers of mode b, which are stored as `[I_b, K_b, cells but b, R_b]`.
+    fn load_panels(&mut self, basis: &[f32]) {
+        let b = self.depth + 1;
+        let (rank, clusters, panel) = (self.node.ranks[b], self.node.clusters[b], self.panel());
+        let cells = self.node.cells() / clusters;
+        self.panels = vec![0.0; cells * panel];
+        let mut filled = self.starts.clone();
+        for (&c, numbers) in self.node.members(b).iter().zip(basis.chunks_exact(cells * rank)) {
+            let c = usize::from(c);
+            let (start, width) = (self.starts[c], self.starts[c + 1] - self.starts[c]);
+            let at = start * rank + filled[c] - start;
+            filled[c] += 1;
+            for (&u, number) in numbers.iter().zip(0..) {
+                let (cell, r): (usize, usize) = (number / rank, number % rank);
+                self.panels[cell * panel + at + r * width] = u;
+            }
         }
     }
 
-    /// Cells and core numbers that are left from mode `n` on.
-    pub fn left(&self, n: usize) -> (usize, usize) {
-        (self.node.clusters[n..].iter().product(), self.node.ranks[n..].iter().product())
+    /// Numbers of all clusters of mode b for one cell of the others.
+    pub fn panel(&self) -> usize {
+        self.node.ranks[self.depth + 1] * self.line()
+    }
+
+    /// Numbers of a line of all clusters' members.
+    pub fn line(&self) -> usize {
+        self.starts[self.node.clusters[self.depth + 1]]
     }
 
     /// Add the model to `x`, the planes `range` of those below the present leading indices.
@@ -149,54 +184,43 @@ impl<'a> Planes<'a> {
         for i in range.start / span..range.end.div_ceil(span) {
             let below = range.start.max(i * span)..range.end.min((i + 1) * span);
             let part = &mut x[(below.start - range.start) * plane..(below.end - range.start) * plane];
-            dispatch(Contract { planes: self, level, i, present, next });
+            dispatch(Choose { planes: self, level, i, present, next });
             self.descend(level + 1, below.start - i * span..below.end - i * span, next, levels, buffers, part);
         }
     }
 }
 
-/// First numbers of the tiles, `unit` a subset, and how many there are.
-fn starts(tiles: &[Tile], unit: usize) -> (Vec<usize>, usize) {
-    let mut length = 0;
-    let first = |tile: &Tile| {
-        length += tile.subsets.len() * unit;
-        length - tile.subsets.len() * unit
-    };
-    (tiles.iter().map(first).collect(), length)
+/// Up to `LINES` rows of mode a that share their subsets.
+pub struct Group {
+    pub subsets: Vec<u16>,
+    pub rows: Vec<u32>,
+    /// Their basis numbers `[K_a, cells of the other modes, R_a, LINES]`.
+    pub basis: Vec<f32>,
 }
 
-/// Basis numbers of mode `n` as tiles, for each combination of the other modes' subsets.
-fn tiled(
-    node: &Node,
-    n: usize,
-    basis: &[f32],
-    tiles: &[Tile],
-    (width, length, others): (usize, usize, usize),
-) -> Vec<f32> {
-    let (mixture, rank) = (node.mixture[n], node.ranks[n]);
-    let mut all = vec![0.0; length * others];
-    let mut start = 0;
-    for tile in tiles {
-        for (lane, &row) in tile.rows.iter().enumerate() {
-            let row = row as usize;
-            for (k, c) in node.members(n)[row * mixture..][..mixture].iter().enumerate() {
-                let subset = tile.subsets.iter().position(|s| s == c).unwrap_or(0);
-                let from = &basis[(row * mixture + k) * others * rank..][..others * rank];
-                for (other, numbers) in from.chunks_exact(rank).enumerate() {
-                    let to = other * length + start + subset * rank * width + lane;
-                    for (r, &u) in numbers.iter().enumerate() {
-                        all[to + r * width] = u;
-                    }
-                }
+/// All rows of mode a, whose basis is stored as `[I_a, K_a, cells of the other modes, R_a]`.
+fn groups(node: &Node, a: usize, basis: &[f32]) -> Vec<Group> {
+    let mixture = node.mixture[a];
+    let pattern = |row: u32| &node.members(a)[row as usize * mixture..][..mixture];
+    let length = basis.len() / node.sizes[a];
+    let mut rows: Vec<u32> = (0..node.sizes[a] as u32).collect();
+    rows.sort_by_key(|&row| pattern(row));
+    let mut groups = vec![];
+    for rows in rows.chunk_by(|&a, &b| pattern(a) == pattern(b)) {
+        for rows in rows.chunks(rows.len().div_ceil(rows.len().div_ceil(LINES))) {
+            let mut numbers = vec![0.0; length * LINES];
+            for (line, &row) in rows.iter().enumerate() {
+                let from = &basis[row as usize * length..][..length];
+                numbers[line..].iter_mut().step_by(LINES).zip(from).for_each(|(to, &u)| *to = u);
             }
+            groups.push(Group { subsets: pattern(rows[0]).to_vec(), rows: rows.to_vec(), basis: numbers });
         }
-        start += tile.subsets.len() * rank * width;
     }
-    all
+    groups
 }
 
-/// Keep the combinations that have row `i` of mode `level`, contract their cores with it.
-struct Contract<'c> {
+/// Keep the combinations that have row `i` of a leading mode, contracted with it.
+struct Choose<'c> {
     planes: &'c Planes<'c>,
     level: usize,
     i: usize,
@@ -204,38 +228,61 @@ struct Contract<'c> {
     next: &'c mut Partial,
 }
 
-impl WithSimd for Contract<'_> {
+impl WithSimd for Choose<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
-        let Contract { planes, level: n, i, present, next } = self;
-        let node = planes.node;
-        let (clusters, rank, mixture) = (node.clusters[n], node.ranks[n], node.mixture[n]);
-        let (cells, numbers) = planes.left(n + 1);
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Choose { planes, level: n, i, present, next } = self;
+        let (node, lanes) = (planes.node, planes.lanes);
+        let (clusters, mixture, rank) = (node.clusters[n], node.mixture[n], node.ranks[n]);
+        let subsets = &node.members(n)[i * mixture..][..mixture];
+        let cells =
+            present.cells.iter().flat_map(|cell| subsets.iter().map(move |&c| cell * clusters + usize::from(c)));
         next.cells.clear();
-        next.cores.clear();
-        for (&cell, cores) in present.cells.iter().zip(present.cores.chunks_exact(clusters * cells * rank * numbers)) {
-            for (k, &c) in node.members(n)[i * mixture..][..mixture].iter().enumerate() {
-                let c = usize::from(c);
-                let cores = &cores[c * cells * rank * numbers..][..cells * rank * numbers];
-                next.cells.push(cell * clusters + c);
-                let start = next.cores.len();
-                next.cores.resize(start + cells * numbers, 0.0);
-                let outs = next.cores[start..].chunks_exact_mut(numbers).zip(cores.chunks_exact(rank * numbers));
-                if node.undecomposed[n] {
-                    outs.for_each(|(out, core)| out.copy_from_slice(&core[i * numbers..][..numbers]));
-                    continue;
-                }
-                // flat(c_-n): the subsets of the modes before, then those after.
-                let others = node.cells() / clusters;
-                let basis = &planes.bases[n][((i * mixture + k) * others + cell * cells) * rank..][..cells * rank];
-                for ((out, core), row) in outs.zip(basis.chunks_exact(rank)) {
-                    for (&u, line) in row.iter().zip(core.chunks_exact(numbers)) {
-                        out.iter_mut().zip(line).for_each(|(to, &z)| *to += u * z);
+        next.cells.extend(cells);
+        next.cores.resize(present.cores.len() / clusters / rank * mixture, 0.0);
+        // Cells of the modes after this one, and numbers of one for each number of the row.
+        let after: usize = node.clusters[n + 1..=planes.depth].iter().product();
+        let numbers = node.ranks[n + 1..=planes.depth].iter().product::<usize>() * lanes;
+        let leading: usize = node.clusters[..n].iter().product();
+        let mut outs = next.cores.chunks_exact_mut(numbers);
+        for (cores, cell) in present.cores.chunks_exact(clusters * after * rank * numbers).zip(&present.cells) {
+            for (k, &c) in subsets.iter().enumerate() {
+                let cores = &cores[usize::from(c) * after * rank * numbers..][..after * rank * numbers];
+                let first = ((i * mixture + k) * leading + cell) * after;
+                for (number, (core, out)) in cores.chunks_exact(rank * numbers).zip(&mut outs).enumerate() {
+                    if node.undecomposed[n] {
+                        out.copy_from_slice(&core[i * numbers..][..numbers]);
+                        continue;
+                    }
+                    let row = &planes.expanded[n][(first + number) * rank * lanes..][..rank * lanes];
+                    match rank {
+                        1 => weigh::<S, 1>(simd, core, row, out),
+                        2 => weigh::<S, 2>(simd, core, row, out),
+                        3 => weigh::<S, 3>(simd, core, row, out),
+                        4 => weigh::<S, 4>(simd, core, row, out),
+                        _ => weigh::<S, 0>(simd, core, row, out),
                     }
                 }
             }
+        }
+    }
+}
+
+/// `out[j] = sum_r core[r, j] row[r]`, the row having weights for each lane; `R`: its rank if it is known, else 0.
+#[inline(always)]
+fn weigh<S: Simd, const R: usize>(simd: S, core: &[f32], row: &[f32], out: &mut [f32]) {
+    let (core, row, out) = (S::as_simd_f32s(core).0, S::as_simd_f32s(row).0, S::as_mut_simd_f32s(out).0);
+    let rank = if R > 0 { R } else { core.len() / out.len() };
+    let vectors = row.len() / rank;
+    for lane in 0..vectors {
+        for at in (lane..out.len()).step_by(vectors) {
+            let mut sum = simd.mul_f32s(core[at], row[lane]);
+            for r in 1..rank {
+                sum = simd.mul_add_e_f32s(core[r * out.len() + at], row[r * vectors + lane], sum);
+            }
+            out[at] = sum;
         }
     }
 }

@@ -19,10 +19,10 @@ from ..coding import U16
 from ..errors import invalid
 from . import reference
 from .device import Device, Kernels
-from .reference import F64
+from .reference import F64, Rows
 
 __all__ = ["Device", "Kernels", "accumulate", "code_rows", "contract_lanes", "dictionary_gram", "find_device",
-           "fit_cells", "name", "project_cells", "project_pair", "set_threads", "use"]  # fmt: skip
+           "fit_cells", "gather", "name", "project_cells", "project_pair", "scatter", "set_threads", "use"]  # fmt: skip
 
 #: Where the kernels of the work at hand run; None: on the CPU.
 _device: ContextVar[Kernels | None] = ContextVar("device", default=None)
@@ -134,6 +134,16 @@ def project_pair(cells: Cells, tensor: F32, pair: tuple[int, int]) -> F32:
 def contract_lanes(p: F32, w: F32) -> F32:
     """A further mode summed over, lane by lane; see `reference.contract_lanes`."""
     return _kernels().contract_lanes(p, w)
+
+
+def gather(tensor: F32, rows: Rows) -> F32:
+    """The sub-tensor of some rows of each mode, ascending, in one piece."""
+    return _kernels().gather(tensor, rows)
+
+
+def scatter(tensor: F32, rows: Rows, block: F32) -> None:
+    """Put a sub-tensor back, in place; several threads may, where no two write to the same elements."""
+    _kernels().scatter(tensor, rows, block)
 
 
 def dictionary_gram(cells: Cells, n: int) -> F64:

@@ -26,7 +26,7 @@ from ..plan import LevelSpec
 from . import batched, reference
 from .batched import Arrays
 from .device import Device, Kernels
-from .reference import F64
+from .reference import F64, Rows
 
 T = TypeVar("T")
 
@@ -93,6 +93,14 @@ class Cuda:
     def contract_lanes(self, p: F32, w: F32) -> F32:
         """A further mode summed over, lane by lane."""
         return self._cpu.contract_lanes(p, w)
+
+    def gather(self, tensor: F32, rows: Rows) -> F32:
+        """The sub-tensor of some rows of each mode, on the CPU."""
+        return self._cpu.gather(tensor, rows)
+
+    def scatter(self, tensor: F32, rows: Rows, block: F32) -> None:
+        """Put a sub-tensor back, on the CPU."""
+        self._cpu.scatter(tensor, rows, block)
 
     def dictionary_gram(self, cells: Cells, n: int) -> F64:
         """Inner products of all dictionary columns of mode n."""

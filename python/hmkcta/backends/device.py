@@ -8,7 +8,7 @@ from typing import Protocol
 
 from ..cells import F32, Cells
 from ..coding import U16
-from .reference import F64
+from .reference import F64, Rows
 
 
 class Kernels(Protocol):
@@ -37,6 +37,14 @@ class Kernels(Protocol):
 
     def contract_lanes(self, p: F32, w: F32) -> F32:
         """A further mode summed over, lane by lane."""
+        ...
+
+    def gather(self, tensor: F32, rows: Rows) -> F32:
+        """The sub-tensor of some rows of each mode, ascending."""
+        ...
+
+    def scatter(self, tensor: F32, rows: Rows, block: F32) -> None:
+        """Put a sub-tensor back, in place."""
         ...
 
     def dictionary_gram(self, cells: Cells, n: int) -> F64:

@@ -15,6 +15,8 @@ from .. import _native
 from ..cells import F32, Cells, check_shape
 from ..coding import U16
 from ..errors import invalid
+from . import reference
+from .reference import Rows
 
 F64 = NDArray[np.float64]
 Shape = tuple[list[int], list[int], list[int], list[int], list[bool]]
@@ -31,7 +33,8 @@ def set_threads(count: int) -> None:
 
 def fit_cells(cells: Cells, residual: F32, sweeps: int, iterations: int) -> None:
     """Gauss-Seidel sweeps of HOOI over the cells, in place."""
-    target = _in_place(residual, cells)
+    check_shape(residual, cells)
+    target = _in_place(residual)
     # What is fitted must be arrays of its own that the kernel may write to.
     cells.bases = [np.require(basis, np.float32, ["C", "W"]) for basis in cells.bases]
     cells.cores = np.require(cells.cores, np.float32, ["C", "W"])
@@ -40,7 +43,8 @@ def fit_cells(cells: Cells, residual: F32, sweeps: int, iterations: int) -> None
 
 def accumulate(cells: Cells, tensor: F32, weight: float) -> None:
     """`tensor += weight * model`, in place."""
-    _native.accumulate(*_node(cells), _in_place(tensor, cells), _bases(cells), _flat(cells.cores), weight)
+    check_shape(tensor, cells)
+    _native.accumulate(*_node(cells), _in_place(tensor), _bases(cells), _flat(cells.cores), weight)
 
 
 def project_cells(cells: Cells, tensor: F32, n: int) -> F32:
@@ -71,6 +75,19 @@ def contract_lanes(p: F32, w: F32) -> F32:
     return y.reshape(before, after, rank, lanes)
 
 
+def gather(tensor: F32, rows: Rows) -> F32:
+    """The sub-tensor of some rows of each mode, ascending, in one piece."""
+    if not tensor.flags.c_contiguous:
+        return reference.gather(tensor, rows)
+    block = _native.gather(tensor.reshape(-1), list(tensor.shape), _rows(rows))
+    return block.reshape([len(r) for r in rows])
+
+
+def scatter(tensor: F32, rows: Rows, block: F32) -> None:
+    """Put a sub-tensor back, in place."""
+    _native.scatter(_in_place(tensor), list(tensor.shape), _rows(rows), _flat(block))
+
+
 def dictionary_gram(cells: Cells, n: int) -> F64:
     """`H_n = D_n^T D_n` of the dictionaries of all cells: `[PC R_n, PC R_n]`."""
     side = cells.spec.cells * cells.ranks[n]
@@ -94,6 +111,10 @@ def _node(cells: Cells) -> tuple[Shape, list[NDArray[np.uint16]]]:
     return shape, [np.ascontiguousarray(members, np.uint16).reshape(-1) for members in cells.members]
 
 
+def _rows(rows: Rows) -> list[NDArray[np.uint32]]:
+    return [np.ascontiguousarray(r, np.uint32) for r in rows]
+
+
 def _bases(cells: Cells) -> list[F32]:
     nothing = (np.zeros(0, np.float32) for _ in cells.bases)
     return [none if skip else _flat(b) for b, skip, none in zip(cells.bases, cells.undecomposed, nothing, strict=True)]
@@ -103,9 +124,8 @@ def _flat(array: F32) -> F32:
     return np.ascontiguousarray(array, np.float32).reshape(-1)
 
 
-def _in_place(array: F32, cells: Cells) -> F32:
+def _in_place(array: F32) -> F32:
     """The array as one row of numbers that the kernel may write to, never a copy."""
-    check_shape(array, cells)
     if array.dtype != np.float32 or not (array.flags.c_contiguous and array.flags.writeable):
         found = f"{array.dtype}, strides {array.strides}, writeable: {array.flags.writeable}"
         raise invalid("not-in-place", "tensor", found, "writeable float32 in C order")

@@ -16,6 +16,8 @@ from ..cells import F32, Cells, dense_basis
 from ..coding import code_rows as code_rows  # the twin of the native search
 
 F64 = NDArray[np.float64]
+#: Row numbers of each mode.
+Rows = Sequence[NDArray[np.intp]]
 
 name = "reference"
 
@@ -107,6 +109,16 @@ def project_pair(cells: Cells, tensor: F32, pair: tuple[int, int]) -> F32:
 def contract_lanes(p: F32, w: F32) -> F32:
     """`Y[i, k, r, l] = sum_j P[i, j, k, l] W[j, r, l]`."""
     return np.einsum("ijkl,jrl->ikrl", p, w, dtype=np.float64).astype(np.float32)
+
+
+def gather(tensor: F32, rows: Rows) -> F32:
+    """The sub-tensor of some rows of each mode, ascending, in one piece."""
+    return np.ascontiguousarray(tensor[np.ix_(*rows)])
+
+
+def scatter(tensor: F32, rows: Rows, block: F32) -> None:
+    """Put a sub-tensor back, in place."""
+    tensor[np.ix_(*rows)] = block
 
 
 def dictionary_gram(cells: Cells, n: int) -> F64:
