@@ -130,12 +130,12 @@ impl Tiles<'_> {
     #[inline(always)]
     fn all<S: Simd, const M: usize>(&self, simd: S, lines: &mut [f32]) {
         let b = self.planes.depth + 1;
-        // As many registers as there are, for sums, vectors and a weight.
-        let wide = if S::REGISTER_COUNT >= 32 { 3 } else { (S::REGISTER_COUNT - 2) / (M + 1) };
+        // Sums, vectors and a weight stay in registers.
+        let wide = ((S::REGISTER_COUNT - 2) / (M + 1)).clamp(1, 3);
         for c in 0..self.planes.node.clusters[b] {
             let vectors = self.planes.node.rows(b, c).len().div_ceil(S::F32_LANES);
-            let step = vectors.div_ceil(vectors.div_ceil(wide.max(1)).max(1));
-            for first in (0..vectors).step_by(step.max(1)) {
+            let step = vectors.div_ceil(vectors.div_ceil(wide).max(1)).max(1);
+            for first in (0..vectors).step_by(step) {
                 // SAFETY: members are padded to whole vectors, and lines are as long as all of them.
                 unsafe {
                     match step.min(vectors - first) {

@@ -300,8 +300,8 @@ mod tests {
     }
 
     fn compare_with_cells() {
-        for undecomposed in [false, true] {
-            let (sizes, mixture) = (vec![3, 21, 37], vec![if undecomposed { 1 } else { 2 }, 2, 3]);
+        for (undecomposed, rows, columns) in [(false, 21, 37), (true, 21, 37), (false, 4, 180), (false, 40, 1)] {
+            let (sizes, mixture) = (vec![3, rows, columns], vec![if undecomposed { 1 } else { 2 }, 2, 3]);
             let clusters = vec![if undecomposed { 1 } else { 2 }, 3, 5];
             let ranks = vec![if undecomposed { 3 } else { 2 }, 3, 2];
             let members: Vec<Vec<u16>> = (0..3)
