@@ -30,6 +30,8 @@ OUT_OF_REACH = 1000.0
 SLAB, HELD = 1 << 20, 1 << 23
 #: Modes up to this length are left undecomposed on trial if their rank takes this share of their rows.
 LONGEST_UNDECOMPOSED, NEARLY_FULL = 128, 0.2
+#: Of modes that are better left undecomposed, so many are tried in pairs.
+TOGETHER = 3
 #: Highest rank looked at, of matrices and of tensors.
 HIGHEST = (MOST_RANKS, 64)
 #: Errors below this share of the energy are not told apart.
@@ -118,14 +120,11 @@ class Trial:
         if not cut.energy.any():
             return []
         found, ranks = self._judged(cut, ())
-        best, helpful = _best(found), list[int]()
-        for n in _promising(cut, ranks):
-            alone = self._judged(cut, (n,))[0]
-            helpful += [n] if _best(alone) > best else []
-            found += alone
-        for pair in combinations(helpful, 2):
-            if len(pair) < len(cut.sizes):
-                found += self._judged(cut, pair)[0]
+        best, alone = _best(found), {n: self._judged(cut, (n,))[0] for n in _promising(cut, ranks)}
+        helpful = sorted((n for n in alone if _best(alone[n]) > best), key=lambda n: -_best(alone[n]))[:TOGETHER]
+        pairs = [pair for pair in combinations(sorted(helpful), 2) if len(pair) < len(cut.sizes)]
+        for judged in (*alone.values(), *(self._judged(cut, pair)[0] for pair in pairs)):
+            found += judged
         return found
 
     def verbatim(self, organisation: Organisation) -> tuple[float, Candidate]:

@@ -69,7 +69,7 @@ class Care:
 
 CARES = {
     EFFORTS["fast"]: Care((1 << 17, 1 << 19), (3, 1), 1 << 18, 1, 0, 1 << 22, 0.0, 4, 0),
-    EFFORTS["medium"]: Care((1 << 17, 1 << 20), (6, 2), 1 << 19, 4, 1, 1 << 23, 0.3, 16, 1 << 20),
+    EFFORTS["medium"]: Care((1 << 17, 1 << 20), (6, 3), 1 << 19, 4, 1, 1 << 23, 0.3, 16, 1 << 20),
     EFFORTS["thorough"]: Care((1 << 17, 1 << 19), (12, 4), 1 << 20, 4, 2, 1 << 23, 1.0, 1000, 1 << 23),
 }
 
@@ -199,7 +199,10 @@ def _finalists(search: Search, fixed: bool, progress: Progress) -> Ranked:
     many = [(modes, grid) for grid in _many_grids(shape) for modes in left]
     ranked = search.best(many, search.care.compare, partial(progress, "blocks"))
     ranked.sort(key=lambda item: -item[0])
-    return ranked[: search.care.finalists]
+    # Samples flatter large blocks and long modes: the best of every organisation comes first.
+    firsts = {candidate.organisation: (worth, candidate) for worth, candidate in reversed(ranked)}
+    ranked.sort(key=lambda item: (item not in firsts.values(), -item[0]))
+    return ranked[: max(search.care.finalists, len(firsts))]
 
 
 def _merged(search: Search, few: Sequence[tuple[int, ...]], progress: Progress) -> list[Organisation]:
@@ -313,16 +316,17 @@ def _worth_cutting(grid: Sequence[int], shape: Sequence[int]) -> bool:
 
 
 def _many_grids(shape: Sequence[int]) -> Iterator[tuple[int, ...]]:
-    """The three longest axes cut alike, by one common edge; axes of middle length whole or cut in two."""
+    """The three or two longest axes cut alike, by one common edge; axes of middle length whole or cut in two."""
     longest = sorted(range(len(shape)), key=lambda n: -shape[n])[:3]
     long = [n for n in longest if shape[n] >= 24]
     middle = [n for n in range(len(shape)) if n not in long and shape[n] >= 24]
     edges = sorted({shape[n] / count for n in long[:1] for count in (1, 2, 3, 4, 6, 8, 12)})
     seen = {(1,) * len(shape)}
     yield (1,) * len(shape)
-    for edge, cuts in product(edges, product((1, 2), repeat=len(middle))):
+    longer = [long] if len(long) < 3 or shape[long[2]] == shape[long[1]] else [long, long[:2]]
+    for few, edge, cuts in product(longer, edges, product((1, 2), repeat=len(middle))):
         grid = [1] * len(shape)
-        for n in long:
+        for n in few:
             grid[n] = max(1, round(shape[n] / edge))
         for n, count in zip(middle, cuts, strict=True):
             grid[n] = count
