@@ -15,9 +15,17 @@ from zlib import crc32
 
 from hmkcta.hmkfile import load
 from hmkcta.model import Model
-from hmkcta.packed import Metadata, PackedLevel
-from hmkcta.render.contract import contractable, contraction_constants, core_starts, fixed_rows, parent_table
+from hmkcta.packed import LevelBounds, Metadata, PackedLevel
+from hmkcta.render.contract import (
+    contractable,
+    contraction_constants,
+    core_starts,
+    fixed_rows,
+    fold_channels,
+    parent_table,
+)
 from hmkcta.render.contraction import uniform_levels
+from hmkcta.render.fixed import pixel_cost
 from hmkcta.render.image import Image, pack_image
 from hmkcta.render.prelude import Options, axis_places, decoder_uniform, image_pages, prelude
 
@@ -40,7 +48,19 @@ CASES: tuple[tuple[Any, ...], ...] = (
     ("v1.0-small.hmk", Options(picks=(2, 2), contracted=(1,)), (0, 1)),
     ("v1.0-small.hmk", Options(picks=(9, 2), contracted=(1,)), (0, 1), 5),
     ("v1.0-merged.hmk", Options(picks=(3, 2, 2, 3), channels=3, contracted=(2,)), (0, 1, 2), 6),
+    ("v1.0-merged.hmk", Options(picks=(3, 1, 1, 3), channels=3, contracted=(0, 1)), None),
+    ("v1.0-merged.hmk", Options(picks=(3, 2, 2, 3), channels=3, contracted=(0,)), (0, 1, 2), 4),
 )
+#: Options, and the modes that are taken to be undecomposed, of a single cell with other ranks than its file's.
+SINGLE: tuple[tuple[Options, tuple[int, ...]], ...] = (
+    (Options(picks=(3, 2, 2, 3), channels=3), ()),
+    (Options(picks=(3, 2, 2, 3), channels=3), (0,)),
+    (Options(picks=(3, 2, 2, 1)), (1,)),
+    (Options(picks=(3, 2, 2, 3), channels=3, contracted=(0,)), ()),
+    (Options(picks=(3, 2, 2, 1), contracted=(1, 2)), ()),
+    (Options(picks=(3, 2, 2, 3), channels=3, contracted=(0, 1, 2)), ()),
+)
+
 
 
 def case(file: str, options: Options, taken: tuple[int, ...] | None, rank: int | None = None) -> dict[str, Any]:
@@ -59,6 +79,7 @@ def case(file: str, options: Options, taken: tuple[int, ...] | None, rank: int |
             "words": image.words.size, "crc32": crc32(image.words.astype("<u4").tobytes()), "rows": image.rows,
             "scales": image.scales, "coefficients": image.coefficients,
             "uniform": decoder_uniform(metadata, len(levels)).hex(),
+            "cost": None if options.picks is None else pixel_cost(shown, options),
             "contraction": contraction(metadata, levels, image, options) if options.contracted else None}
 
 
@@ -68,17 +89,33 @@ def contraction(metadata: Metadata, levels: Sequence[PackedLevel], image: Image,
     modes, _ = axis_places(metadata)
     still = [axis for axis, mode in enumerate(modes) if mode in options.contracted]
     assert contractable(Model(metadata, tuple(levels)), still) == options.contracted
+    channels = fold_channels(metadata, options)
     picks = {axis: (list(range(options.picks[axis])), [0.5 ** (1 + k) for k in range(options.picks[axis])])
              for axis in still}
     return {"still": still, "constants": contraction_constants(metadata, levels, image, options),
-            "starts": core_starts(levels, options.contracted).tolist(),
+            "starts": core_starts(levels, options.contracted, channels).tolist(),
             "parents": parent_table(levels).reshape(-1).tolist(),
             "fixed": crc32(fixed_rows(metadata, options.contracted, picks).astype("<u4").tobytes())}
 
 
+def single(number: int, options: Options, undecomposed: tuple[int, ...]) -> dict[str, Any]:
+    """The prelude of a model of one cell; it need not be that of a file."""
+    metadata, _ = load(HERE / "fixtures" / "v1.0-merged.hmk")
+    order = len(metadata.organisation)
+    ranks = tuple((6 + number + 3 * n) for n in range(order))
+    bounds = LevelBounds((1,) * order, (1,) * order, ranks, "most")
+    shown = replace(metadata, levels=(bounds,), undecomposed=undecomposed)
+    text = prelude(shown, 1, options, (0,))
+    assert "fn decode_picked(" in text
+    return {"file": "v1.0-merged.hmk", "options": asdict(options), "ranks": ranks, "undecomposed": undecomposed,
+            "text": text, "cost": pixel_cost(shown, options)}
+
+
 def corpus() -> str:
     """The text of the corpus."""
-    return json.dumps([case(*given) for given in CASES], indent=1) + "\n"
+    made = {"models": [case(*given) for given in CASES],
+            "single": [single(number, *given) for number, given in enumerate(SINGLE)]}
+    return json.dumps(made, indent=1) + "\n"
 
 
 if __name__ == "__main__":

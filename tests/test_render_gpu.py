@@ -17,6 +17,7 @@ from hmkcta.render import Camera, Compare, Light, Look, Renderer, Scene, Surface
 from hmkcta.render.gbuffer import camera_rays, trace
 from hmkcta.render.gpu_pass import read_texture
 from hmkcta.render.gpu_path import GpuPath
+from hmkcta.render.gpu_svbrdf import GpuSvbrdf
 from hmkcta.render.layout import lay_out
 from hmkcta.render.mesh import make_mesh
 from hmkcta.render.numpy_path import placed_camera
@@ -79,6 +80,55 @@ def test_svbrdfs_of_every_level(material: synthetic.Dataset, level: int) -> None
 def test_svbrdfs_on_every_surface(material: synthetic.Dataset, scene: Scene) -> None:
     same(compressed(material, "light+rgb, view, y, x", "R=3,3,4,4 / R=1 C=2,2,2,2 K=1"),
          replace(scene, width=48, height=40))
+
+
+FIXED = Scene(48, 40, surface=Surface("plane", (2.0, 1.0)), lights=(
+    Light(30, 50), Light(-40, 20, colour=(0.3, 0.5, 1.0)), Light(200, 40)))
+
+
+@pytest.mark.parametrize(("organisation", "plan", "general", "fixed"), [
+    ("light+rgb, view, y, x", PLAN, (), (0,)), ("light+rgb, view, y+x", "R=16,6,8", (), (0,)),
+    ("light, view+rgb, y+x", "R=9,8,6", (), (0,)), ("light, view+rgb, y+x", "R=*,8,6", (), (0,)),
+    ("light, view, y, x, rgb", "R=8,4,4,4,3", (), (0, 4)), ("light+view, y+x, rgb", "R=9,8,*", (), ()),
+    ("light+view+rgb, y+x", "R=8,6", (), ()), ("light+rgb, view, y, x", "R=3,4,5,5 / R=1 C=3,2,2,2 K=2", (), (0,)),
+    ("light+view, y+x, rgb", "R=9,8,* / R=2,2,* C=3,3,1 K=1", (2,), (2,)),
+    ("light+rgb, view, y, x", "R=2,2,3,3 C=3,2,2,2 K=1", (), ()),
+])
+def test_distant_lights_on_a_plane_are_contracted(material: synthetic.Dataset, organisation: str, plan: str,
+                                                  general: tuple[int, ...], fixed: tuple[int, ...]) -> None:
+    """Where it pays; and nothing changes, whether it does or not, for any number of lights and on either side."""
+    model = compressed(material, organisation, plan)
+    made = GpuSvbrdf(adapter(), model, lay_out(model.metadata.axes, "svbrdf"))
+    assert made.contracted(fixed=False) == general
+    assert made.contracted(fixed=True) == fixed
+    gpu, numpy = (Renderer(model, backend=backend) for backend in ("gpu", "numpy"))
+    for scene in (FIXED, replace(FIXED, lights=FIXED.lights[:1], camera=Camera(160, 10)), SMALL,
+                  replace(FIXED, lights=(*FIXED.lights, Light(position=(1.0, 1.0, 1.0))))):
+        expected = numpy.radiance(scene)
+        assert expected.max() > 0
+        assert np.abs(gpu.radiance(scene) - expected).max() <= 1e-5 * expected.max()
+
+
+def angular(data: synthetic.Dataset, unit: str = "degrees") -> synthetic.Dataset:
+    """A material measured on grids of angles, as a function of directions that no grid shows."""
+    scale = 1.0 if unit == "degrees" else np.pi / 180
+    theta, phi = np.array([0.0, 25, 50, 75]), np.arange(0, 360, 60.0)
+    axes = (Axis("theta_i", 4, "light", theta * scale, unit), Axis("phi_i", 6, "light", phi * scale, unit),
+            Axis("phi_v", 6, "view", phi[::-1] * scale, unit), Axis("theta_v", 4, "view", theta * scale, unit))
+    light = np.cos(np.radians(theta))[:, None] * (1.5 + np.cos(np.radians(phi)))
+    view = (2 + np.sin(np.radians(phi[::-1])))[:, None] * np.cos(np.radians(theta)) ** 0.5
+    values = light[:, :, None, None, None, None, None] * view[:, :, None, None, None] * data.values[3, 2]
+    return synthetic.Dataset(values.astype(np.float32), (*axes, *data.axes[2:]), "svbrdf")
+
+
+@pytest.mark.parametrize("organisation", [
+    "theta_i, phi_i, phi_v, theta_v, y, x, rgb", "theta_i+phi_i+rgb, phi_v+theta_v, y+x",
+    "phi_i, theta_i+rgb, theta_v+phi_v, y, x",
+])
+def test_directions_on_grids_of_angles(material: synthetic.Dataset, organisation: str) -> None:
+    model = compressed(angular(material), organisation, "R=3")
+    for scene in (SMALL, FIXED):
+        same(model, scene)
 
 
 def test_svbrdfs_with_transform_and_without_some_axes(material: synthetic.Dataset) -> None:

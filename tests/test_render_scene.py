@@ -14,6 +14,7 @@ import pytest
 
 from hmkcta.axes import Axis, name_axes
 from hmkcta.errors import HmkctaError
+from hmkcta.render.angles import angle_grid
 from hmkcta.render.colours import transfer_table
 from hmkcta.render.directions import build_table, directions_of
 from hmkcta.render.gbuffer import camera_rays, trace
@@ -97,12 +98,13 @@ def test_the_documented_scene_has_every_field() -> None:
 
 def test_layouts_find_axes_by_role() -> None:
     spectral = lay_out(name_axes((4, 5, 6, 7, 31), ["light", "view", "y", "x", "band:channel"]), "svbrdf")
-    assert (spectral.light, spectral.views, spectral.space, spectral.channels) == (0, (1,), (2, 3), (30, 15, 0))
+    assert (spectral.lights, spectral.views, spectral.space, spectral.channels) == ((0,), (1,), (2, 3), (30, 15, 0))
     jet = lay_out(name_axes((2, 3, 4, 5, 6), ["time", "gas:other", "z", "y", "x"]), "volume", {"gas": 2})
     assert (jet.time, jet.space, jet.stands[1]) == (0, (2, 3, 4), 2)
     assert reason("no-space", lay_out, name_axes((2, 3), ["time", "x"]), "volume").where == "axes of a volume"
     reason("no-cameras", lay_out, name_axes((2, 3), ["y", "x"]), "lightfield")
-    reason("too-many-directions", lay_out, name_axes((2, 2, 3, 3), ["light", "lamp:light", "y", "x"]), "svbrdf")
+    lamps = name_axes((2, 2, 2, 3, 3), ["light", "lamp:light", "flash:light", "y", "x"])
+    assert reason("too-many-directions", lay_out, lamps, "svbrdf").where == "axes of lights and views"
     reason("position-outside", lay_out, name_axes((2, 3), ["y", "x"]), "svbrdf", {"y": 2})
 
 
@@ -159,6 +161,35 @@ def test_directions_come_from_coordinates() -> None:
     assert directions_of(Axis("view", 7, "view"))[1]
     reason("directions-shape", directions_of, Axis("view", 2, "view", np.zeros((2, 4))))
     reason("bad-direction", directions_of, Axis("view", 1, "view", np.array([[0.0, 0.0, -1.0]])))
+
+
+def test_grids_of_angles_are_bilinear_and_go_around() -> None:
+    theta = Axis("theta", 3, "light", np.array([60.0, 0.0, 30.0]), "degrees")
+    phi = Axis("phi", 4, "light", np.array([10.0, 280.0, 100.0, 190.0]), "degrees")
+    for axes, numbers in (((theta, phi), (0, 1)), ((phi, theta), (1, 0))):  # azimuths are known by their name
+        grid = angle_grid(axes, (0, 1))
+        assert grid.axes == numbers
+        down, around = np.radians(np.meshgrid(np.linspace(0, 60, 7), np.linspace(-180, 540, 25)))
+        vectors = np.stack([np.sin(down) * np.cos(around), np.sin(down) * np.sin(around), np.cos(down)], axis=-1)
+        taps, height = grid.interpolate(vectors.reshape(-1, 3).astype(np.float32))
+        np.testing.assert_allclose(height, vectors[..., 2].reshape(-1), atol=1e-6)
+        for (index, weight), axis in zip(taps, (theta, phi), strict=True):
+            np.testing.assert_allclose(weight.sum(axis=1), 1, atol=1e-6)
+            assert weight.min() >= 0
+            angles = np.radians(np.asarray(axis.coords))[index]
+            one = np.einsum("bk,bk->b", weight, np.unwrap(angles, axis=1))
+            wanted = (down if axis is theta else around).reshape(-1)
+            inside = np.sin(down).reshape(-1) > 1e-6
+            if axis is theta:
+                np.testing.assert_allclose(one, wanted, atol=1e-6)
+            else:
+                np.testing.assert_allclose(np.exp(1j * one)[inside], np.exp(1j * wanted)[inside], atol=1e-5)
+    beyond, height = grid.interpolate(np.array([[1, 0, 0]], np.float32))
+    assert beyond[0][1].max() == 1
+    assert height[0] == pytest.approx(0.5)
+    bare = Axis("theta", 3, "light")
+    reason("directions-shape", angle_grid, (bare, phi), (0, 1))
+    reason("bad-direction", angle_grid, (Axis("theta", 2, "light", np.array([0.0, 60.0])), phi), (0, 1))
 
 
 def test_cameras_come_from_axes_or_coordinates() -> None:

@@ -7,13 +7,13 @@ import pytest
 from numpy.typing import NDArray
 
 from gpu_tools import KINDS, Kind, adapter, random_indices
-from hmkcta import Model
+from hmkcta import Model, compress, synthetic
 from hmkcta.axes import axis_order
 from hmkcta.errors import HmkctaError
 from hmkcta.render.contraction import uniform_levels
 from hmkcta.render.gpu_decode import GpuDecoder, ListPass, picked_words
 from hmkcta.render.image import pack_image
-from hmkcta.render.prelude import MOST_ROWS, Options, compose
+from hmkcta.render.prelude import MOST_ROWS, Options, compose_picked
 from hmkcta.render.upload import DecoderBuffers
 from hmkcta.render.weighted import Picks, decode_picked
 from hmkcta.render.workload import Configuration
@@ -109,15 +109,44 @@ def test_uniform_levels_of_a_contracted_frame() -> None:
     plan = "R=3,2,2,* / R=2,2,1,* C=3,2,2,1 K=2,2,1,1 / R=1,2,2,* C=2,2,2,1 K=1"
     model = workload_model(Configuration("frame", "volume", (9, 8, 7, 5), plan, 0, 0), seed=2)
     buffers = DecoderBuffers(adapter(), model, Options((2, 2, 2, 2), contracted=(3,)))
-    code = compose(buffers.prelude(), "image", "decode", "weighted", "picked")
+    code = compose_picked(buffers.prelude(), "picked")
     assert "cells_2x2x1x5" in code
     decode = ListPass(adapter(), buffers, "decode_sums", code)
     picks = random_picks(model, (2, 2, 2, 2), 200)
     picks[3] = (np.tile([1, 4], (200, 1)), np.tile(np.array([0.25, 0.75], np.float32), (200, 1)))
     buffers.contract({3: ([1, 4], [0.25, 0.75])})
     for level in (1, 2, 3):
-        found = decode.run(picked_words(picks, 2, 1), buffers.bind_group(level))
+        found = decode.run(picked_words(picks, 2), buffers.bind_group(level))
         assert error(found, decode_picked(model, picks, level)) <= CLOSE
+
+
+#: Organisations and plans of one cell, which has a decoder of its own; `*` is a mode left undecomposed.
+SINGLE = (
+    ("light+rgb, view, y, x", "R=7,4,5,6"), ("light+view+rgb, y+x", "R=12,9"), ("light, view+rgb, y+x", "R=*,8,6"),
+    ("light+view, y, x+rgb", "R=9,*,5"), ("light, view, y, x, rgb", "R=4,3,4,3,*"), ("light+view, y+x+rgb", "R=5,*"),
+)
+
+
+@pytest.mark.parametrize(("organisation", "plan"), SINGLE)
+@pytest.mark.parametrize("channels", [1, 3])
+def test_models_of_one_cell(organisation: str, plan: str, channels: int) -> None:
+    data = synthetic.material(lights=9, views=8, size=8)
+    model = compress(data.values, plan, axes=data.axes, organisation=organisation, kind=data.kind)
+    counts = (2, 3, 2, 1, 3) if channels == 3 else (2, 1, 2, 2, 2)
+    picks = random_picks(model, counts, 150, 4 if channels == 3 else None)
+    assert "fn decode_picked(" in DecoderBuffers(adapter(), model, Options(counts, channels)).prelude()
+    assert error(GpuDecoder(model, adapter()).picked(picks), decode_picked(model, picks)) <= CLOSE
+
+
+def test_channels_have_weights_of_their_own() -> None:
+    model = next(kind for kind in KINDS if kind.name == "folded-colour").model()
+    decoder = GpuDecoder(model, adapter())
+    picks = random_picks(model, (1, 1, 1, 1, 3), 2, channel=4)
+    for axis, weights in ((0, np.ones((2, 1, 3))), (4, np.ones((2, 3, 3)))):
+        wrong = [*picks[:axis], (picks[axis][0], weights), *picks[axis + 1:]]
+        with pytest.raises(HmkctaError) as caught:
+            decoder.picked(wrong)
+        assert caught.value.reason == "picks-colours"
 
 
 def test_images_of_several_pages() -> None:

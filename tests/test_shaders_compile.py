@@ -20,8 +20,9 @@ from hmkcta.render.contract import contraction_constants, contraction_shader
 from hmkcta.render.contraction import uniform_levels
 from hmkcta.render.device import spread
 from hmkcta.render.gpu_decode import picked_words
+from hmkcta.render.gpu_svbrdf import constants
 from hmkcta.render.image import pack_image
-from hmkcta.render.prelude import Options, compose, decoder_uniform, image_pages, prelude, shader
+from hmkcta.render.prelude import Options, compose, compose_picked, decoder_uniform, image_pages, prelude, shader
 from hmkcta.render.weighted import decode_picked
 from make_prelude_corpus import CORPUS, corpus
 from test_shaders import CLOSE, error, fitting, random_picks
@@ -37,8 +38,8 @@ class Pass:
     channels: tuple[int, ...] = (1,)
 
 
-PLAIN, WEIGHTED = ("image", "decode"), ("image", "decode", "weighted")
-PIECES = {"image", "decode", "weighted"}
+PLAIN, WEIGHTED = ("image", "decode"), ("image", "decode", "picks", "weighted")
+PIECES = {*PLAIN, *WEIGHTED}
 CONTRACTION = {"contract"}
 PASSES = {
     "elements": Pass(PLAIN),
@@ -77,6 +78,7 @@ def texts() -> dict[str, str]:
             for channels, pages in product(built.channels, (1, 5)):
                 uniform = uniform_levels(model.metadata, model.levels)
                 head = prelude(model.metadata, pages, Options(picks, channels), uniform)
+                head += constants(angles=pages == 1, fixed=channels == 3) if name == "svbrdf" else ""
                 made[f"{name} of {kind.name}, {channels} channels, {pages} pages"] = compose(head, *built.pieces, name)
     return made
 
@@ -144,9 +146,9 @@ def test_tint_decodes_weighted_sums(tmp_path: Path, channels: int) -> None:
         picks = random_picks(model, counts, 100, channel=4 if channels == 3 else None)
         pages, decoder = buffers(model, kind.levels)
         head = prelude(model.metadata, pages, Options(counts, channels))
-        wanted = picked_words(picks, max(counts), channels)
+        wanted = picked_words(picks, max(counts))
         lists = [("read-only-storage", wanted.tobytes()), ("storage", bytes(400 * channels))]
-        code = compose(head, "image", "decode", "weighted", "picked")
+        code = compose_picked(head, "picked")
         jobs.append(job(code, "decode_sums", [decoder, lists], (2, 1, 1)))
         expected.append(decode_picked(model, picks).reshape(-1))
     for found, values in zip(run_in_dawn(jobs, tmp_path), expected, strict=True):

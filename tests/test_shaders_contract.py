@@ -22,7 +22,7 @@ from hmkcta.render.contract import (
 from hmkcta.render.device import spread
 from hmkcta.render.gpu_decode import ListPass, picked_words
 from hmkcta.render.image import pack_image
-from hmkcta.render.prelude import Options, compose, decoder_uniform, prelude
+from hmkcta.render.prelude import Options, compose_picked, decoder_uniform, prelude
 from hmkcta.render.upload import DecoderBuffers
 from hmkcta.render.weighted import Picks, decode_picked
 from test_shaders import CLOSE, fitting
@@ -70,10 +70,10 @@ def test_contracted_modes_change_nothing(kind: Kind) -> None:
         picks = interpolation(model, still)
         buffers = DecoderBuffers(adapter(), model, Options(fitting(model, 2), contracted=modes))
         buffers.contract(fixed(picks, still))
-        code = compose(buffers.prelude(), "image", "decode", "weighted", "picked")
+        code = compose_picked(buffers.prelude(), "picked")
         decode = ListPass(adapter(), buffers, "decode_sums", code)
         for level in (1, kind.levels):
-            assert close(decode.run(picked_words(picks, 2, 1), buffers.bind_group(level)), model, picks, level)
+            assert close(decode.run(picked_words(picks, 2), buffers.bind_group(level)), model, picks, level)
     assert tried
 
 
@@ -83,14 +83,41 @@ def test_a_frame_can_be_contracted_again() -> None:
     counts = (1, 1, 1, 1, 1, 2)
     buffers = DecoderBuffers(adapter(), model, Options(counts, contracted=contractable(model, [time])))
     decode = ListPass(adapter(), buffers, "decode_sums",
-                      compose(buffers.prelude(), "image", "decode", "weighted", "picked"))
+                      compose_picked(buffers.prelude(), "picked"))
     rng = np.random.default_rng(3)
     where = [rng.integers(size, size=(SUMS, 1)) for size in model.shape]
     for frames, weights in (([0, 1], [0.25, 0.75]), ([5, 6], [1.0, 0.0])):
         buffers.contract({time: (frames, weights)})
         picks: list[Picks] = [(index, np.ones((SUMS, 1), np.float32)) for index in where]
         picks[time] = (np.tile(frames, (SUMS, 1)), np.tile(np.array(weights, np.float32), (SUMS, 1)))
-        assert close(decode.run(picked_words(picks, 2, 1), buffers.bind_group()), model, picks, 3)
+        assert close(decode.run(picked_words(picks, 2), buffers.bind_group()), model, picks, 3)
+
+
+@pytest.mark.parametrize("name", ["folded-colour", "merged-angles"])
+def test_colours_are_contracted_for_several_sets(name: str) -> None:
+    """A set of cores for each of two lights, of which all numbers are colours where their mode is contracted."""
+    model = next(kind for kind in KINDS if kind.name == name).model(seed=3)
+    still = (0, 4) if name == "folded-colour" else (4,)
+    counts = (2 if 0 in still else 1, 1, 2, 1, 3)
+    buffers = DecoderBuffers(adapter(), model, Options(counts, 3, contractable(model, still, 6)))
+    assert buffers.options.contracted
+    rng = np.random.default_rng(6)
+    moving = [rng.integers(size, size=(SUMS, k)) for size, k in zip(model.shape, counts, strict=True)]
+    moving[4] = np.tile([2, 0, 1], (SUMS, 1))
+    lights = [((1, 3), (0.25, 0.75)), ((4, 0), (0.5, 0.5))]
+    buffers.contract(*({0: light, 4: ((2, 0, 1), (1.0, 1.0, 1.0))} for light in lights))
+    head = buffers.prelude()
+    largest = float(np.abs(model.reconstruct()).max())
+    for number, (index, weight) in enumerate(lights):
+        set_chosen = f"  frame_first = {number * buffers.stride}u;\n  let value = vec3f("
+        code = compose_picked(head, "picked").replace("  let value = vec3f(", set_chosen)
+        picks: list[Picks] = [(each, np.ones(each.shape, np.float32) / each.shape[1]) for each in moving]
+        if 0 in still:
+            picks[0] = np.tile(index, (SUMS, 1)), np.tile(np.array(weight, np.float32), (SUMS, 1))
+        picks[4] = moving[4], np.tile(np.eye(3, dtype=np.float32), (SUMS, 1, 1))
+        decode = ListPass(adapter(), buffers, "decode_sums", code)
+        found = decode.run(picked_words(picks, 3), buffers.bind_group(), 3).reshape(-1, 3)
+        assert np.abs(found - decode_picked(model, picks)).max() <= CLOSE * largest
 
 
 def test_only_modes_that_stand_still_altogether_are_contracted() -> None:

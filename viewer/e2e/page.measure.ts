@@ -11,6 +11,7 @@ import { PYTHON, Server, haveBrowser, launch } from "./browser";
 const RUNS = Number(process.env["RUNS"] ?? "5");
 const LEVELS = 3;
 const PIXELS = "128x128";
+const SETTLED = 800; // milliseconds that a new window of the browser takes for itself
 const MAKE = "import sys; from hmkcta.render.workload import configuration, random_model;"
   + "random_model(configuration(sys.argv[1])).save(sys.argv[2])";
 
@@ -30,6 +31,7 @@ function processorTime(): number {
 /** Milliseconds from navigation to each mark that the page leaves, and of processor time up to the last one. */
 async function load(browser: Browser, url: string): Promise<Map<string, number>> {
   const page = await browser.newPage({ viewport: { width: 900, height: 640 } });
+  await page.waitForTimeout(SETTLED);
   const before = processorTime();
   await page.goto(`${url}&pixels=${PIXELS}`, { waitUntil: "commit" });
   await page.waitForFunction((last) => performance.getEntriesByName(last).length > 0, `shown-level-${LEVELS}`, { polling: 50 });

@@ -72,18 +72,18 @@ export class App {
   private dirty = false;
   private drawing = false;
   private closed = false;
-  private changed = 0;
+  private changed = 0; // when something last did, and how often
+  private changes = 0;
   private cost: Cost | null = null;
   private pending = false; // something is still to be decoded
   private readonly first = Promise.withResolvers<void>();
   private whole = false; // a picture with nothing missing has been shown
   private warm = false; // the first frame of a shader waits for the driver to compile it, and says nothing of its cost
   private budget = 1 << 11; // elements decoded a frame
-  private fixedSize: [number, number] | null = null;
 
   private constructor(
     private readonly gpu: Gpu, private readonly canvas: HTMLCanvasElement, readonly reading: Reading,
-    private readonly watcher: Watcher,
+    private readonly watcher: Watcher, private readonly fixedSize: [number, number] | null,
   ) {
     this.metadata = reading.metadata;
     this.decoder = new Decoder(gpu.device, reading.metadata, reading.levels);
@@ -91,10 +91,12 @@ export class App {
     this.state.position = reading.metadata.axes.map((axis) => Math.floor(axis.size / 2));
   }
 
-  /** Prepare to show a model whose tables are there. */
-  static make(gpu: Gpu, canvas: HTMLCanvasElement, screen: Promise<Screen>, reading: Reading, watcher: Watcher): Promise<App> {
+  /** Prepare to show a model whose tables are there; frames have the given size, or the page's. */
+  static make(
+    gpu: Gpu, canvas: HTMLCanvasElement, screen: Promise<Screen>, reading: Reading, watcher: Watcher, size: [number, number] | null,
+  ): Promise<App> {
     return guarded(gpu.device, "preparing the model", async () => {
-      const app = new App(gpu, canvas, reading, watcher);
+      const app = new App(gpu, canvas, reading, watcher, size);
       app.startAxes();
       [app.screen] = await Promise.all([screen, app.showAs(reading.metadata.kind)]);
       return app;
@@ -119,11 +121,6 @@ export class App {
   /** Bytes of the model on the GPU. */
   get gpuBytes(): number {
     return this.decoder.bytes;
-  }
-
-  /** Frames of the given size, whatever the page's. */
-  fixSize(size: [number, number] | null): void {
-    this.fixedSize = size;
   }
 
   /** The next level has arrived; it is shown unless another one was chosen. */
@@ -172,7 +169,7 @@ export class App {
     const notes: string[] = [];
     let made: Renderer | null = null;
     try {
-      if (kind === "svbrdf") made = await SvbrdfRenderer.make(device, this.metadata, decoders);
+      if (kind === "svbrdf") made = await SvbrdfRenderer.make(device, this.metadata, decoders, [this.state, ...this.frameSize(true)]);
       if (kind === "lightfield") made = await LightfieldRenderer.make(device, this.metadata, decoders);
       if (kind === "volume") made = await VolumeRenderer.make(device, this.metadata, decoders);
     } catch (error) {
@@ -216,11 +213,16 @@ export class App {
   /** Draw soon, for something has changed. */
   redraw(): void {
     this.changed = performance.now();
+    this.changes += 1;
     this.dirty = true;
     if (!this.drawing && !this.closed && this.decoder.arrived > 0) {
       this.drawing = true;
       this.canvas.setAttribute("aria-busy", "true");
-      requestAnimationFrame(() => void this.drawFrames());
+      if (this.whole) {
+        requestAnimationFrame(() => void this.drawFrames());
+      } else { // nothing is shown yet that could be drawn too often
+        void this.drawFrames();
+      }
     }
   }
 
@@ -290,15 +292,13 @@ export class App {
       : [first, { decoder: this.decoder, level: Math.min(other ?? 1, this.decoder.arrived) }];
   }
 
-  /** The sides once all is compiled that they need; levels may arrive meanwhile, and other ones be chosen. */
+  /** The sides once all is compiled that they need; levels may arrive meanwhile, and anything be changed. */
   private async preparedSides(): Promise<Side[]> {
-    for (let sides = this.sides(); ; sides = this.sides()) {
-      await this.renderer!.prepare?.(this.state, sides);
-      const now = this.sides();
-      if (now.length === sides.length && now.every(({ decoder, level }, n) => decoder === sides[n]!.decoder && level === sides[n]!.level)) {
-        return now;
-      }
+    for (let before = -1; before !== this.changes;) {
+      before = this.changes;
+      await this.renderer!.prepare?.(this.state, this.sides());
     }
+    return this.sides();
   }
 
   private async drawFrame(): Promise<void> {

@@ -25,17 +25,21 @@ export async function load(source: ByteSource, listener: Listener): Promise<Read
   await source.upTo(reading.tablesEnd);
   reading.readTables(source.bytes);
   const levels = reading.metadata.levels.map((_, l) => l + 1);
-  const arrivals = fetchAhead(source, levels.map((level) => reading.levelEnd(level)));
+  const fetched = (those: number[]): Promise<void>[] => fetchAhead(source, those.map((level) => reading.levelEnd(level)));
+  const arrivals = fetched(levels.slice(0, 1));
   await listener.onTables(reading);
   for (const level of levels) {
     await arrivals[level - 1];
     reading.readLevel(level, source.bytes);
     await listener.onLevel(reading, level);
+    if (level === 1) { // the first picture is there, which what follows would have kept waiting
+      arrivals.push(...fetched(levels.slice(1)));
+    }
   }
   return reading;
 }
 
-/** Fetch on while shaders are compiled and pictures drawn; one promise an end, each kept when its bytes are there. */
+/** Fetch while shaders are compiled and pictures drawn; one promise an end, each kept when its bytes are there. */
 function fetchAhead(source: ByteSource, ends: number[]): Promise<void>[] {
   let before = Promise.resolve();
   return ends.map((end) => {

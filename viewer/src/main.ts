@@ -20,6 +20,7 @@ import { Pointer } from "./ui/pointer";
 const DEFAULT_FILE = "model.hmk";
 const FRAMES_A_SECOND = 8;
 const FIRST_FRAME = 600; // milliseconds that reading waits for it
+const QUIET = 1000; // milliseconds without progress on the page: each change of it is painted, by the adapter that decodes
 const PARAMETERS = new URLSearchParams(location.search);
 const KIND_NAMES = { svbrdf: "Material", lightfield: "Light field", volume: "Volume", generic: "Array" };
 
@@ -48,6 +49,9 @@ class Page {
   private last: Statistics | null = null;
   private shown = 0; // the deepest level that was on screen
   private fileBytes: [number, number] = [0, 0];
+  private source: ByteSource | null = null;
+  private quiet = true;
+  private hush = 0; // the timer that ends it
   private readonly canvas = byId<HTMLCanvasElement>("canvas");
 
   async start(): Promise<void> {
@@ -103,9 +107,11 @@ class Page {
   /** Show a file from its first bytes on. */
   private async show(source: ByteSource): Promise<void> {
     this.close();
+    this.source = source;
     mark("loading");
-    byId("file").textContent = source.name;
-    document.title = `${source.name}: hmkcta`;
+    this.quiet = true;
+    clearTimeout(this.hush);
+    this.hush = window.setTimeout(() => this.speak(), QUIET);
     source.onBytes = () => this.progress(source.have, source.size);
     this.progress(source.have, source.size);
     const session = this.session;
@@ -119,11 +125,12 @@ class Page {
             throw new DOMException("another file was opened", "AbortError");
           }
           this.app!.addLevel();
-          this.panel!.refresh();
+          this.panel?.refresh();
           mark(`level-${level}`);
           // Let it be drawn before the next one is checked; a page that nobody sees is not drawn.
           await Promise.race([this.app!.drawn, new Promise((resolve) => setTimeout(resolve, FIRST_FRAME))]);
           await new Promise((resolve) => setTimeout(resolve));
+          this.addPanel();
         },
       });
     } catch (error) {
@@ -143,25 +150,51 @@ class Page {
   }
 
   private async begin(reading: Reading): Promise<void> {
-    const player: Player = { playing: false, toggle: () => this.play(player) };
     performance.mark("tables");
     await this.opening;
     this.shown = 0;
+    const pixels = /^(\d+)x(\d+)$/.exec(PARAMETERS.get("pixels") ?? "");
     this.app = await App.make(this.gpu!, this.canvas, this.screen!, reading, {
       onFrame: (statistics) => this.frame(statistics),
       onProblem: (problem) => this.fail(problem),
       onNotes: (notes) => {
         byId("loading").textContent = notes.join(" ");
       },
-    });
+    }, pixels === null ? null : [Number(pixels[1]), Number(pixels[2])]);
     performance.mark("compiled");
-    const pixels = /^(\d+)x(\d+)$/.exec(PARAMETERS.get("pixels") ?? "");
-    this.app.fixSize(pixels === null ? null : [Number(pixels[1]), Number(pixels[2])]);
-    byId("facts").textContent = facts(reading.metadata, reading.size);
-    this.panel = new Panel(this.app, byId("controls"), player);
-    const { app, panel } = this;
+  }
+
+  /** The controls, once the first picture is there. */
+  private addPanel(): void {
+    const { app } = this;
+    if (app === null || this.panel !== null) {
+      return;
+    }
+    this.speak();
+    const player: Player = { playing: false, toggle: () => this.play(player) };
+    const panel = new Panel(app, byId("controls"), player);
+    this.panel = panel;
     new Pointer(app, this.canvas, player, () => panel.refresh(), (place) => this.read(place), this.session.signal);
-    new ResizeObserver(() => app.redraw()).observe(this.canvas);
+    let drawn = true; // an observer begins with the size that is there
+    new ResizeObserver(() => {
+      if (!drawn) {
+        app.redraw();
+      }
+      drawn = false;
+    }).observe(this.canvas);
+  }
+
+  /** Say on the page what is loaded, and how far it has come. */
+  private speak(): void {
+    clearTimeout(this.hush);
+    this.quiet = false;
+    const { source, app } = this;
+    if (source !== null) {
+      byId("file").textContent = source.name;
+      document.title = `${source.name}: hmkcta`;
+    }
+    byId("facts").textContent = app === null ? "" : facts(app.metadata, app.reading.size);
+    this.progress(...this.fileBytes);
   }
 
   private close(): void {
@@ -169,6 +202,7 @@ class Page {
     this.session = new AbortController();
     this.app?.close();
     this.app = null;
+    this.panel = null;
     clearInterval(this.timer);
     for (const id of ["message", "welcome", "readout", "divider"]) {
       byId(id).hidden = true;
@@ -181,6 +215,9 @@ class Page {
 
   private progress(have: number, size: number): void {
     this.fileBytes = [have, size];
+    if (this.quiet) {
+      return;
+    }
     const bar = byId("progress");
     const percent = size === 0 ? 100 : Math.floor((100 * have) / size);
     bar.hidden = have >= size;
@@ -206,6 +243,9 @@ class Page {
   }
 
   private statistics(): void {
+    if (this.quiet) {
+      return;
+    }
     const [have, size] = this.fileBytes;
     const bytes = have < size ? `${mebibytes(have)} of ${mebibytes(size)}` : mebibytes(size);
     const { last } = this;
@@ -260,6 +300,7 @@ class Page {
 
   /** Say what went wrong; beside the picture where one is still shown. */
   private fail(problem: Problem, aside = false): void {
+    this.speak();
     byId("message").classList.toggle("aside", aside);
     byId("message-sentence").textContent = problem.sentence;
     byId("message-next").textContent = problem.next;

@@ -3,7 +3,8 @@
 import { describe, expect, it } from "vitest";
 import type { Axis } from "../src/reader/metadata";
 import { colourTable, interpolated } from "../src/render/colours";
-import { buildTable, directionsOf, hemisphere } from "../src/render/directions";
+import { angleLists, anglesAt, interpolateAngle } from "../src/render/angles";
+import { buildTable, directionsOf, hemisphere, interpolateDirection } from "../src/render/directions";
 import { layOut, shownChannels, timeSteps } from "../src/render/layout";
 import { aim, findCameras } from "../src/render/lightfield";
 import { readGltf } from "../src/render/gltf";
@@ -168,32 +169,19 @@ describe("glTF", () => {
 });
 
 describe("directions", () => {
-  /** Interpolate as the shader does, without its bound on steps. */
-  function weigh(vectors: Vector[], [x, y, z]: Vector): Map<number, number> {
-    const { words, triangles } = buildTable(vectors);
-    const floats = new Float32Array(words.buffer);
-    const p = [x / (1 + z), y / (1 + z)] as const;
-    const cell = p.map((each) => Math.min(63, Math.floor((each + 1) * 32))) as [number, number];
-    let t = words[16 * triangles + 64 * cell[1] + cell[0]]!;
-    for (;;) {
-      const at = 16 * t;
-      const affine = (k: number): number => floats[at + k]! * p[0] + floats[at + k + 1]! * p[1] + floats[at + k + 2]!;
-      const weights = [affine(8), affine(11)];
-      weights.push(1 - weights[0]! - weights[1]!);
-      const least = Math.min(...weights);
-      const across = words[at + 4 + weights.indexOf(least)]!;
-      if (least >= -1e-6 || across === 0xffffffff) {
-        const result = new Map<number, number>();
-        weights.forEach((weight, k) => result.set(words[at + k]!, (result.get(words[at + k]!) ?? 0) + weight));
-        return result;
-      }
-      t = across;
-    }
+  function weigh(vectors: Vector[], direction: Vector): Map<number, number> {
+    const { index, weight } = interpolateDirection(buildTable(vectors), direction);
+    const result = new Map<number, number>();
+    index.forEach((each, k) => result.set(each, (result.get(each) ?? 0) + weight[k]!));
+    return result;
   }
 
   it("gives a measured direction itself", () => {
     const vectors = hemisphere(24, 0);
-    vectors.forEach((vector, i) => expect(weigh(vectors, vector).get(i)).toBeCloseTo(1, 4));
+    vectors.forEach((vector, i) => {
+      expect(weigh(vectors, vector).get(i)).toBeCloseTo(1, 4);
+      expect(interpolateDirection(buildTable(vectors), vector).height).toBeCloseTo(vector[2], 4);
+    });
   });
 
   it("interpolates between, and goes on beyond the measured ones", () => {
@@ -203,6 +191,23 @@ describe("directions", () => {
     expect(between.size).toBe(3);
     const horizon = weigh(vectors, [1, 0, 0]);
     expect([...horizon.values()].reduce((sum, each) => sum + each, 0)).toBeCloseTo(1, 5);
+  });
+
+  it("takes zeniths and azimuths on two axes", () => {
+    const theta = { ...axis("theta", 3, "light", [60, 0, 30]), unit: "degrees" };
+    const phi = { ...axis("phi", 4, "light", [10, 280, 100, 190]), unit: "degrees" };
+    for (const axes of [[theta, phi], [phi, theta]]) { // azimuths are known by their name
+      const lists = angleLists(axes, [0, 1]);
+      expect(lists.map((list) => axes[list.axis]!.name)).toEqual(["theta", "phi"]);
+      const at = anglesAt([Math.sin(Math.PI / 4) * Math.cos(-0.3), Math.sin(Math.PI / 4) * Math.sin(-0.3), Math.cos(Math.PI / 4)]);
+      const [zenith, azimuth] = lists.map((list, n) => interpolateAngle(list, at[n]!)) as [ReturnType<typeof interpolateAngle>, ReturnType<typeof interpolateAngle>];
+      expect(zenith.index).toEqual([2, 0]);
+      expect(zenith.weight[0]).toBeCloseTo(0.5, 5);
+      expect(azimuth.index).toEqual([1, 0]); // between 280 degrees and a turn after 10
+      expect(azimuth.weight[1]).toBeCloseTo((80 - 0.3 * (180 / Math.PI)) / 90, 5);
+    }
+    expect(() => angleLists([axis("theta", 3, "light"), phi], [0, 1])).toThrow("no angles");
+    expect(() => angleLists([axis("theta", 2, "light", [0, 60]), phi], [0, 1])).toThrow("above the surface");
   });
 
   it("takes angles and vectors, and assumes a spiral without", () => {
@@ -217,7 +222,7 @@ describe("directions", () => {
 describe("axes", () => {
   it("finds what each kind needs", () => {
     const axes = [axis("light", 4, "light"), axis("y", 8, "space"), axis("x", 8, "space"), axis("rgb", 3, "channel")];
-    expect(layOut(axes, "svbrdf")).toEqual({ light: 0, views: [], time: null, space: [1, 2], channel: 3, channels: [0, 1, 2] });
+    expect(layOut(axes, "svbrdf")).toEqual({ lights: [0], views: [], time: null, space: [1, 2], channel: 3, channels: [0, 1, 2] });
     expect(() => layOut(axes, "volume")).toThrow("3 axes of role space");
     expect(() => layOut(axes, "lightfield")).toThrow("role view");
     expect(shownChannels(31)).toEqual([30, 15, 0]);

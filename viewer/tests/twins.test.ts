@@ -4,8 +4,9 @@ import { readFileSync } from "node:fs";
 import { join } from "node:path";
 import { describe, expect, it } from "vitest";
 import { decodeElement, decodeRows, sourceValue, valueRange } from "../src/decode/element";
-import { contractable, contractionConstants, coreStarts, fixedRows, parentTable } from "../src/gpu/contract";
+import { contractable, contractionConstants, coreStarts, fixedRows, foldChannels, parentTable } from "../src/gpu/contract";
 import { uniformLevels } from "../src/gpu/contraction";
+import { pixelCost } from "../src/gpu/fixed";
 import { eachCoefficients, layOutImage, packTables } from "../src/gpu/image";
 import { decoderUniform, prelude } from "../src/gpu/prelude";
 import { UniformLayout } from "../src/gpu/uniform";
@@ -29,10 +30,22 @@ interface HeadCase {
   scales: number;
   coefficients: number[];
   uniform: string;
+  cost: number | null;
   contraction: { still: number[]; constants: Record<string, number>; starts: number[]; parents: number[]; fixed: number } | null;
 }
 
-const HEADS = JSON.parse(readFileSync(join(TESTS, "corpus-render", "prelude.json"), "utf-8")) as HeadCase[];
+/** A model of one cell, made of a file's metadata. */
+interface SingleCase {
+  file: string;
+  options: { picks: number[]; channels: 1 | 3; contracted: number[] };
+  ranks: number[];
+  undecomposed: number[];
+  text: string;
+  cost: number;
+}
+
+const { models: HEADS, single: SINGLE } = JSON.parse(readFileSync(join(TESTS, "corpus-render", "prelude.json"), "utf-8")) as
+  { models: HeadCase[]; single: SingleCase[] };
 
 function model(name: string): ReturnType<typeof loads> {
   return loads(new Uint8Array(fixture(name)));
@@ -47,6 +60,7 @@ describe("shader heads and images", () => {
     const { rank } = each;
     const shown = rank === null ? metadata : { ...metadata, levels: metadata.levels.map((level) => ({ ...level, ranks: level.ranks.map(() => rank) })) };
     expect(prelude(shown, each.pages, options)).toBe(each.text);
+    expect(picks === null ? null : pixelCost(shown, options)).toBe(each.cost);
     const layout = layOutImage(levels);
     expect([layout.rows[0]?.[0], layout.scales[0], layout.coefficients]).toEqual([each.rows, each.scales, each.coefficients]);
     const words = new Uint32Array(each.words);
@@ -58,6 +72,16 @@ describe("shader heads and images", () => {
   });
 });
 
+describe("heads of one cell", () => {
+  it.each(SINGLE)("$options $undecomposed", ({ file, options, ranks, undecomposed, text, cost }) => {
+    const { metadata } = model(file);
+    const one = ranks.map(() => 1);
+    const shown = { ...metadata, levels: [{ ...metadata.levels[0]!, clusters: one, mixture: one, ranks }], undecomposed };
+    expect(prelude(shown, 1, { ...options, uniform: [0] })).toBe(text);
+    expect(pixelCost(shown, options)).toBe(cost);
+  });
+});
+
 describe("frame contraction", () => {
   it.each(HEADS.filter((each) => each.contraction !== null))("$file $options.contracted", (each) => {
     const { metadata, levels } = model(each.file);
@@ -66,8 +90,9 @@ describe("frame contraction", () => {
     const picks = each.options.picks!;
     expect(contractable(metadata, levels, still)).toEqual(contracted);
     expect(contractable(metadata, levels, still.slice(1))).not.toEqual(contracted);
-    expect(contractionConstants(metadata, levels, [each.scales, each.coefficients[0]!], { picks, contracted })).toEqual(constants);
-    expect(Array.from(coreStarts(levels, contracted))).toEqual(starts);
+    const options = { picks, contracted, channels: each.options.channels };
+    expect(contractionConstants(metadata, levels, [each.scales, each.coefficients[0]!], options)).toEqual(constants);
+    expect(Array.from(coreStarts(levels, contracted, foldChannels(metadata, options)))).toEqual(starts);
     expect(Array.from(parentTable(levels))).toEqual(parents);
     const stands = new Map(still.map((axis) => {
       const index = Array.from({ length: picks[axis]! }, (_, k) => k);

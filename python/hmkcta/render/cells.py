@@ -30,7 +30,7 @@ _MOST_WORDS = 18
 
 
 def picked_cells(metadata: Metadata, room: Sequence[int], colour: int | None, contracted: Sequence[int],
-                 uniform: Sequence[int]) -> list[str]:
+                 uniform: Sequence[int], tinted: bool = False) -> list[str]:
     """`picked_node(node, depth)`: what a node adds, by registers where its level allows it, else by `picked_value`.
 
     Args:
@@ -39,8 +39,9 @@ def picked_cells(metadata: Metadata, room: Sequence[int], colour: int | None, co
         colour: the mode with the colours.
         contracted: modes that are summed into the cores already.
         uniform: levels, from 0, whose nodes that are not empty all have the ranks in the metadata.
+        tinted: whether contracted cores hold colours.
     """
-    chosen = registered_levels(metadata, room, colour, contracted, uniform)
+    chosen = registered_levels(metadata, room, colour, contracted, uniform, tinted)
     cases: dict[str, list[int]] = {}
     lines: list[str] = []
     for level, cells in chosen.items():
@@ -55,11 +56,11 @@ def picked_cells(metadata: Metadata, room: Sequence[int], colour: int | None, co
 
 
 def registered_levels(metadata: Metadata, room: Sequence[int], colour: int | None, contracted: Sequence[int],
-                      uniform: Sequence[int]) -> dict[int, Cells]:
+                      uniform: Sequence[int], tinted: bool = False) -> dict[int, Cells]:
     """The levels, from 0, whose cells are added up by registers, with the arguments of `picked_cells`."""
     if max(room) > _MOST_ROWS or any(n not in contracted for n in metadata.undecomposed):
         return {}
-    return {level: Cells(bounds.ranks, tuple(room), colour, tuple(contracted), prod(bounds.clusters) == 1)
+    return {level: Cells(bounds.ranks, tuple(room), colour, tuple(contracted), prod(bounds.clusters) == 1, tinted)
             for level in uniform for bounds in [metadata.levels[level]]
             if max(bounds.clusters) <= _MOST_CLUSTERS
             and all(rank <= _MOST_RANK for n, rank in enumerate(bounds.ranks) if n not in contracted)}
@@ -74,6 +75,7 @@ class Cells:
     colour: int | None
     contracted: Sequence[int]
     single: bool
+    tinted: bool = False
 
     @property
     def name(self) -> str:
@@ -202,7 +204,7 @@ class Cells:
     def _contraction(self) -> list[str]:
         """`total`: the core times its weights, the mode with the colours outermost."""
         outer, inner = self._split()
-        kind = "Value" if self.colour in outer else "f32"
+        kind = "Value" if self.tinted or self.colour in outer else "f32"
         even = not self.contracted and all(self.stride(n) % 2 == 0 for n in outer) and prod(self.ranks) % 2 == 0
         lines = [f"  var list_{n} = array<{self.kind(n)}, {self.ranks[n]}>("
                   f"{', '.join(f'w_{n}_{r}' for r in range(self.ranks[n]))});" for n in outer]
@@ -239,7 +241,7 @@ class _Block:
         for n in modes:
             offsets = [offset + e * self.cells.stride(n) for offset in offsets for e in range(self.cells.ranks[n])]
         if self.cells.contracted:
-            lines = [f"  let h_{offset} = bitcast<f32>(frame[at + {offset}u]);" for offset in sorted(offsets)]
+            lines = [f"  let h_{offset} = core_number(at + {offset}u);" for offset in sorted(offsets)]
         elif self.even:
             pairs = sorted({offset // 2 for offset in offsets})
             lines = ["  let pairs = at >> 1u;",

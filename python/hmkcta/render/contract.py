@@ -16,7 +16,7 @@ from ..model import Model
 from ..packed import Metadata, PackedLevel
 from .device import Device, spread
 from .image import Image
-from .prelude import MOST_ROWS, PAGE_SHIFT, Options, axis_places, compose, node_words, prelude, rooms
+from .prelude import MOST_ROWS, PAGE_SHIFT, Options, axis_places, colour_mode, compose, node_words, prelude, rooms
 
 U32 = NDArray[np.uint32]
 
@@ -29,10 +29,11 @@ _GROUP = 64
 _FIXED_WORDS = 1 + 2 * MOST_ROWS
 
 
-def contractable(model: Model, still: Sequence[int]) -> tuple[int, ...]:
+def contractable(model: Model, still: Sequence[int], folds: int = 1) -> tuple[int, ...]:
     """The modes to contract where these source axes stand still for a whole dispatch.
 
-    A mode is among them if all its axes are. There is none if their contracted cores would not fit into one binding.
+    A mode is among them if all its axes are. There is none if their contracted cores, so many times, would not fit into
+    one binding.
 
     >>> from hmkcta._example import example_level, example_metadata
     >>> contractable(Model(example_metadata(), [example_level()]), [1])
@@ -41,7 +42,7 @@ def contractable(model: Model, still: Sequence[int]) -> tuple[int, ...]:
     modes, _ = axis_places(model.metadata)
     found = tuple(n for n in range(len(model.metadata.organisation))
                   if all(axis in still for axis, mode in enumerate(modes) if mode == n))
-    return found if _words(model.levels, found) <= 1 << PAGE_SHIFT else ()
+    return found if _words(model.levels, found, folds) <= 1 << PAGE_SHIFT else ()
 
 
 def contraction_constants(metadata: Metadata, levels: Sequence[PackedLevel], image: Image, options: Options
@@ -53,6 +54,7 @@ def contraction_constants(metadata: Metadata, levels: Sequence[PackedLevel], ima
     most = max((int(count) for level in levels for count in _numbers(level, options.contracted)), default=1)
     lanes = min(_GROUP, 1 << max(0, most - 1).bit_length())
     return {"FOLDED": sum(1 << n for n in options.contracted), "FOLD_SUM": max(1, *taken), "LANES": lanes,
+            "FOLD_CHANNELS": fold_channels(metadata, options), "SET_NUMBERS": set_numbers(levels, options.contracted),
             "NODES": sum(level.nodes for level in levels), "SCALES": image.scales,
             "CELLS": image.coefficients[0] - image.scales}
 
@@ -63,10 +65,20 @@ def contraction_shader(head: str, constants: Mapping[str, int]) -> str:
     return compose(head + lines, "image", "contract")
 
 
-def core_starts(levels: Sequence[PackedLevel], contracted: Sequence[int]) -> U32:
-    """For each node of all levels the start of its contracted cores, which lie behind these numbers."""
+def fold_channels(metadata: Metadata, options: Options) -> int:
+    """Of a number of the contracted cores: 3 where they hold colours."""
+    return 3 if colour_mode(metadata, options)[1] else 1
+
+
+def set_numbers(levels: Sequence[PackedLevel], contracted: Sequence[int]) -> int:
+    """Numbers of all contracted cores."""
+    return sum(int((_cells(level) * _numbers(level, contracted)).sum()) for level in levels)
+
+
+def core_starts(levels: Sequence[PackedLevel], contracted: Sequence[int], channels: int = 1) -> U32:
+    """For each node of all levels the start of its contracted cores, behind all these, in numbers of so many words."""
     sizes = np.concatenate([_cells(level) * _numbers(level, contracted) for level in levels])
-    return (len(sizes) + np.cumsum(sizes) - sizes).astype(np.uint32)
+    return (-(-len(sizes) // channels) + np.cumsum(sizes) - sizes).astype(np.uint32)
 
 
 def parent_table(levels: Sequence[PackedLevel]) -> U32:
@@ -111,6 +123,14 @@ def fixed_rows(metadata: Metadata, contracted: Sequence[int], picks: AxisPicks) 
     return table.reshape(-1)
 
 
+def split_colours(metadata: Metadata, picks: AxisPicks, channels: int) -> list[AxisPicks]:
+    """The picks of each channel of the contracted cores: of red, green and blue, or the picks themselves."""
+    if channels == 1:
+        return [picks]
+    axis = next(axis for axis, found in enumerate(metadata.axes) if found.role == "channel")
+    return [{**picks, axis: ([index], [1.0])} for index in picks[axis][0]]
+
+
 @final
 class FrameContraction:
     """The contracted cores of a model on the GPU, and the pass that fills them.
@@ -124,35 +144,57 @@ class FrameContraction:
         pages: of the image.
 
     Attributes:
-        cores: the buffer `frame` of the shaders that decode.
+        cores: the buffer `frame` of the shaders that decode; another one after `reserve` made room.
+        stride: numbers from one set to the next: `frame_first` of set s is s times that.
     """
 
     def __init__(self, device: Device, model: Model, image: Image, options: Options, layout: Any, pages: int) -> None:
         self._device = device
+        self._model = model
         self._metadata = model.metadata
         self._contracted = options.contracted
-        starts = core_starts(model.levels, options.contracted)
-        words = _words(model.levels, options.contracted)
-        self.cores = device.room("hmkcta contracted cores", 4 * words, "STORAGE|COPY_DST|COPY_SRC")
-        device.gpu.queue.write_buffer(self.cores, 0, starts)
+        self._channels = fold_channels(model.metadata, options)
+        self.stride = set_numbers(model.levels, options.contracted)
         self._parents = device.buffer("hmkcta parents", parent_table(model.levels))
-        self._fixed = device.room("hmkcta fixed rows", 4 * _FIXED_WORDS * len(model.metadata.organisation))
         own = device.layout("hmkcta contraction", ["read-only-storage", "read-only-storage", "storage"])
-        self._group = device.group("hmkcta contraction", own, [self._fixed, self._parents, self.cores])
+        self._own, self._sets = own, 0
+        self.reserve(1)
         head = prelude(model.metadata, pages, Options(page_shift=options.page_shift))
         constants = contraction_constants(model.metadata, model.levels, image, options)
         self._pipeline = device.pipeline("contract_frame", contraction_shader(head, constants), [layout, own])
         self._counts = spread(-(-constants["CELLS"] * constants["LANES"] // _GROUP))
 
-    def run(self, decoder: Any, picks: AxisPicks) -> None:
+    def fits(self, sets: int) -> bool:
+        """Whether so many sets of cores fit into one binding."""
+        return _words(self._model.levels, self._contracted, sets * self._channels) <= 1 << PAGE_SHIFT
+
+    def reserve(self, sets: int) -> bool:
+        """Have room for so many sets of cores; whether there is a new buffer for it."""
+        if sets <= self._sets:
+            return False
+        self._sets = sets
+        words = _words(self._model.levels, self._contracted, sets * self._channels)
+        self.cores = self._device.room("hmkcta contracted cores", 4 * words, "STORAGE|COPY_DST|COPY_SRC")
+        starts = core_starts(self._model.levels, self._contracted, self._channels)
+        self._device.gpu.queue.write_buffer(self.cores, 0, starts)
+        folds = sets * self._channels
+        order = len(self._metadata.organisation)
+        self._fixed = self._device.room("hmkcta fixed rows", 4 * folds * _FIXED_WORDS * order)
+        self._group = self._device.group("hmkcta contraction", self._own, [self._fixed, self._parents, self.cores])
+        return True
+
+    def run(self, decoder: Any, sets: Sequence[AxisPicks]) -> None:
         """Contract the cores with these indices and weights of the axes of the contracted modes.
 
         Args:
             decoder: group 0 without the contracted cores.
-            picks: for each axis of the contracted modes.
+            sets: for each set of cores and each axis of the contracted modes; that of the colours has those of red,
+                green and blue.
         """
-        self._device.gpu.queue.write_buffer(self._fixed, 0, fixed_rows(self._metadata, self._contracted, picks))
-        self._device.dispatch(self._pipeline, [decoder, self._group], self._counts)
+        folds = [each for picks in sets for each in split_colours(self._metadata, picks, self._channels)]
+        rows = np.concatenate([fixed_rows(self._metadata, self._contracted, picks) for picks in folds])
+        self._device.gpu.queue.write_buffer(self._fixed, 0, rows)
+        self._device.dispatch(self._pipeline, [decoder, self._group], (*self._counts[:2], len(folds)))
 
 
 def _cells(level: PackedLevel) -> NDArray[np.int64]:
@@ -166,6 +208,6 @@ def _numbers(level: PackedLevel, contracted: Sequence[int]) -> NDArray[np.int64]
     return level.shape[:, 2, kept].astype(np.int64).prod(axis=1)
 
 
-def _words(levels: Sequence[PackedLevel], contracted: Sequence[int]) -> int:
-    """Words of the table of starts and of all contracted cores."""
-    return sum(int(level.nodes + (_cells(level) * _numbers(level, contracted)).sum()) for level in levels)
+def _words(levels: Sequence[PackedLevel], contracted: Sequence[int], folds: int = 1) -> int:
+    """Words of the table of starts, with what rounds it up, and of all contracted cores, so many times."""
+    return sum(level.nodes for level in levels) + 2 + folds * set_numbers(levels, contracted)

@@ -18,7 +18,8 @@ from ..model import Model
 from ..packed import PackedLevel
 from .cells import registered_levels
 from .contraction import uniform_levels
-from .prelude import axis_places
+from .prelude import Options, axis_places, colour_mode
+from .single import is_single
 
 #: Bytes of a float16 number and of a word of the tables.
 _HALF, _WORD = 2, 4
@@ -80,11 +81,11 @@ def picked_cost(model: Model, picks: Mapping[int, Sequence[int]], channels: int 
     for axis, (mode, stride) in enumerate(zip(modes, strides, strict=True)):
         index = np.asarray(picks.get(axis, [0]), np.int64)
         rows[mode] = (rows[mode][:, None] + index * stride).reshape(-1)
-    colour = next((mode for mode, axis in zip(modes, model.metadata.axes, strict=True) if axis.role == "channel"), None)
-    colour = colour if channels == 3 else None
-    registered = registered_levels(model.metadata, [len(each) for each in rows], colour, contracted,
-                                   uniform_levels(model.metadata, model.levels))
-    counter = _Counter(model, colour, tuple(contracted), level or len(model.levels), tuple(registered))
+    colour, tinted = colour_mode(model.metadata, Options(channels=channels, contracted=tuple(contracted)))
+    uniform = uniform_levels(model.metadata, model.levels)
+    registered = registered_levels(model.metadata, [len(each) for each in rows], colour, contracted, uniform)
+    single = is_single(model.metadata, uniform)
+    counter = _Counter(model, colour, tinted, single, tuple(contracted), level or len(model.levels), tuple(registered))
     return counter.node(0, 0, rows)
 
 
@@ -97,10 +98,15 @@ def mean_cost(model: Model, samples: Sequence[Mapping[int, Sequence[int]]], chan
 
 @dataclass(frozen=True)
 class _Counter:
-    """The walk: `colour` is the mode with the colours, if any; `registered` levels read the subsets of a row once."""
+    """The walk: `colour` is the mode whose weights are colours, if any; `tinted` says that core numbers are instead. A
+    `single` cell has no walk, and each row of `colour` counts in its channel. `registered` levels read the subsets of
+    a row once.
+    """
 
     model: Model
     colour: int | None
+    tinted: bool
+    single: bool
     contracted: tuple[int, ...]
     upto: int
     registered: tuple[int, ...]
@@ -109,13 +115,16 @@ class _Counter:
         """Cost of node s of a level and of all below it, for rows by their places in its lists."""
         level = self.model.levels[depth]
         order = len(rows)
-        own = Cost(nodes=1, words=3 + 5 * order)
+        own = Cost(nodes=1, words=2 + order if self.single else 3 + 5 * order)
         if not level.shape[s].any():
             return own
         subsets = [_subsets(level, s, n, rows[n]) for n in range(order)]
         distinct = [np.unique(subset).tolist() for subset in subsets]
         once = sum(subset.size for subset in subsets)
-        own += Cost(words=once if depth in self.registered else _searches(subsets, [len(each) for each in distinct]))
+        searched = 0 if self.single else once
+        if not self.single and depth not in self.registered:
+            searched = _searches(subsets, [len(each) for each in distinct])
+        own += Cost(words=searched)
         for cell in product(*distinct):
             own += self._cell(level, s, [subset == c for subset, c in zip(subsets, cell, strict=True)])
         child = level.child
@@ -138,14 +147,15 @@ class _Counter:
         kept = [n for n in range(len(members)) if n not in self.contracted]
         nest = sorted(kept, key=lambda n: n != self.colour)
         counts = [len(members[n]) if n in undecomposed else ranks[n] for n in nest]
-        lanes = [3 if n == self.colour else 1 for n in nest]
-        contraction = sum(lane * prod(counts[: k + 1]) for k, lane in enumerate(lanes))
-        basis = [(int(members[n].sum()) * ranks[n], lane)
-                 for n, lane in zip(nest, lanes, strict=True) if n not in undecomposed]
+        contraction = sum((3 if self.tinted or n == self.colour else 1) * prod(counts[: k + 1])
+                          for k, n in enumerate(nest))
+        basis = [(int(members[n].sum()) * ranks[n], 3 if n == self.colour and not self.single else 1)
+                 for n in nest if n not in undecomposed]
+        read = prod(counts) * (6 if self.tinted else 2 if self.contracted else 1)  # contracted cores are float32
         return Cost(
             cells=1,
             multiply_adds=contraction + sum(count * lane for count, lane in basis),
-            coefficients=prod(counts) + sum(count for count, _ in basis),
+            coefficients=read + sum(count for count, _ in basis),
             words=3,
         )
 

@@ -14,7 +14,7 @@ from ..errors import HmkctaError, Kind, invalid
 from ..memory import check_memory
 from ..model import Model
 from .device import Device, shared_device, spread
-from .prelude import PAGE_SHIFT, Options, compose
+from .prelude import PAGE_SHIFT, Options, compose, compose_picked
 from .software import MOST_TURNS, loop_turns
 from .upload import DecoderBuffers
 from .weighted import Picks
@@ -110,8 +110,10 @@ class GpuDecoder:
     def picked(self, picks: Sequence[Picks], level: int | None = None) -> NDArray[np.float32]:
         """Weighted sums of elements, for interpolation: what `weighted.decode_picked` does, with its arguments.
 
+        Weights of three channels are those of the first axis of role `channel`: one index each.
+
         Raises:
-            HmkctaError: as there; a mode would have more than 32 rows.
+            HmkctaError: as there; a mode would have more than 32 rows; other weights of three channels.
         """
         if len(picks) != len(self.model.shape):
             raise invalid("picks", "picks", f"{len(picks)} entries", f"{len(self.model.shape)}, one a source axis")
@@ -119,14 +121,14 @@ class GpuDecoder:
             name = self.model.metadata.axes[axis].name
             check_indices(np.asarray(index), self.model.shape[axis], f"indices of axis {name}")
         counts = tuple(index.shape[1] for index, _ in picks)
-        channels = 3 if any(np.ndim(weight) == 3 for _, weight in picks) else 1
+        channels = _colours(self.model, picks)
         self._check(counts, level)
         if (counts, channels) not in self._sums:
             options = Options(picks=counts, channels=channels, page_shift=self.buffers.options.page_shift)
             head = self.buffers.prelude(options)
             self._sums[counts, channels] = ListPass(
-                self.device, self.buffers, "decode_sums", compose(head, "image", "decode", "weighted", "picked"))
-        wanted = picked_words(picks, max(counts), channels)
+                self.device, self.buffers, "decode_sums", compose_picked(head, "picked"))
+        wanted = picked_words(picks, max(counts))
         group, work = self.buffers.bind_group(level), self._sums[counts, channels]
         batches = [work.run(wanted[start : start + _BATCH], group, channels) for start in range(0, len(wanted), _BATCH)]
         values = np.concatenate([np.empty(0, np.float32), *batches])
@@ -165,13 +167,33 @@ class ListPass:
         return values
 
 
-def picked_words(picks: Sequence[Picks], most: int, channels: int) -> NDArray[np.uint32]:
-    """What `picked.wgsl` reads, [P, axes, most, 1 + channels]."""
+def picked_words(picks: Sequence[Picks], most: int) -> NDArray[np.uint32]:
+    """What `picked.wgsl` reads, [P, axes, most, 2]."""
     points = max(len(index) for index, _ in picks)
-    words = np.zeros((points, len(picks), most, 1 + channels), np.uint32)
+    words = np.zeros((points, len(picks), most, 2), np.uint32)
     for axis, (index, weight) in enumerate(picks):
         count = index.shape[1]
         words[:, axis, :count, 0] = index
-        spread = np.broadcast_to(np.atleast_3d(np.asarray(weight, np.float32)), (len(weight), count, channels))
-        words[:, axis, :count, 1:] = np.ascontiguousarray(spread).view(np.uint32)
+        numbers = np.asarray(weight, np.float32)
+        if numbers.ndim == 3:  # red, green and blue, which the shader knows
+            numbers = np.ones(numbers.shape[:2], np.float32)
+        words[:, axis, :count, 1] = np.ascontiguousarray(numbers).view(np.uint32)
     return words
+
+
+def _colours(model: Model, picks: Sequence[Picks]) -> int:
+    """Channels of some picks: 3 if those of the first axis of role `channel` are red, green and blue.
+
+    Raises:
+        HmkctaError: weights of three channels on another axis, or that are not one for each channel.
+    """
+    tinted = [axis for axis, (_, weight) in enumerate(picks) if np.ndim(weight) == 3]
+    if not tinted:
+        return 1
+    channel = next((axis for axis, found in enumerate(model.metadata.axes) if found.role == "channel"), None)
+    weights = np.asarray(picks[tinted[0]][1])
+    if tinted != [channel] or weights.shape[1:] != (3, 3) or (weights != np.eye(3)).any():
+        named = ", ".join(str(axis) for axis in tinted)
+        raise invalid("picks-colours", f"weights of axes {named}", "three channels each",
+                      "on the first axis of role channel: three indices with the weights 1,0,0 and 0,1,0 and 0,0,1")
+    return 3

@@ -16,7 +16,7 @@ from .device import Device
 from .gpu_pass import ComputePass, Slot, out_texture, tiles
 from .grid import Grid
 from .layout import Layout
-from .prelude import Options, compose
+from .prelude import Options, compose_picked
 from .software import loop_turns
 from .upload import DecoderBuffers
 
@@ -72,7 +72,7 @@ class GpuGrid:
 
     @cached_property
     def _pass(self) -> ComputePass:
-        code = compose(self._buffers.prelude(), "image", "decode", "weighted", "grid")
+        code = compose_picked(self._buffers.prelude(), "grid")
         return ComputePass(self._device, "decode_grid", code, SLOTS, self._buffers)
 
     def turns(self, level: int) -> int:

@@ -23,8 +23,9 @@ class Layout:
     """Numbers of the source axes by what they are to a renderer, None or empty where there is none.
 
     Attributes:
-        light, time, channel: one axis each.
-        views: one axis of directions or cameras, or row and column of a camera grid.
+        time, channel: one axis each.
+        lights: one axis of directions, or two of angles (zenith and azimuth).
+        views: likewise; of a light field one axis of cameras, or row and column of their grid.
         space: (y, x), or (z, y, x) of a volume.
         channels: the indices of the channel axis shown as red, green, blue; one index for grey.
         stands: the index of every axis that nothing else moves along.
@@ -32,7 +33,7 @@ class Layout:
         sizes: of all axes.
     """
 
-    light: int | None
+    lights: tuple[int, ...]
     views: tuple[int, ...]
     time: int | None
     space: tuple[int, ...]
@@ -45,8 +46,8 @@ class Layout:
     @property
     def moving(self) -> tuple[int, ...]:
         """The axes that a renderer moves along."""
-        single = (self.light, self.time, self.channel)
-        return (*self.views, *self.space, *(axis for axis in single if axis is not None))
+        single = (self.time, self.channel)
+        return (*self.lights, *self.views, *self.space, *(axis for axis in single if axis is not None))
 
 
 def lay_out(axes: Sequence[Axis], kind: str, position: Mapping[str, int] | None = None) -> Layout:
@@ -54,8 +55,8 @@ def lay_out(axes: Sequence[Axis], kind: str, position: Mapping[str, int] | None 
 
     >>> from hmkcta.axes import name_axes
     >>> found = lay_out(name_axes((4, 8, 8, 3), ["light", "y", "x", "rgb"]), "svbrdf")
-    >>> found.light, found.views, found.space, found.channels
-    (0, (), (1, 2), (0, 1, 2))
+    >>> found.lights, found.views, found.space, found.channels
+    ((0,), (), (1, 2), (0, 1, 2))
 
     Raises:
         HmkctaError: the axes do not make this kind, or `position` is not one of theirs.
@@ -65,17 +66,17 @@ def lay_out(axes: Sequence[Axis], kind: str, position: Mapping[str, int] | None 
         roles.setdefault(axis.role, []).append(number)
     space = _space(roles.get("space", []), axes, kind)
     lights, views = roles.get("light", []), roles.get("view", [])
-    if kind == "svbrdf" and (len(lights) > 1 or len(views) > 1):
+    if kind == "svbrdf" and (len(lights) > 2 or len(views) > 2):
         named = ", ".join(axes[n].name for n in (*lights, *views))
         raise invalid("too-many-directions", "axes of lights and views", named,
-                      "one axis of lights and one of views, each with directions as coords")
+                      "one axis of each with directions as coords, or two with angles (zenith, azimuth)")
     if kind == "lightfield" and not 1 <= len(views) <= 2:
         raise invalid("no-cameras", "axes of role view", len(views), "one (cameras) or two (row, column of cameras)")
     channel = next((n for n in roles.get("channel", []) if axes[n].size > 1), None)
     time = next(iter(roles.get("time", [])), None)
     stands = _stands(axes, position or {})
     return Layout(
-        light=lights[0] if kind == "svbrdf" and lights else None,
+        lights=tuple(lights) if kind == "svbrdf" else (),
         views=tuple(views) if kind != "volume" else (),
         time=time,
         space=space,

@@ -19,6 +19,7 @@ from ..packed import Metadata
 from ..transform import from_json
 from .cells import picked_cells
 from .contraction import contraction
+from .single import is_single, single_cell
 
 #: Words of a page by its logarithm: 2^25 words are the 128 MiB that WebGPU guarantees for a storage buffer binding.
 PAGE_SHIFT = 25
@@ -40,7 +41,8 @@ class Options:
         picks: for each source axis, how many weighted indices it can have; None for shaders without `weighted.wgsl`.
         channels: 3 if values are red, green and blue, decoded in one walk, else 1. The weights of the mode of the axis
             of role `channel` are then red, green and blue; those of other modes are single numbers.
-        contracted: modes that `contract.wgsl` has folded into the cores.
+        contracted: modes that `contract.wgsl` has folded into the cores. If the colours' is one of them, and there are
+            three channels, the contracted cores hold colours.
         page_shift: logarithm of the words of a page of the image.
     """
 
@@ -78,7 +80,7 @@ def prelude(metadata: Metadata, pages: int, options: Options = PLAIN, uniform: S
     modes, strides = axis_places(metadata)
     room = rooms(metadata, options)
     taken = _weights(metadata, room, options.contracted)
-    colour = colour_mode(metadata, options)
+    colour, tinted = colour_mode(metadata, options)
     first = [sum(room[:n]) for n in range(order + 1)]
     lines = [
         "// Constants of one model: generated, not to be edited.",
@@ -99,13 +101,17 @@ def prelude(metadata: Metadata, pages: int, options: Options = PLAIN, uniform: S
         f"const TRANSFORM = {_TRANSFORMS[from_json(metadata.transform).name]}u;",
         f"const CHANNELS = {options.channels}u;",
         *_value(options.channels),
+        f"const COLOUR_AXIS = {0xFF if options.channels == 1 else _channel_axis(metadata)}u;",
         f"const COLOUR = {0xFF if colour is None else colour}u;",
         f"const COLOUR_ROWS = {1 if colour is None else room[colour]}u;",
         f"const COLOUR_RANKS = {1 if colour is None else max(taken[colour], 1)}u;",
         *_pages(pages, options.page_shift),
-        *contraction(metadata, taken, colour, options.contracted, uniform),
-        *(picked_cells(metadata, room, colour, options.contracted, uniform) if options.picks is not None else ()),
+        *contraction(metadata, taken, colour, options.contracted, uniform, tinted),
     ]
+    if options.picks is not None and is_single(metadata, uniform):
+        lines += single_cell(metadata, (modes, strides), colour, options.contracted, tinted)
+    elif options.picks is not None:
+        lines += picked_cells(metadata, room, colour, options.contracted, uniform, tinted)
     return "\n".join(lines) + "\n"
 
 
@@ -115,9 +121,7 @@ def rooms(metadata: Metadata, options: Options) -> list[int]:
     Raises:
         HmkctaError: `picks` are not one number of 1 or more an axis, or give a mode more than 32 rows.
     """
-    picks, (modes, _) = _picks(metadata, options), axis_places(metadata)
-    order = len(metadata.organisation)
-    found = [prod(picks[axis] for axis, mode in enumerate(modes) if mode == n) for n in range(order)]
+    found = _rows(metadata, _picks(metadata, options))
     for n, rows in enumerate(found):
         if rows > MOST_ROWS:
             raise invalid("picks-too-many", f"weighted rows of mode {n + 1}", rows, f"at most {MOST_ROWS}",
@@ -125,18 +129,22 @@ def rooms(metadata: Metadata, options: Options) -> list[int]:
     return found
 
 
-def colour_mode(metadata: Metadata, options: Options) -> int | None:
-    """The mode of the first axis of role `channel` if there are three channels; None otherwise.
+def picks_fit(metadata: Metadata, picks: Sequence[int]) -> bool:
+    """Whether there is room for so many weighted indices of each axis."""
+    return max(_rows(metadata, picks)) <= MOST_ROWS
 
-    Raises:
-        HmkctaError: it is among the contracted modes.
-    """
-    axis = next((axis for axis, found in enumerate(metadata.axes) if found.role == "channel"), None)
-    mode = None if axis is None or options.channels == 1 else axis_places(metadata)[0][axis]
-    if mode in options.contracted:
-        raise invalid("contracted-colours", "contracted", f"mode {mode + 1}, which holds the colours",
-                      "other modes", "decode with 1 channel, or do not contract it")
-    return mode
+
+def _rows(metadata: Metadata, picks: Sequence[int]) -> list[int]:
+    modes, _ = axis_places(metadata)
+    order = range(len(metadata.organisation))
+    return [prod(picks[axis] for axis, mode in enumerate(modes) if mode == n) for n in order]
+
+
+def colour_mode(metadata: Metadata, options: Options) -> tuple[int | None, bool]:
+    """The mode whose weights are colours, and whether the contracted cores are instead; None and False without any."""
+    axis = _channel_axis(metadata)
+    mode = None if axis == 0xFF or options.channels == 1 else axis_places(metadata)[0][axis]
+    return (None, True) if mode is not None and mode in options.contracted else (mode, False)
 
 
 def shader(name: str) -> str:
@@ -151,6 +159,12 @@ def shader(name: str) -> str:
 def compose(head: str, *names: str) -> str:
     """One shader: the prelude and files of `hmkcta/shaders`, in this order."""
     return "\n".join([head, *(shader(name) for name in names)])
+
+
+def compose_picked(head: str, *names: str) -> str:
+    """One shader that decodes weighted sums: the prelude, the files of the decoder, and others."""
+    walk = () if "fn decode_picked(" in head else ("weighted",)
+    return compose(head, "image", "decode", "picks", *walk, *names)
 
 
 def node_words(order: int) -> int:
@@ -179,11 +193,11 @@ def axis_places(metadata: Metadata) -> tuple[list[int], list[int]]:
 
 
 def decoder_uniform(metadata: Metadata, levels: int) -> bytes:
-    """The 16 bytes of the uniform `Decoder`: levels to add up, and the value transform.
+    """The 12 bytes of the uniform `Decoder`: levels to add up, scale and limit of the value transform.
 
     >>> from hmkcta._example import example_metadata
     >>> decoder_uniform(example_metadata(), 1).hex()
-    '01000000000000000000803f00000000'
+    '010000000000803f00000000'
 
     Raises:
         HmkctaError: not 1 to L levels.
@@ -194,7 +208,7 @@ def decoder_uniform(metadata: Metadata, levels: int) -> bytes:
     bounded = transform.name in ("log1p", "asinh")
     limit = log(_LARGEST / max(transform.scale, 1.0)) if bounded else 0.0
     numbers = np.array([transform.scale, limit], "<f4").tobytes()
-    return np.array([levels, _TRANSFORMS[transform.name]], "<u4").tobytes() + numbers
+    return np.uint32(levels).astype("<u4").tobytes() + numbers
 
 
 def image_pages(words: int, page_shift: int = PAGE_SHIFT) -> int:
@@ -229,12 +243,15 @@ def _weights(metadata: Metadata, room: Sequence[int], contracted: Sequence[int])
             for n in range(len(room))]
 
 
+def _channel_axis(metadata: Metadata) -> int:
+    """The first axis of role `channel`; 0xff: there is none."""
+    return next((axis for axis, found in enumerate(metadata.axes) if found.role == "channel"), 0xFF)
+
+
 def _value(channels: int) -> list[str]:
-    """The type of values and weights, what makes one of red, green and blue, and the number of a grey one."""
-    kind, value = ("vec3f", "rgb") if channels == 3 else ("f32", "rgb.x")
-    scalar = "value.x" if channels == 3 else "value"
-    return [f"alias Value = {kind};", "fn as_value(rgb: vec3f) -> Value {", f"  return {value};", "}",
-            "fn scalar(value: Value) -> f32 {", f"  return {scalar};", "}"]
+    """The type of values and weights, and the one with nothing but a channel."""
+    kind, value = ("vec3f", "vec3f(f32(c == 0u), f32(c == 1u), f32(c == 2u))") if channels == 3 else ("f32", "1.0")
+    return [f"alias Value = {kind};", "fn channel(c: u32) -> Value {", f"  return {value};", "}"]
 
 
 def _pages(pages: int, shift: int) -> list[str]:

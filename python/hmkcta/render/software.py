@@ -15,7 +15,8 @@ from ..model import Model
 from ..packed import PackedLevel
 from .cells import Cells, registered_levels
 from .contraction import uniform_levels
-from .prelude import axis_places
+from .prelude import Options, axis_places, colour_mode
+from .single import is_single
 
 #: A little below the limit, for the loops outside the decoder.
 MOST_TURNS = 60_000
@@ -38,8 +39,11 @@ def loop_turns(model: Model, picks: Sequence[int], level: int, contracted: Seque
     order = len(model.metadata.organisation)
     rows = [prod(count for count, mode in zip(picks, modes, strict=True) if mode == n) for n in range(order)]
     channel = next((n for n, axis in enumerate(model.metadata.axes) if axis.role == "channel"), None)
-    colour = modes[channel] if channel is not None and picks[channel] == 3 else None
+    coloured = channel is not None and picks[channel] == 3
+    colour, _ = colour_mode(model.metadata, Options(channels=3 if coloured else 1, contracted=tuple(contracted)))
     uniform = uniform_levels(model.metadata, model.levels)
+    if is_single(model.metadata, uniform):
+        return _single(model, rows, contracted)
     registered = registered_levels(model.metadata, rows, colour, contracted, uniform)
     parts = [1] * order
     turns = 0
@@ -56,6 +60,15 @@ def loop_turns(model: Model, picks: Sequence[int], level: int, contracted: Seque
         turns += prod(groups) * 8 * order
         parts = [p * c for p, c in zip(parts, bounds.clusters, strict=True)]
     return turns
+
+
+def _single(model: Model, rows: Sequence[int], contracted: Sequence[int]) -> int:
+    """Turns of `single.py`'s loops: over the rows of every mode, their numbers, and the core."""
+    kept = [n for n in range(len(rows)) if n not in contracted]
+    ranks = model.bounds[0].ranks
+    counts = [rows[n] if n in model.metadata.undecomposed else ranks[n] for n in kept]
+    weights = sum(rows[n] * (2 + ranks[n]) for n in kept if n not in model.metadata.undecomposed)
+    return weights + 2 * sum(prod(counts[: k + 1]) for k in range(len(counts)))
 
 
 def _registered(rows: Sequence[int], groups: Sequence[int], clusters: Sequence[int], mixture: Sequence[int],

@@ -100,11 +100,10 @@ def surface_cost(model: Model, layout: Layout) -> Cost:
     samples: list[dict[int, list[int]]] = []
     for _ in range(_COUNTED):
         picks = {axis: [at, at + 1] for axis in layout.space for at in [int(rng.integers(layout.sizes[axis] - 1))]}
-        for axis in (layout.light, *layout.views):
-            if axis is not None:
-                coords = np.asarray(model.metadata.axes[axis].coords)
-                nearest = np.argsort(-(coords @ coords[rng.integers(len(coords))]))[:3]
-                picks[axis] = [int(i) for i in nearest]
+        for axis in (*layout.lights, *layout.views):
+            coords = np.asarray(model.metadata.axes[axis].coords)
+            nearest = np.argsort(-(coords @ coords[rng.integers(len(coords))]))[:3]
+            picks[axis] = [int(i) for i in nearest]
         if layout.channel is not None:
             picks[layout.channel] = list(layout.channels)
         samples.append(picks)

@@ -6,7 +6,7 @@ times bilinear texels, for each colour; summed over the lights.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,10 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..axes import Axis
+from .angles import AngleGrid, angle_grid
 from .directions import DirectionTable, build_table, directions_of
 from .elements import fetch, source_values
 from .gbuffer import GBuffer, Rays
 from .layout import Layout, time_steps
+from .mesh import make_mesh
 from .scene import Light, Scene, direction
 
 F32 = NDArray[np.float32]
@@ -25,20 +27,40 @@ Index = NDArray[np.intp]
 
 LEAST_VIEW = 0.01  # z of a view direction: smooth normals turn away before the surface does
 PIXELS = 1 << 13  # shaded together: bounds memory to some 100 MB
-#: Directions that do not matter, because the data has no such axis: one tap of weight one.
+#: Indices of an axis around each pixel, ``[b, k]``, and their weights.
 Taps = tuple[Index, F32]
 
 
 @dataclass(frozen=True, eq=False)
+class Measured:
+    """Measured directions of lights or views: a list along one axis, or a grid of the angles of two; or no axis."""
+
+    axes: tuple[int, ...]
+    table: DirectionTable | AngleGrid | None
+
+    def taps(self, directions: F32) -> tuple[dict[int, Taps], F32]:
+        """For each axis the taps around unit vectors ``[b, 3]``; and the z that they interpolate, ``[b]``."""
+        if self.table is None:
+            return {}, directions[:, 2]
+        if isinstance(self.table, AngleGrid):
+            found, height = self.table.interpolate(directions)
+        else:
+            index, weight, height = self.table.interpolate(directions)
+            found = [(index, weight)]
+        return {axis: (np.asarray(index, np.intp), weight) for axis, (index, weight)
+                in zip(self.axes, found, strict=True)}, height
+
+
+@dataclass(frozen=True, eq=False)
 class Shading:
-    """What does not change from frame to frame: the axes, and the tables of measured directions (None: no such axis).
+    """What does not change from frame to frame: the axes, and the measured directions.
 
     `assumed` names the axes whose directions had to be assumed because they have no coordinates.
     """
 
     layout: Layout
-    light: DirectionTable | None
-    view: DirectionTable | None
+    light: Measured
+    view: Measured
     assumed: tuple[str, ...]
 
 
@@ -51,16 +73,19 @@ def prepare(axes: Sequence[Axis], layout: Layout) -> Shading:
     >>> prepare(axes, lay_out(axes, "svbrdf")).assumed
     ('light',)
     """
-    tables: list[DirectionTable | None] = []
     assumed: list[str] = []
-    for number in (layout.light, next(iter(layout.views), None)):
-        if number is None:
-            tables.append(None)
-            continue
-        vectors, guessed = directions_of(axes[number])
-        tables.append(build_table(vectors))
-        assumed += [axes[number].name] if guessed else []
-    return Shading(layout, tables[0], tables[1], tuple(assumed))
+
+    def measured(numbers: Sequence[int]) -> Measured:
+        if len(numbers) == 2:
+            grid = angle_grid(axes, (numbers[0], numbers[1]))
+            return Measured(grid.axes, grid)
+        if not numbers:
+            return Measured((), None)
+        vectors, guessed = directions_of(axes[numbers[0]])
+        assumed.extend([axes[numbers[0]].name] if guessed else [])
+        return Measured(tuple(numbers), build_table(vectors))
+
+    return Shading(layout, measured(layout.lights), measured(layout.views), tuple(assumed))
 
 
 def at_time(layout: Layout, time: float | None) -> Layout:
@@ -93,12 +118,12 @@ def _shade_pixels(source: Any, shading: Shading, scene: Scene, seen: tuple[F32, 
     surface, normal, tangent = seen
     layout = at_time(shading.layout, scene.time)
     rows, columns = (layout.sizes[axis] for axis in layout.space)
-    x, y = texel_taps(surface[:, 0], columns), texel_taps(surface[:, 1], rows)
+    texels = dict(zip(layout.space, (texel_taps(surface[:, 1], rows), texel_taps(surface[:, 0], columns)), strict=True))
     frame = local_frame(normal[:, :3], tangent, scene.surface.y_axis == "up")
     view = np.einsum("bjk,bk->bj", frame, -pixel_rays)
     view[:, 2] = np.maximum(view[:, 2], np.float32(LEAST_VIEW))
     view /= np.linalg.norm(view, axis=1, keepdims=True)
-    view_taps, _ = direction_taps(shading.view, view)
+    views, _ = shading.view.taps(view.astype(np.float32))
 
     place = np.asarray(rays.eye.astype(np.float32) + surface[:, 2:3] * pixel_rays, np.float32)
     radiance = np.zeros((len(surface), 3), np.float32)
@@ -106,11 +131,40 @@ def _shade_pixels(source: Any, shading: Shading, scene: Scene, seen: tuple[F32, 
         towards, strength = incident(light, place)
         local = np.einsum("bjk,bk->bj", frame, towards)
         lit = np.flatnonzero(local[:, 2] > 0)
-        taps, height = direction_taps(shading.light, local[lit])
+        lights, height = shading.light.taps(local[lit].astype(np.float32))
         scale = strength[lit] * horizon(local[lit, 2], height, scene.surface.cosine)
-        chosen = [(index[lit], weight[lit]) for index, weight in (view_taps, y, x)]
-        radiance[lit] += scale * interpolate(source, layout, [taps, *chosen])
+        others = {axis: (index[lit], weight[lit]) for axis, (index, weight) in {**views, **texels}.items()}
+        radiance[lit] += scale * interpolate(source, layout, {**lights, **others})
     return radiance
+
+
+@dataclass(frozen=True)
+class FixedLight:
+    """A light that is the same at all pixels: for each axis (zeniths before azimuths) the measured directions around it
+    with their weights, and the height that they interpolate.
+    """
+
+    axes: tuple[int, ...]
+    taps: dict[int, tuple[tuple[int, ...], tuple[float, ...]]]
+    height: float
+
+
+def fixed_lights(shading: Shading, scene: Scene, rays: Rays) -> list[FixedLight] | None:
+    """The lights, if all are the same at all pixels: distant ones on a plane; else None."""
+    distant = all(light.position is None for light in scene.lights)
+    if scene.surface.shape != "plane" or not scene.lights or not distant or not shading.light.axes:
+        return None
+    mesh = make_mesh(scene.surface, 1, 1)
+    normal, tangent = mesh.normal[:1], mesh.tangent[:1]
+    seen_from_behind = float(normal[0] @ (rays.eye - mesh.position[0])) < 0
+    frame = local_frame(-normal if seen_from_behind else normal, tangent, scene.surface.y_axis == "up")
+    found: list[FixedLight] = []
+    for light in scene.lights:
+        local = np.einsum("bjk,k->bj", frame, np.array(direction(light.azimuth, light.elevation), np.float32))
+        taps, height = shading.light.taps(local.astype(np.float32))
+        listed = {axis: (tuple(index[0].tolist()), tuple(weight[0].tolist())) for axis, (index, weight) in taps.items()}
+        found.append(FixedLight(shading.light.axes, listed, float(height[0])))
+    return found
 
 
 def texel_taps(coordinate: F32, count: int) -> Taps:
@@ -153,15 +207,6 @@ def incident(light: Light, place: F32) -> tuple[F32, F32]:
     return offset / np.sqrt(square), colour / square
 
 
-def direction_taps(table: DirectionTable | None, directions: F32) -> tuple[Taps, F32]:
-    """Measured directions around each direction ``[b, 3]`` with weights, and the z that they interpolate."""
-    if table is None:
-        count = len(directions)
-        return (np.zeros((count, 1), np.intp), np.ones((count, 1), np.float32)), directions[:, 2]
-    index, weight, height = table.interpolate(np.asarray(directions, np.float32))
-    return (index.astype(np.intp), weight), height
-
-
 def horizon(z: F32, measured: F32, contains_cosine: bool) -> F32:
     """Factor ``[b, 1]`` of a light at height z: values beyond the measured ones fall to 0 at the horizon with z.
 
@@ -173,19 +218,19 @@ def horizon(z: F32, measured: F32, contains_cosine: bool) -> F32:
     return np.asarray(z, np.float32)[:, None]
 
 
-def interpolate(source: Any, layout: Layout, taps: Sequence[Taps]) -> F32:
-    """Interpolated values ``[b, 3]``, from taps of light, view, y and x, each ``[b, taps]``."""
-    axes = (layout.light, next(iter(layout.views), None), *layout.space)
+def interpolate(source: Any, layout: Layout, taps: Mapping[int, Taps]) -> F32:
+    """Interpolated values ``[b, 3]``, from taps ``[b, k]`` of axes."""
+    points = len(next(iter(taps.values()))[0])
+    if not points:
+        return np.zeros((0, 3), np.float32)
     indices: dict[int, Index] = {}
-    weight = np.ones((len(taps[0][0]), 1, 1, 1, 1), np.float32)
-    for number, (axis, (index, share)) in enumerate(zip(axes, taps, strict=True)):
-        shape = [len(index), *(index.shape[1] if n == number else 1 for n in range(4))]
+    weight = np.ones((points, *[1] * len(taps)), np.float32)
+    for number, (axis, (index, share)) in enumerate(taps.items()):
+        shape = [points, *(index.shape[1] if n == number else 1 for n in range(len(taps)))]
         weight = weight * share.reshape(shape)
-        if axis is not None:
-            indices[axis] = index.reshape(*shape, 1)
+        indices[axis] = index.reshape(*shape, 1)
     if layout.channel is not None:
-        indices[layout.channel] = np.array(layout.channels, np.intp).reshape(1, 1, 1, 1, 1, -1)
-    values = fetch(source, layout, indices)
-    shape = np.broadcast_shapes(values.shape, (*weight.shape, 1))
-    values = source_values(source, np.einsum("blvyxc,blvyx->bc", np.broadcast_to(values, shape), weight))
-    return np.asarray(np.broadcast_to(values, (len(values), 3)), np.float32)
+        indices[layout.channel] = np.array(layout.channels, np.intp).reshape(*[1] * weight.ndim, -1)
+    values = fetch(source, layout, indices).reshape(points, weight[0].size, -1)
+    values = source_values(source, np.einsum("bkc,bk->bc", values, weight.reshape(points, -1)))
+    return np.asarray(np.broadcast_to(values, (points, 3)), np.float32)

@@ -8,7 +8,7 @@ from ..model import Model
 from .contract import AxisPicks, FrameContraction
 from .contraction import FRAME_BINDING, uniform_levels
 from .device import Device
-from .image import pack_image
+from .image import Image, pack_image
 from .prelude import PLAIN, Options, decoder_uniform, image_pages, prelude
 
 
@@ -20,6 +20,7 @@ class DecoderBuffers:
         device: where to.
         model: what.
         options: of the shader; those that share buffers can differ in picks and channels.
+        shared: buffers of the same model, whose image serves for these, too.
 
     Raises:
         HmkctaError: the image does not fit into the storage buffers that WebGPU guarantees.
@@ -30,17 +31,17 @@ class DecoderBuffers:
         pages: of the image.
     """
 
-    def __init__(self, device: Device, model: Model, options: Options = PLAIN) -> None:
-        image = pack_image(model.levels)
+    def __init__(self, device: Device, model: Model, options: Options = PLAIN, shared: DecoderBuffers | None = None
+                 ) -> None:
+        image = pack_image(model.levels) if shared is None else shared._image
+        self._image = image
         self.device = device
         self.metadata = model.metadata
         self.options = options
         self.nbytes = image.words.nbytes
         self._uniform = uniform_levels(model.metadata, model.levels)
         self.pages = image_pages(image.words.size, options.page_shift)
-        page = 1 << options.page_shift
-        self._buffers = [device.buffer(f"hmkcta image {number}", image.words[number * page : (number + 1) * page])
-                         for number in range(self.pages)]
+        self._buffers = _paged(device, image, self.pages, options) if shared is None else shared._buffers
         kinds = dict(enumerate(["uniform", *["read-only-storage"] * self.pages]))
         self._whole = device.layout("hmkcta decoder", kinds)
         self.layout = self._whole
@@ -74,7 +75,16 @@ class DecoderBuffers:
         """The buffer of the contracted cores, None without contracted modes."""
         return None if self._contraction is None else self._contraction.cores
 
-    def contract(self, picks: AxisPicks) -> None:
+    @property
+    def stride(self) -> int:
+        """Numbers from one set of contracted cores to the next."""
+        return 0 if self._contraction is None else self._contraction.stride
+
+    def fits(self, sets: int) -> bool:
+        """Whether so many sets of contracted cores fit into one binding."""
+        return self._contraction is None or self._contraction.fits(sets)
+
+    def contract(self, *sets: AxisPicks) -> None:
         """Fill the contracted cores for a frame: for each axis of the contracted modes its indices and weights.
 
         What is decoded until the next call must pick the same indices and weights of these axes. Without contracted
@@ -82,8 +92,10 @@ class DecoderBuffers:
         """
         if self._contraction is not None:
             levels = len(self.metadata.levels)
+            if self._contraction.reserve(len(sets)):
+                self._groups.clear()
             whole = self.device.group("hmkcta decoder", self._whole, self._bound(levels))
-            self._contraction.run(whole, picks)
+            self._contraction.run(whole, sets)
 
     def _bound(self, levels: int) -> dict[int, Any]:
         """The buffers of group 0 that every model has."""
@@ -91,3 +103,10 @@ class DecoderBuffers:
             uniform = decoder_uniform(self.metadata, levels)
             self._uniforms[levels] = self.device.buffer("hmkcta levels", uniform, "UNIFORM")
         return dict(enumerate([self._uniforms[levels], *self._buffers]))
+
+
+def _paged(device: Device, image: Image, pages: int, options: Options) -> list[Any]:
+    """The image in storage buffers."""
+    page = 1 << options.page_shift
+    return [device.buffer(f"hmkcta image {number}", image.words[number * page : (number + 1) * page])
+            for number in range(pages)]

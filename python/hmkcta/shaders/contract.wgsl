@@ -1,13 +1,15 @@
 // Frame contraction: the modes that stand still for a frame are summed into the cores once, so that each element needs
-// only the rest. `FOLDED` has a bit for each such mode; LANES invocations share the work of a cell.
+// only the rest. `FOLDED` has a bit for each such mode; LANES invocations share the work of a cell. There can be several
+// sets of cores, one for each light, say, and FOLD_CHANNELS of a number: 3 where the colours' mode is folded.
 
-@group(1) @binding(0) var<storage, read> fixed_rows: array<u32>;       // by mode: count, rows, bits of weights
+@group(1) @binding(0) var<storage, read> fixed_rows: array<u32>;       // by set, channel and mode: count, rows, bits of weights
 @group(1) @binding(1) var<storage, read> parents: array<u32>;          // by node: parent, number among its children
 @group(1) @binding(2) var<storage, read_write> contracted_cores: array<u32>;  // by node: start of its cores; the cores
 
 const MODE_ROWS = 32u;                     // the most rows of a mode
 const FIXED_WORDS = 1u + 2u * MODE_ROWS;   // of a mode in `fixed_rows`
 
+var<private> fold_rows: u32;                       // where the modes of the set and channel at hand begin in `fixed_rows`
 var<private> fold_first: array<u32, ORDER>;        // where a mode begins in the two arrays below
 var<private> fold_count: array<u32, ORDER>;
 var<private> fold_weight: array<f32, FOLD_SUM>;
@@ -29,6 +31,7 @@ fn contract_frame(@builtin(global_invocation_id) place: vec3u, @builtin(num_work
   if (!open_node(node)) {
     return;
   }
+  fold_rows = place.z * ORDER * FIXED_WORDS;
   find_ancestry(node);
   let cell = SCALES + number / LANES - word(node + 2u);
   var left = cell;
@@ -51,9 +54,10 @@ fn contract_frame(@builtin(global_invocation_id) place: vec3u, @builtin(num_work
       numbers *= node_rank[n];
     }
   }
-  let target_cell = contracted_cores[node / NODE_WORDS] + cell * numbers;
+  let set_first = (place.z / FOLD_CHANNELS) * SET_NUMBERS;
+  let target_cell = set_first + contracted_cores[node / NODE_WORDS] + cell * numbers;
   for (var at = number % LANES; at < numbers; at += LANES) {
-    contracted_cores[target_cell + at] = bitcast<u32>(contracted_number(at, terms));
+    contracted_cores[FOLD_CHANNELS * (target_cell + at) + place.z % FOLD_CHANNELS] = bitcast<u32>(contracted_number(at, terms));
   }
 }
 
@@ -88,15 +92,16 @@ fn contracted_number(at: u32, terms: u32) -> f32 {
 // The weights of a folded mode in the cell at hand: basis rows of its fixed rows added up, or the rows themselves.
 fn weigh_mode(n: u32) {
   let first = fold_first[n];
-  let rows = fixed_rows[n * FIXED_WORDS];
+  let mode = fold_rows + n * FIXED_WORDS;
+  let rows = fixed_rows[mode];
   fold_count[n] = select(node_rank[n], rows, undecomposed(n));
   for (var r = 0u; r < fold_count[n]; r++) {
     fold_weight[first + r] = 0.0;
     fold_index[first + r] = r;
   }
   for (var i = 0u; i < rows; i++) {
-    let row = fixed_rows[n * FIXED_WORDS + 1u + i];
-    let weight = bitcast<f32>(fixed_rows[n * FIXED_WORDS + 1u + MODE_ROWS + i]);
+    let row = fixed_rows[mode + 1u + i];
+    let weight = bitcast<f32>(fixed_rows[mode + 1u + MODE_ROWS + i]);
     if (undecomposed(n)) {
       fold_weight[first + i] = weight;
       fold_index[first + i] = row;

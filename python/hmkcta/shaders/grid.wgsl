@@ -15,27 +15,19 @@ struct GridFrame {
 fn decode_grid(@builtin(global_invocation_id) id: vec3u) {
   let at = vec3u(id.xy, id.z + grid.first);
   if (at.x >= grid.width || at.y >= grid.height || at.z >= grid.depth) { return; }
-  pick_nothing();
   for (var axis = 0u; axis < AXES; axis++) {
     if (axis == grid.x_axis) {
-      pick_index(axis, at.x);
+      pick_one(axis, at.x);
     } else if (axis == grid.y_axis) {
-      pick_index(axis, at.y);
+      pick_one(axis, at.y);
     } else if (axis != grid.time_axis) {
-      pick_index(axis, slots[2u * at.z + axis / 4u][axis % 4u]);
+      pick_one(axis, slots[2u * at.z + axis / 4u][axis % 4u]);
     }
   }
   if (grid.time_axis < AXES) {
-    if (grid.time_weight.y == 0.0) {
-      pick_index(grid.time_axis, grid.time.x);
-    } else {
-      var picks: Picks;
-      picks.count = 2u;
-      for (var k = 0u; k < 2u; k++) {
-        picks.index[k] = grid.time[k];
-        picks.weight[k] = Value(grid.time_weight[k]);
-      }
-      pick_axis(grid.time_axis, picks);
+    pick_count[grid.time_axis] = select(2u, 1u, grid.time_weight.y == 0.0);
+    for (var k = 0u; k < pick_count[grid.time_axis]; k++) {
+      pick(grid.time_axis, k, grid.time[k], grid.time_weight[k]);
     }
   }
   textureStore(grid_out, at, vec4f(f32(source_values(decode_picked(decoder.levels)))));

@@ -2,10 +2,9 @@
 // A node is named by the address of its record, the root's being 0; rows are counted in the node's own list.
 
 struct Decoder {
-  levels: u32,     // how many levels to add up
-  transform: u32,  // value transform: 0 identity, 1 log1p, 2 asinh, 3 sqrt
-  scale: f32,      // of the transform, in source values
-  limit: f32,      // arguments above it would leave float32
+  levels: u32,  // how many levels to add up
+  scale: f32,   // of the value transform, in source values
+  limit: f32,   // arguments above it would leave float32
 }
 @group(0) @binding(0) var<uniform> decoder: Decoder;
 

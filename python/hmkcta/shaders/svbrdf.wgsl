@@ -1,20 +1,24 @@
 // SVBRDF renderer: one invocation a pixel turns the G-buffer into radiance. Twin: render/svbrdf.py.
-// Before it: the weighted decoder with picks 3 for light and view, 2 for y and x, 3 for channels. Spaces: world (z up),
-// local (x along texel columns, z the normal), disk (stereographic projection of local directions), texel.
+// Before it: the weighted decoder with picks 3 for light and view (2 for each of two axes of angles), 2 for y and x, 3 for
+// channels; and the constants ANGLES (some directions lie on a grid of angles) and FIXED_LIGHT (those of each light are the
+// same at all pixels, and its modes contracted). Spaces: world (z up), local (x along texel columns, z the normal), disk
+// (stereographic projection of local directions), texel.
 
 struct Light {
   place: vec4f,     // xyz: unit direction towards it (w = 0), or position (w = 1); world
-  strength: vec4f,  // rgb, intensity included
+  strength: vec4f,  // rgb, intensity included; of a fixed light, its height among the measured ones
+  corners: vec4u,   // of a fixed light: measured directions around it, or two zeniths and two azimuths
+  shares: vec4f,    // their weights
 }
 struct SvbrdfFrame {
   width: u32, height: u32, light_count: u32, flags: u32,  // FLAG_ bits
   eye: vec4f, right: vec4f, up: vec4f, forward: vec4f,    // world; the ray of ndc is forward + x right + y up
-  rows: u32, columns: u32, unused_0: u32, unused_1: u32,  // texels
-  light_table: vec4u,  // first record, first grid word group, grid side, axis
-  view_table: vec4u,
-  y_axis: u32, x_axis: u32, channel_axis: u32, unused_2: u32,
+  rows: u32, columns: u32, y_axis: u32, x_axis: u32,      // texels
+  channel_axis: u32, set_numbers: u32, unused_0: u32, unused_1: u32,  // of the contracted cores of a light
   channels: vec4u,     // index shown as red, green, blue
   stands: array<vec4u, 2>,  // where every axis stands that is not named above
+  tables: array<vec4u, 2>,  // views, lights: first record, first grid word group, grid side, axis
+  angles: array<vec4u, 4>,  // zeniths and azimuths of views, of lights: first entry, entries (0: none), axis
   lights: array<Light, 8>,
 }
 @group(1) @binding(0) var<uniform> svbrdf: SvbrdfFrame;
@@ -29,10 +33,12 @@ const NO_NEIGHBOUR = 0xffffffffu;
 const FLAG_Y_UP = 1u;
 const FLAG_COSINE = 2u;   // the file's values lack the cosine
 const FLAG_NEAREST = 4u;  // texels are not interpolated: the modes would need too many rows
+const FLAG_NEAREST_AZIMUTH = 8u;
 const MOST_STEPS = 8u;
 const LEAST_VIEW = 0.01;
-
-struct Weights { corners: vec3u, weight: vec3f, height: f32 }
+const TURN = 6.283185307179586;
+const VIEW = 0u;
+const LIGHT = 1u;
 
 // Weights of a triangle's corners at p in the disk.
 fn barycentric(record: u32, p: vec2f) -> vec3f {
@@ -43,8 +49,16 @@ fn barycentric(record: u32, p: vec2f) -> vec3f {
   return vec3f(w0, w1, 1.0 - w0 - w1);
 }
 
-// Measured directions around a local one: from its grid cell's triangle across edges to its own.
-fn interpolate_direction(table: vec4u, direction: vec3f) -> Weights {
+// Picks the measured directions around a local one: from its grid cell's triangle across edges to its own. Returns the
+// height that they interpolate.
+fn pick_directions(which: u32, direction: vec3f) -> f32 {
+  let table = svbrdf.tables[which];
+  if (ANGLES && svbrdf.angles[2u * which].y != 0u) {
+    return pick_angles(which, direction);
+  }
+  if (table.w == NO_AXIS) {
+    return direction.z;
+  }
   let p = direction.xy / (1.0 + max(direction.z, 0.0));
   let side = table.z;
   let cell = min(vec2u(max((p + 1.0) * (0.5 * f32(side)), vec2f(0.0))), vec2u(side - 1u));
@@ -63,7 +77,53 @@ fn interpolate_direction(table: vec4u, direction: vec3f) -> Weights {
   weight = weight / (weight.x + weight.y + weight.z);
   let head = directions[record];
   let rest = bitcast<vec4f>(directions[record + 3u]);
-  return Weights(head.xyz, weight, dot(weight, vec3f(rest.z, rest.w, bitcast<f32>(head.w))));
+  pick_count[table.w] = 3u;
+  for (var k = 0u; k < 3u; k++) {
+    pick(table.w, k, head[k], weight[k]);
+  }
+  return dot(weight, vec3f(rest.z, rest.w, bitcast<f32>(head.w)));
+}
+
+// The same on a product grid: two zeniths and two azimuths.
+fn pick_angles(which: u32, direction: vec3f) -> f32 {
+  var height = 0.0;
+  for (var part = 0u; part < 2u; part++) {
+    let list = svbrdf.angles[2u * which + part];
+    var angle = atan2(length(direction.xy), direction.z);
+    if (part == 1u) {
+      angle = atan2(direction.y, direction.x);
+      angle = select(angle, angle + TURN, angle < 0.0);
+    }
+    var low = list.x;
+    var high = list.x + list.y - 1u;
+    while (high - low > 1u) {
+      let middle = (low + high) / 2u;
+      if (bitcast<f32>(directions[middle].x) <= angle) { low = middle; } else { high = middle; }
+    }
+    let first = bitcast<f32>(directions[low].x);
+    let gap = max(bitcast<f32>(directions[high].x) - first, 1e-6);
+    let share = clamp((angle - first) / gap, 0.0, 1.0);
+    pick_count[list.z] = 2u;
+    pick(list.z, 0u, directions[low].y, 1.0 - share);
+    pick(list.z, 1u, directions[high].y, share);
+    if (part == 0u) {
+      height = cos(clamp(angle, bitcast<f32>(directions[list.x].x), bitcast<f32>(directions[list.x + list.y - 1u].x)));
+    } else if ((svbrdf.flags & FLAG_NEAREST_AZIMUTH) != 0u) {
+      pick_one(list.z, select(directions[low].y, directions[high].y, share >= 0.5));
+    }
+  }
+  return height;
+}
+
+// Picks the directions of a light that the host has found, the same for all pixels.
+fn pick_fixed(number: u32) {
+  let light = svbrdf.lights[number];
+  let grid = svbrdf.angles[2u * LIGHT].y != 0u;
+  for (var k = 0u; k < select(3u, 4u, grid); k++) {
+    let axis = select(svbrdf.tables[LIGHT].w, svbrdf.angles[2u * LIGHT + k / 2u].z, grid);
+    pick_count[axis] = select(3u, 2u, grid);
+    pick(axis, select(k, k % 2u, grid), light.corners[k], light.shares[k]);
+  }
 }
 
 // Place in texels of a coordinate in repeats, every other repeat mirrored. Directions are not: at the border between two
@@ -75,54 +135,28 @@ fn texel_place(coordinate: f32, count: u32) -> f32 {
   return clamp(within * f32(count) - 0.5, 0.0, f32(count - 1u));
 }
 
-// Picks all axes for light and eye in the local frame and a place in texels; returns the height of the light among the
-// measured ones. One loop for all axes, for compilers put every call's text in its place.
-fn pick_all(local: vec3f, view: vec3f, place: vec2f) -> f32 {
-  var height = local.z;
-  pick_nothing();
+// Picks all axes but those of directions, for a place in texels.
+fn pick_others(place: vec2f) {
   for (var axis = 0u; axis < AXES; axis++) {
-    var picks: Picks;
-    picks.count = 1u;
-    picks.index[0] = svbrdf.stands[axis / 4u][axis % 4u];
-    picks.weight[0] = Value(1.0);
-    let lit = axis == svbrdf.light_table.w;
-    if (lit || axis == svbrdf.view_table.w) {
-      let found = interpolate_direction(select(svbrdf.view_table, svbrdf.light_table, lit), select(view, local, lit));
-      picks.count = 0u;
-      for (var k = 0u; k < 3u; k++) {  // beyond the measured directions corners are the same
-        var at = 0u;
-        while (at < picks.count && picks.index[at] != found.corners[k]) { at += 1u; }
-        if (at == picks.count) {
-          picks.index[at] = found.corners[k];
-          picks.weight[at] = Value(0.0);
-          picks.count += 1u;
-        }
-        picks.weight[at] += Value(found.weight[k]);
-      }
-      height = select(height, found.height, lit);
-    } else if (axis == svbrdf.x_axis || axis == svbrdf.y_axis) {
+    pick_one(axis, svbrdf.stands[axis / 4u][axis % 4u]);
+    if (axis == svbrdf.x_axis || axis == svbrdf.y_axis) {
       let along = select(place.y, place.x, axis == svbrdf.x_axis);
       let count = select(svbrdf.rows, svbrdf.columns, axis == svbrdf.x_axis);
       if ((svbrdf.flags & FLAG_NEAREST) != 0u) {
-        picks.index[0] = min(u32(along + 0.5), count - 1u);
+        pick_one(axis, min(u32(along + 0.5), count - 1u));
       } else {  // bilinear
         let first = min(u32(along), u32(max(i32(count) - 2, 0)));
-        picks.count = 2u;
-        picks.index[0] = first;
-        picks.index[1] = min(first + 1u, count - 1u);
-        picks.weight[0] = Value(1.0 - (along - f32(first)));
-        picks.weight[1] = Value(along - f32(first));
+        pick_count[axis] = 2u;
+        pick(axis, 0u, first, 1.0 - (along - f32(first)));
+        pick(axis, 1u, min(first + 1u, count - 1u), along - f32(first));
       }
     } else if (axis == svbrdf.channel_axis) {
-      picks.count = 3u;
+      pick_count[axis] = 3u;
       for (var c = 0u; c < 3u; c++) {
-        picks.index[c] = svbrdf.channels[c];
-        picks.weight[c] = as_value(vec3f(f32(c == 0u), f32(c == 1u), f32(c == 2u)));
+        pick(axis, c, svbrdf.channels[c], 1.0);
       }
     }
-    pick_axis(axis, picks);
   }
-  return height;
 }
 
 @compute @workgroup_size(8, 8, 1)
@@ -150,20 +184,33 @@ fn shade_svbrdf(@builtin(global_invocation_id) pixel: vec3u) {
   let seen_from = to_local * -ray;
   let view = normalize(vec3f(seen_from.xy, max(seen_from.z, LEAST_VIEW)));
 
+  pick_others(vec2f(x, y));
   var radiance = vec3f(0.0);
-  for (var n = 0u; n < svbrdf.light_count; n++) {
-    let light = svbrdf.lights[n];
-    var towards = light.place.xyz;
-    var strength = light.strength.xyz;
-    if (light.place.w != 0.0) {
-      let offset = light.place.xyz - place;
-      let square = max(dot(offset, offset), 1e-8);
-      towards = offset / sqrt(square);
-      strength = strength / square;
+  for (var n = 0u; n <= svbrdf.light_count; n++) {  // the eye, then the lights: compilers put the text of a call in its place
+    var local = view;
+    var strength = vec3f(0.0);
+    if (n > 0u) {
+      let light = svbrdf.lights[n - 1u];
+      var towards = light.place.xyz;
+      strength = light.strength.xyz;
+      if (light.place.w != 0.0) {
+        let offset = light.place.xyz - place;
+        let square = max(dot(offset, offset), 1e-8);
+        towards = offset / sqrt(square);
+        strength = strength / square;
+      }
+      local = to_local * towards;
+      if (local.z <= 0.0) { continue; }
     }
-    let local = to_local * towards;
-    if (local.z <= 0.0) { continue; }
-    let height = pick_all(local, view, vec2f(x, y));
+    var height = 0.0;
+    if (FIXED_LIGHT && n > 0u) {
+      height = svbrdf.lights[n - 1u].strength.w;
+      pick_fixed(n - 1u);
+      frame_first = (n - 1u) * svbrdf.set_numbers;
+    } else {
+      height = pick_directions(min(n, LIGHT), local);
+    }
+    if (n == 0u) { continue; }
     var scale = min(1.0, local.z / max(height, 1e-6));
     if ((svbrdf.flags & FLAG_COSINE) != 0u) { scale = local.z; }
     radiance += scale * strength * vec3f(source_values(decode_picked(decoder.levels)));

@@ -5,13 +5,6 @@
 // The nodes that the combinations lie in form a tree. It is walked depth first; at every depth there is a mask a mode of
 // the rows inside the node, and the node's children are the combinations of the parts these rows go to.
 
-// Weighted indices of one axis. Red, green and blue may differ in the weights of the mode with the colours alone.
-struct Picks {
-  count: u32,
-  index: array<u32, PICKS>,
-  weight: array<Value, PICKS>,
-}
-
 const OPEN = LEVELS * ORDER;
 
 var<private> row_weight: array<f32, ROWS>;
@@ -24,47 +17,39 @@ var<private> inside: array<u32, OPEN>;           // by depth: rows of mode n ins
 var<private> waiting: array<u32, OPEN>;          // by depth: those of them in parts that no child was entered for yet
 var<private> node_at: array<u32, LEVELS>;
 
-// Starts a selection: every axis stands at index 0 with weight 1.
-fn pick_nothing() {
+// The rows of every mode, which are the combinations of its axes' picks, and their weights.
+fn gather_rows() {
   row_colour[0] = Value(1.0);
   for (var n = 0u; n < ORDER; n++) {
     row_count[n] = 1u;
     row_at[ROW_FIRST[n]] = 0u;
     row_weight[ROW_FIRST[n]] = 1.0;
   }
-}
-
-// An axis that stands still.
-fn pick_index(axis: u32, index: u32) {
-  let n = AXIS_MODE[axis];
-  for (var i = 0u; i < row_count[n]; i++) {
-    row_at[ROW_FIRST[n] + i] += index * AXIS_STRIDE[axis];
-  }
-}
-
-// Several weighted indices of an axis: the rows of its mode become their combinations with the rows so far.
-fn pick_axis(axis: u32, picks: Picks) {
-  var picked = picks;
-  let n = AXIS_MODE[axis];
-  let first = ROW_FIRST[n];
-  let before = row_count[n];
-  for (var left = picked.count; left > 0u; left--) {
-    let j = left - 1u;  // the first index last, for it takes the place of the rows so far
-    for (var i = 0u; i < before; i++) {
-      row_at[first + j * before + i] = row_at[first + i] + picked.index[j] * AXIS_STRIDE[axis];
-      if (n == COLOUR) {
-        row_colour[j * before + i] = row_colour[i] * picked.weight[j];
-      } else {
-        row_weight[first + j * before + i] = row_weight[first + i] * scalar(picked.weight[j]);
+  for (var axis = 0u; axis < AXES; axis++) {
+    let n = AXIS_MODE[axis];
+    let first = ROW_FIRST[n];
+    let before = row_count[n];
+    for (var left = pick_count[axis]; left > 0u; left--) {
+      let j = left - 1u;  // the first index last, for it takes the place of the rows so far
+      let offset = pick_index[axis * PICKS + j] * AXIS_STRIDE[axis];
+      let weight = pick_weight[axis * PICKS + j];
+      for (var i = 0u; i < before; i++) {
+        row_at[first + j * before + i] = row_at[first + i] + offset;
+        if (n != COLOUR) {
+          row_weight[first + j * before + i] = row_weight[first + i] * weight;
+        } else {
+          row_colour[j * before + i] = row_colour[i] * select(Value(weight), channel(j), axis == COLOUR_AXIS);
+        }
       }
     }
+    row_count[n] = before * pick_count[axis];
   }
-  row_count[n] = before * picked.count;
 }
 
 // The weighted sum, in the domain of the value transform.
 fn decode_picked(levels: u32) -> Value {
   var sum = Value(0.0);
+  gather_rows();
   for (var n = 0u; n < ORDER; n++) {
     if (row_count[n] == 0u) {
       return sum;
@@ -72,12 +57,6 @@ fn decode_picked(levels: u32) -> Value {
     inside[n] = (2u << (row_count[n] - 1u)) - 1u;  // as many ones; 32 of them too
   }
   node_at[0] = 0u;
-  if (LEVELS == 1u) {  // no tree to walk: compilers leave out what follows
-    if (open_node(0u)) {
-      sum = picked_node(0u, 0u);
-    }
-    return sum;
-  }
   var depth = 0u;
   var entered = true;
   loop {

@@ -17,13 +17,13 @@ function product(numbers: number[]): number {
 
 /** `picked_node(node, depth)`: what a node adds, by registers where its level allows it, else by `picked_value`. */
 export function pickedCells(
-  metadata: Metadata, room: number[], colour: number | undefined, contracted: number[], uniform: number[],
+  metadata: Metadata, room: number[], colour: number | undefined, contracted: number[], uniform: number[], tinted: boolean,
 ): string[] {
   const cases = new Map<string, number[]>();
   const lines: string[] = [];
   for (const level of uniform) {
     const { ranks, clusters } = metadata.levels[level]!;
-    const cells = new Cells(ranks, room, colour, contracted, product(clusters) === 1);
+    const cells = new Cells(ranks, room, colour, contracted, product(clusters) === 1, tinted);
     if (Math.max(...clusters) > MOST_CLUSTERS || ranks.some((rank, n) => rank > MOST_RANK && !contracted.includes(n)) 
       || Math.max(...room) > MOST_ROWS || metadata.undecomposed.some((n) => !contracted.includes(n))) {
       continue;
@@ -49,7 +49,7 @@ class Cells {
 
   constructor(
     private readonly ranks: number[], private readonly room: number[], private readonly colour: number | undefined,
-    private readonly contracted: number[], private readonly single: boolean,
+    private readonly contracted: number[], private readonly single: boolean, private readonly tinted: boolean,
   ) {
     this.order = ranks.map((_, n) => n);
     this.kept = this.order.filter((n) => !contracted.includes(n));
@@ -205,7 +205,7 @@ class Cells {
     }
     return [
       ...outer.map((n) => `  var list_${n} = array<${this.kind(n)}, ${ranks[n]}>(${times(ranks[n]!, (r) => `w_${n}_${r}`).join(", ")});`),
-      `  var total = ${outer.some((n) => n === this.colour) ? "Value" : "f32"}(0.0);`,
+      `  var total = ${this.tinted || outer.some((n) => n === this.colour) ? "Value" : "f32"}(0.0);`,
       ...outer.map((n) => `  for (var e_${n} = 0u; e_${n} < ${ranks[n]}u; e_${n}++) {`), ...block,
       `  total += ${outer.map((n) => `list_${n}[e_${n}]`).join(" * ")} * ${value};`, ...outer.map(() => "  }"),
     ];
@@ -219,7 +219,7 @@ class Cells {
     }
     offsets.sort((a, b) => a - b);
     if (this.contracted.length > 0) {
-      return offsets.map((offset) => `  let h_${offset} = bitcast<f32>(frame[at + ${offset}u]);`);
+      return offsets.map((offset) => `  let h_${offset} = core_number(at + ${offset}u);`);
     }
     return even
       ? ["  let pairs = at >> 1u;", ...[...new Set(offsets.map((offset) => offset >> 1))].map((pair) =>

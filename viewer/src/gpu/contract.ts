@@ -7,7 +7,7 @@ import { axisPlaces } from "../decode/element";
 import type { Metadata } from "../reader/metadata";
 import type { PackedLevel } from "../reader/packed";
 import type { Decoder } from "./decoder";
-import { MOST_ROWS, type Options, PAGE_SHIFT, nodeWords, prelude, rooms } from "./prelude";
+import { MOST_ROWS, type Options, PAGE_SHIFT, colourMode, nodeWords, prelude, rooms } from "./prelude";
 import { compose } from "./shaders";
 
 /** Indices of an axis and their weights. */
@@ -17,12 +17,12 @@ const GROUP = 64; // invocations of a workgroup
 const MOST_GROUPS = 65535; // along one dimension
 const FIXED_WORDS = 1 + 2 * MOST_ROWS; // of a mode in `fixed_rows`
 
-/** The modes to contract where these source axes stand still; none if their cores would not fit into one binding. */
-export function contractable(metadata: Metadata, levels: PackedLevel[], still: number[]): number[] {
+/** The modes to contract where these source axes stand still; none if their cores, so many times, would not fit into one binding. */
+export function contractable(metadata: Metadata, levels: PackedLevel[], still: number[], folds = 1): number[] {
   const places = axisPlaces(metadata);
   const found = metadata.modeSizes.flatMap((_, n) =>
     (places.every(({ mode }, axis) => mode !== n || still.includes(axis)) ? [n] : []));
-  return coreWords(levels, found) <= 2 ** PAGE_SHIFT ? found : [];
+  return coreWords(levels, found, folds) <= 2 ** PAGE_SHIFT ? found : [];
 }
 
 /** The modes of a decoder that pay: an array that is no more than packed has one core, of which a frame takes a part anyway. */
@@ -46,15 +46,21 @@ export function contractionConstants(
   }, 1);
   return {
     FOLDED: contracted.reduce((bits, n) => bits + 2 ** n, 0), FOLD_SUM: Math.max(1, ...taken),
-    LANES: Math.min(GROUP, 2 ** Math.ceil(Math.log2(most))), NODES: levels.reduce((sum, { nodes }) => sum + nodes, 0),
+    LANES: Math.min(GROUP, 2 ** Math.ceil(Math.log2(most))), FOLD_CHANNELS: foldChannels(metadata, options),
+    SET_NUMBERS: setNumbers(levels, contracted), NODES: levels.reduce((sum, { nodes }) => sum + nodes, 0),
     SCALES: scales[0], CELLS: scales[1] - scales[0],
   };
 }
 
-/** For each node of all levels the start of its contracted cores, which lie behind these numbers. */
-export function coreStarts(levels: PackedLevel[], contracted: number[]): Uint32Array<ArrayBuffer> {
+/** Of a number of the contracted cores: 3 where they hold colours. */
+export function foldChannels(metadata: Metadata, options: Options): 1 | 3 {
+  return colourMode(metadata, options).tinted ? 3 : 1;
+}
+
+/** For each node of all levels the start of its contracted cores, in numbers of so many words; they lie behind these. */
+export function coreStarts(levels: PackedLevel[], contracted: number[], channels = 1): Uint32Array<ArrayBuffer> {
   const starts: number[] = [];
-  let at = levels.reduce((sum, { nodes }) => sum + nodes, 0);
+  let at = Math.ceil(levels.reduce((sum, { nodes }) => sum + nodes, 0) / channels);
   for (const level of levels) {
     for (let s = 0; s < level.nodes; s += 1) {
       starts.push(at);
@@ -99,70 +105,144 @@ export function fixedRows(metadata: Metadata, contracted: number[], picks: Still
   return table;
 }
 
-/** The contracted cores of a model on the GPU, and the pass that fills them. */
+/** What `contract.wgsl` takes and makes, for so many sets of cores. */
+interface Buffers {
+  sets: number;
+  cores: GPUBuffer;
+  fixed: GPUBuffer;
+  own: GPUBindGroup;
+}
+
+/** How a model is decoded in a frame: with modes contracted into cores of its own, or, where there are none, as it is. */
 export class FrameContraction {
-  readonly cores: GPUBuffer;
+  /** Numbers from one set of cores to the next: what `frame_first` counts in. */
+  readonly stride: number;
+  private readonly channels: 1 | 3;
+  private readonly parents: GPUBuffer;
+  private readonly bindings: GPUBindGroupLayout;
+  private pipeline: GPUComputePipeline | null = null;
+  private buffers: Buffers | null = null;
   private done = ""; // what the cores are contracted for
 
-  private constructor(
-    private readonly device: GPUDevice, private readonly decoder: Decoder, private readonly contracted: number[],
-    private readonly pipeline: GPUComputePipeline, private readonly own: GPUBindGroup,
-    private readonly buffers: { cores: GPUBuffer; parents: GPUBuffer; fixed: GPUBuffer }, private readonly groups: number,
-  ) {
-    this.cores = buffers.cores;
-  }
-
-  /** Compile the pass; `options` have the contracted modes, and the picks that leave room for their axes'. */
-  static async make(device: GPUDevice, decoder: Decoder, options: Options): Promise<FrameContraction> {
+  /** `options` have the contracted modes, and the picks that leave room for their axes'. */
+  constructor(private readonly device: GPUDevice, private readonly decoder: Decoder, private readonly options: Options) {
     const { metadata, levels } = decoder;
-    const { contracted = [] } = options;
-    const storage = (size: number): GPUBuffer =>
-      device.createBuffer({ size, usage: GPUBufferUsage.STORAGE | GPUBufferUsage.COPY_DST });
+    this.stride = setNumbers(levels, this.contracted);
+    this.channels = foldChannels(metadata, options);
     const parents = parentTable(levels);
-    const buffers = {
-      fixed: storage(4 * FIXED_WORDS * metadata.modeSizes.length), parents: storage(parents.byteLength),
-      cores: storage(4 * coreWords(levels, contracted)),
-    };
-    device.queue.writeBuffer(buffers.parents, 0, parents);
-    device.queue.writeBuffer(buffers.cores, 0, coreStarts(levels, contracted));
-    const layout = device.createBindGroupLayout({
+    this.parents = this.storage(parents.byteLength);
+    device.queue.writeBuffer(this.parents, 0, parents);
+    this.bindings = device.createBindGroupLayout({
       entries: (["read-only-storage", "read-only-storage", "storage"] as const).map((type, binding) => (
         { binding, visibility: GPUShaderStage.COMPUTE, buffer: { type } })),
     });
-    const constants = contractionConstants(metadata, levels, decoder.scales, options);
-    const pipeline = await device.createComputePipelineAsync({
-      layout: device.createPipelineLayout({ bindGroupLayouts: [decoder.layout, layout] }),
-      compute: { module: device.createShaderModule({ code: contractionShader(decoder, constants) }), entryPoint: "contract_frame" },
-    });
-    const own = device.createBindGroup({
-      layout, entries: [buffers.fixed, buffers.parents, buffers.cores].map((buffer, binding) => ({ binding, resource: { buffer } })),
-    });
-    return new FrameContraction(device, decoder, contracted, pipeline, own, buffers,
-      Math.ceil((constants["CELLS"]! * constants["LANES"]!) / GROUP));
   }
 
-  /** Contract the cores of the levels that are there, unless they are for these indices and weights already. */
-  run(picks: Still): void {
-    const wanted = JSON.stringify([this.decoder.arrived, ...picks]);
-    if (wanted === this.done) {
+  /** Compile the pass, if any is needed. */
+  async compile(): Promise<void> {
+    if (this.contracted.length > 0) {
+      const { device, decoder } = this;
+      this.pipeline = await device.createComputePipelineAsync({
+        layout: device.createPipelineLayout({ bindGroupLayouts: [decoder.layout, this.bindings] }),
+        compute: { module: device.createShaderModule({ code: contractionShader(decoder, this.constants) }), entryPoint: "contract_frame" },
+      });
+    }
+  }
+
+  /** The modes. */
+  get contracted(): number[] {
+    return this.options.contracted ?? [];
+  }
+
+  /** Of group 0 of the shaders that decode. */
+  get layout(): GPUBindGroupLayout {
+    return this.contracted.length > 0 ? this.decoder.framed : this.decoder.layout;
+  }
+
+  /** Group 0 with so many levels. */
+  group(levels: number): GPUBindGroup {
+    return this.decoder.group(levels, this.buffers?.cores);
+  }
+
+  /** Whether there is room for so many sets of cores. */
+  fits(sets: number): boolean {
+    return coreWords(this.decoder.levels, this.contracted, sets * this.channels) <= 2 ** PAGE_SHIFT;
+  }
+
+  /**
+   * Contract the cores of the levels that are there, a set for each of these indices and weights, unless they are for
+   * them already. The axis of the colours, where their mode is contracted, has the indices of red, green and blue.
+   */
+  run(sets: Still[]): void {
+    const wanted = JSON.stringify([this.decoder.arrived, ...sets.map((picks) => [...picks])]);
+    if (this.pipeline === null || wanted === this.done) {
       return;
     }
     this.done = wanted;
-    this.device.queue.writeBuffer(this.buffers.fixed, 0, fixedRows(this.decoder.metadata, this.contracted, picks));
+    const { own, fixed } = this.reserve(sets.length);
+    const folds = sets.flatMap((picks) => splitColours(this.decoder.metadata, picks, this.channels));
+    folds.forEach((picks, fold) => {
+      const rows = fixedRows(this.decoder.metadata, this.contracted, picks);
+      this.device.queue.writeBuffer(fixed, fold * rows.byteLength, rows);
+    });
     const encoder = this.device.createCommandEncoder();
     const pass = encoder.beginComputePass();
     pass.setPipeline(this.pipeline);
     pass.setBindGroup(0, this.decoder.group(this.decoder.metadata.levels.length));
-    pass.setBindGroup(1, this.own);
-    const across = Math.min(this.groups, MOST_GROUPS);
-    pass.dispatchWorkgroups(across, Math.ceil(this.groups / across));
+    pass.setBindGroup(1, own);
+    const { CELLS, LANES } = this.constants;
+    const groups = Math.ceil((CELLS! * LANES!) / GROUP);
+    const across = Math.min(groups, MOST_GROUPS);
+    pass.dispatchWorkgroups(across, Math.ceil(groups / across), folds.length);
     pass.end();
     this.device.queue.submit([encoder.finish()]);
   }
 
   destroy(): void {
-    Object.values(this.buffers).forEach((buffer) => buffer.destroy());
+    this.release();
+    this.parents.destroy();
   }
+
+  private get constants(): Record<string, number> {
+    return contractionConstants(this.decoder.metadata, this.decoder.levels, this.decoder.scales, this.options);
+  }
+
+  private storage(size: number): GPUBuffer {
+    return this.device.createBuffer({ size, usage: GPUBufferUsage.STORAGE | GPUBufferUsage.COPY_DST });
+  }
+
+  /** The buffers, with room for so many sets. */
+  private reserve(sets: number): Buffers {
+    if (this.buffers !== null && this.buffers.sets >= sets) {
+      return this.buffers;
+    }
+    this.release();
+    const { metadata, levels } = this.decoder;
+    const folds = sets * this.channels;
+    const cores = this.storage(4 * coreWords(levels, this.contracted, folds));
+    const fixed = this.storage(4 * FIXED_WORDS * metadata.modeSizes.length * folds);
+    this.device.queue.writeBuffer(cores, 0, coreStarts(levels, this.contracted, this.channels));
+    const own = this.device.createBindGroup({
+      layout: this.bindings, entries: [fixed, this.parents, cores].map((buffer, binding) => ({ binding, resource: { buffer } })),
+    });
+    this.buffers = { sets, cores, fixed, own };
+    return this.buffers;
+  }
+
+  private release(): void {
+    if (this.buffers !== null) {
+      this.decoder.forget(this.buffers.cores);
+      this.buffers.cores.destroy();
+      this.buffers.fixed.destroy();
+      this.buffers = null;
+    }
+  }
+}
+
+/** The picks of each channel of the contracted cores: of red, green and blue, or the picks themselves. */
+function splitColours(metadata: Metadata, picks: Still, channels: 1 | 3): Still[] {
+  const axis = metadata.axes.findIndex(({ role }) => role === "channel");
+  return channels === 1 ? [picks] : picks.get(axis)!.index.map((index) => new Map([...picks, [axis, { index: [index], weight: [1] }]]));
 }
 
 /** The text of the pass. */
@@ -185,14 +265,18 @@ function numbers({ order, shape }: PackedLevel, s: number, contracted: number[])
   return product;
 }
 
-/** Words of the table of starts and of all contracted cores. */
-function coreWords(levels: PackedLevel[], contracted: number[]): number {
-  let words = 0;
+/** Numbers of all contracted cores. */
+function setNumbers(levels: PackedLevel[], contracted: number[]): number {
+  let sum = 0;
   for (const level of levels) {
-    words += level.nodes;
     for (let s = 0; s < level.nodes; s += 1) {
-      words += cells(level, s) * numbers(level, s, contracted);
+      sum += cells(level, s) * numbers(level, s, contracted);
     }
   }
-  return words;
+  return sum;
+}
+
+/** Words of the table of starts, with what rounds it up, and of all contracted cores, so many times. */
+function coreWords(levels: PackedLevel[], contracted: number[], folds: number): number {
+  return levels.reduce((sum, { nodes }) => sum + nodes, 0) + 2 + folds * setNumbers(levels, contracted);
 }

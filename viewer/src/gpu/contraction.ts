@@ -15,33 +15,35 @@ interface Shared {
   colour: number | undefined;
   first: number[];
   modes: number[];
-  number: (at: string) => string; // a core number
+  tinted: boolean; // core numbers are colours
 }
 
 /** One function a mode, from the outermost; each adds up its mode and multiplies once. */
 function functions({ name, counts, strides }: Nest, shared: Shared): string[] {
-  const { undecomposed, colour, first, modes, number } = shared;
+  const { undecomposed, colour, first, modes, tinted } = shared;
+  const plain = tinted ? "Value" : "f32";
   const lines = modes.flatMap((n, place) => {
-    const kind = n === colour ? "Value" : "f32";
+    const kind = n === colour ? "Value" : plain;
     const weight = n === colour ? "cell_colour[e]" : `cell_weight[${first[n]}u + e]`;
     const index = undecomposed.includes(n) ? `cell_index[${first[n]}u + e]` : "e";
     const at = `at + ${index} * ${strides[place]}`;
-    const inner = place === modes.length - 1 ? number(at) : `${name}_${place + 1}(${at})`;
+    const inner = place === modes.length - 1 ? `core_number(${at})` : `${name}_${place + 1}(${at})`;
     return [
       `fn ${name}_${place}(at: u32) -> ${kind} {`, `  var sum = ${kind}(0.0);`,
       `  for (var e = 0u; e < ${counts[place]}; e++) {`, `    sum += ${weight} * ${inner};`, "  }", "  return sum;", "}",
     ];
   });
-  return modes.length > 0 ? lines : [`fn ${name}_0(at: u32) -> f32 {`, `  return ${number("at")};`, "}"];
+  return modes.length > 0 ? lines : [`fn ${name}_0(at: u32) -> ${plain} {`, "  return core_number(at);", "}"];
 }
 
 /**
  * `contract_core(level)`: the core of the cell at hand times its weights; and `node_core`, where cores begin. The mode
  * with the colours comes first, so that all others are done in single numbers. `taken` says for each mode how many
- * weights it has at most; `uniform` which levels, from 0, get loops with constant bounds.
+ * weights it has at most; `uniform` which levels, from 0, get loops with constant bounds; `tinted` whether contracted
+ * cores hold colours.
  */
 export function contraction(
-  metadata: Metadata, taken: number[], colour: number | undefined, contracted: number[], uniform: number[],
+  metadata: Metadata, taken: number[], colour: number | undefined, contracted: number[], uniform: number[], tinted: boolean,
 ): string[] {
   const order = metadata.modeSizes.length;
   const all = Array.from({ length: order }, (_, n) => n);
@@ -50,8 +52,7 @@ export function contraction(
   const modes = colour === undefined ? rest : [colour, ...rest];
   const first = all.map((n) => taken.slice(0, n).reduce((sum, each) => sum + each, 0));
   const folded = contracted.length > 0;
-  const number = (at: string): string => (folded ? `bitcast<f32>(frame[${at}])` : `coefficient(${at})`);
-  const shared = { undecomposed: metadata.undecomposed, colour, first, modes, number };
+  const shared = { undecomposed: metadata.undecomposed, colour, first, modes, tinted };
   const last = contracted.includes(order - 1) ? Math.max(0, ...rest) : order - 1;
   const nests = new Map<string, Nest>([["contract", {
     name: "contract", counts: modes.map((n) => `cell_count[${n}]`),
@@ -69,13 +70,27 @@ export function contraction(
     cases.set(name, [...(cases.get(name) ?? []), level]);
   }
   return [
-    ...(folded ? ["@group(0) @binding(8) var<storage, read> frame: array<u32>;"] : []),
+    ...coreNumbers(folded, tinted),
     ...[...nests.values()].flatMap((nest) => functions(nest, shared)),
     "fn contract_core(level: u32) -> Value {", "  switch level {",
     ...Array.from(cases, ([name, levels]) =>
       `    case ${levels.map((level) => `${level}u`).join(", ")}: { return Value(${name}_0(cell_core)); }`),
     "    default: { return Value(contract_0(cell_core)); }", "  }", "}",
-    "fn node_core(node: u32) -> u32 {", `  return ${folded ? "frame[node / NODE_WORDS]" : "word(node + 1u)"};`, "}",
+    "fn node_core(node: u32) -> u32 {", `  return ${folded ? "frame[node / NODE_WORDS] + frame_first" : "word(node + 1u)"};`, "}",
+  ];
+}
+
+/** `core_number(at)`: of the image, or of the contracted cores, of which `frame_first` chooses between sets. */
+function coreNumbers(folded: boolean, tinted: boolean): string[] {
+  const chosen = "var<private> frame_first: u32;";
+  if (!folded) {
+    return [chosen, "fn core_number(at: u32) -> f32 {", "  return coefficient(at);", "}"];
+  }
+  const numbers = [0, 1, 2].map((c) => `bitcast<f32>(frame[3u * at + ${c}u])`);
+  return [
+    "@group(0) @binding(8) var<storage, read> frame: array<u32>;", chosen,
+    `fn core_number(at: u32) -> ${tinted ? "vec3f" : "f32"} {`,
+    `  return ${tinted ? `vec3f(${numbers.join(", ")})` : "bitcast<f32>(frame[at])"};`, "}",
   ];
 }
 

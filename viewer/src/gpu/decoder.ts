@@ -80,7 +80,7 @@ export class Decoder {
   private uniformOf(levels: number): GPUBuffer {
     let buffer = this.uniforms.get(levels);
     if (buffer === undefined) {
-      buffer = this.device.createBuffer({ size: 16, usage: GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST });
+      buffer = this.device.createBuffer({ size: 12, usage: GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST });
       this.device.queue.writeBuffer(buffer, 0, decoderUniform(this.metadata, levels));
       this.uniforms.set(levels, buffer);
     }

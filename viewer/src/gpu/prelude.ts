@@ -9,6 +9,7 @@ import { Problem } from "../problem";
 import type { Metadata } from "../reader/metadata";
 import { pickedCells } from "./cells";
 import { contraction } from "./contraction";
+import { isSingle, singleCell } from "./single";
 
 /** Words of a page by its logarithm: 128 MiB, the storage buffer binding that WebGPU guarantees. */
 export const PAGE_SHIFT = 25;
@@ -47,7 +48,8 @@ export function prelude(metadata: Metadata, pages: number, options: Options = {}
   const places = axisPlaces(metadata);
   const room = rooms(metadata, picks);
   const taken = weights(metadata, room, contracted);
-  const colour = channels === 1 ? undefined : places[metadata.axes.findIndex((axis) => axis.role === "channel")]?.mode;
+  const { colour, tinted } = colourMode(metadata, options);
+  const channelAxis = metadata.axes.findIndex((axis) => axis.role === "channel");
   const first = [0];
   room.forEach((rows, n) => first.push(first[n]! + rows));
   return `${[
@@ -69,19 +71,25 @@ export function prelude(metadata: Metadata, pages: number, options: Options = {}
     `const TRANSFORM = ${transformNumber(metadata)}u;`,
     `const CHANNELS = ${channels}u;`,
     `alias Value = ${channels === 3 ? "vec3f" : "f32"};`,
-    "fn as_value(rgb: vec3f) -> Value {",
-    `  return ${channels === 3 ? "rgb" : "rgb.x"};`,
+    "fn channel(c: u32) -> Value {",
+    `  return ${channels === 3 ? "vec3f(f32(c == 0u), f32(c == 1u), f32(c == 2u))" : "1.0"};`,
     "}",
-    "fn scalar(value: Value) -> f32 {",
-    `  return ${channels === 3 ? "value.x" : "value"};`,
-    "}",
+    `const COLOUR_AXIS = ${channels === 3 && channelAxis >= 0 ? channelAxis : 0xff}u;`,
     `const COLOUR = ${colour ?? 0xff}u;`,
     `const COLOUR_ROWS = ${colour === undefined ? 1 : room[colour]!}u;`,
     `const COLOUR_RANKS = ${colour === undefined ? 1 : Math.max(taken[colour]!, 1)}u;`,
     ...pageLines(pages, pageShift),
-    ...contraction(metadata, taken, colour, contracted, uniform),
-    ...(options.picks === undefined ? [] : pickedCells(metadata, room, colour, contracted, uniform)),
+    ...contraction(metadata, taken, colour, contracted, uniform, tinted),
+    ...(options.picks === undefined ? [] : isSingle(metadata, uniform) ? singleCell(metadata, places, colour, contracted, tinted)
+      : pickedCells(metadata, room, colour, contracted, uniform, tinted)),
   ].join("\n")}\n`;
+}
+
+/** The mode whose weights are colours; or, where it is contracted, that the cores are (`tinted`). */
+export function colourMode(metadata: Metadata, { channels = 1, contracted = [] }: Options): { colour: number | undefined; tinted: boolean } {
+  const mode = channels === 1 ? undefined : axisPlaces(metadata)[metadata.axes.findIndex((axis) => axis.role === "channel")]?.mode;
+  const tinted = mode !== undefined && contracted.includes(mode);
+  return { colour: tinted ? undefined : mode, tinted };
 }
 
 /** Words of a node's record: child, core, scale, and C, K, R, rows, basis of every mode. */
@@ -106,13 +114,13 @@ function transformNumber(metadata: Metadata): number {
   return ["identity", "log1p", "asinh", "sqrt"].indexOf(metadata.transform.name);
 }
 
-/** The 16 bytes of the uniform `Decoder`. */
+/** The 12 bytes of the uniform `Decoder`. */
 export function decoderUniform(metadata: Metadata, levels: number): ArrayBuffer {
   const { name, scale } = metadata.transform;
   const bounded = name === "log1p" || name === "asinh";
-  const bytes = new ArrayBuffer(16);
-  new Uint32Array(bytes).set([levels, transformNumber(metadata)]);
-  new Float32Array(bytes).set([scale, bounded ? Math.log(LARGEST / Math.max(scale, 1)) : 0], 2);
+  const bytes = new ArrayBuffer(12);
+  new Uint32Array(bytes).set([levels]);
+  new Float32Array(bytes).set([scale, bounded ? Math.log(LARGEST / Math.max(scale, 1)) : 0], 1);
   return bytes;
 }
 

@@ -11,6 +11,7 @@ import { type Vector, normalised } from "./vector";
 const GHOSTS = 32;
 const GHOST_RADIUS = 1.25;
 export const GRID = 64; // cells a side over p in [-1, 1] squared
+const MOST_STEPS = 8; // of the walk from a cell's triangle to the direction's
 const NO_NEIGHBOUR = 0xffffffff;
 const VIEW_TURN = 1.2; // radians by which assumed views are turned against lights
 const GOLDEN_ANGLE = Math.PI * (3 - Math.sqrt(5));
@@ -92,6 +93,36 @@ export function buildTable(vectors: Vector[]): DirectionTable {
   }
   fillGrid(words, floats, count);
   return { words, triangles: count };
+}
+
+/** Measured directions around a local one, their weights, and the height that they interpolate: as the shader finds them. */
+export function interpolateDirection({ words, triangles }: DirectionTable, [x, y, z]: Vector): { index: number[]; weight: number[]; height: number } {
+  const floats = new Float32Array(words.buffer);
+  const p = [x / (1 + Math.max(z, 0)), y / (1 + Math.max(z, 0))] as const;
+  const [column, row] = p.map((each) => Math.min(GRID - 1, Math.floor(Math.max(0, (each + 1) * (GRID / 2))))) as [number, number];
+  let at = RECORD * words[RECORD * triangles + GRID * row + column]!;
+  const barycentric = (): number[] => {
+    const affine = (k: number): number => floats[at + k]! * p[0] + floats[at + k + 1]! * p[1] + floats[at + k + 2]!;
+    const [one, two] = [affine(8), affine(11)];
+    return [one, two, 1 - one - two];
+  };
+  let weights = barycentric();
+  for (let steps = 0; steps < MOST_STEPS; steps += 1) {
+    const least = Math.min(...weights);
+    const across = words[at + 4 + weights.indexOf(least)]!;
+    if (least >= 0 || across === NO_NEIGHBOUR) {
+      break;
+    }
+    at = RECORD * across;
+    weights = barycentric();
+  }
+  const positive = weights.map((each) => Math.max(0, each));
+  const weight = positive.map((each) => each / positive.reduce((sum, other) => sum + other));
+  const heights = [floats[at + 14]!, floats[at + 15]!, floats[at + 3]!];
+  return {
+    index: Array.from(words.subarray(at, at + 3)), weight,
+    height: weight.reduce((sum, each, k) => sum + each * heights[k]!, 0),
+  };
 }
 
 function nearest(points: [number, number][], to: [number, number]): number {

@@ -7,6 +7,7 @@ import { FrameContraction, type Still, contractedModes } from "../gpu/contract";
 import type { Decoder } from "../gpu/decoder";
 import { Pass } from "../gpu/pass";
 import { prelude } from "../gpu/prelude";
+import { pickedFiles } from "../gpu/shaders";
 import { Problem } from "../problem";
 import { timeSteps } from "./layout";
 import type { Progress } from "./renderer";
@@ -23,10 +24,10 @@ export interface GridRequest {
   groups: number[][][];
 }
 
-/** How a model's grids are decoded: the shader, and the modes that it finds contracted, if any. */
+/** How a model's grids are decoded: the shader, and the modes that it finds contracted. */
 export interface GridShader {
   pass: Pass;
-  frame: FrameContraction | null;
+  frame: FrameContraction;
   still: number[]; // axes that stand still in all requests, time aside
 }
 
@@ -35,15 +36,15 @@ export async function gridShader(device: GPUDevice, decoder: Decoder, moving: (n
   const { metadata } = decoder;
   const picks = metadata.axes.map((axis) => (axis.role === "time" ? 2 : 1));
   const still = metadata.axes.flatMap((_, axis) => (moving.includes(axis) ? [] : [axis]));
-  const contracted = contractedModes(decoder, still);
-  const options = { picks, contracted, uniform: decoder.uniform };
-  const [frame, pass] = await Promise.all([
-    contracted.length > 0 ? FrameContraction.make(device, decoder, options) : null,
+  const options = { picks, contracted: contractedModes(decoder, still), uniform: decoder.uniform };
+  const frame = new FrameContraction(device, decoder, options);
+  const head = prelude(metadata, decoder.pages, options);
+  const [pass] = await Promise.all([
     Pass.make(device, {
-      entry: "decode_grid", struct: "GridFrame", decoder: contracted.length > 0 ? decoder.framed : decoder.layout,
-      head: prelude(metadata, decoder.pages, options), shaders: ["image", "decode", "weighted", "grid"],
+      entry: "decode_grid", struct: "GridFrame", decoder: frame.layout, head, shaders: pickedFiles(head, "grid"),
       bindings: ["storage", "store-3d"],
     }),
+    frame.compile(),
   ]);
   return { pass, frame, still };
 }
@@ -148,11 +149,11 @@ export class GridCache {
     const count = request.time === null ? 1 : this.decoder.metadata.axes[request.time.axis]!.size;
     const { frames, weight } = timeSteps(request.time?.at ?? 0, count);
     const { pass, frame } = this.shader;
-    frame?.run(this.standing(group[0]!, request.time?.axis, frames, weight));
+    frame.run([this.standing(group[0]!, request.time?.axis, frames, weight)]);
     pass.run({
       width, height, depth: first + group.length, first, x_axis: request.x, y_axis: request.y ?? NO_AXIS,
       time_axis: request.time?.axis ?? NO_AXIS, time: frames, time_weight: [1 - weight, weight],
-    }, [this.slots!, this.texture!], [width, height, group.length], this.decoder.group(request.level, frame?.cores));
+    }, [this.slots!, this.texture!], [width, height, group.length], frame.group(request.level));
   }
 
   /** Where the axes stand that do not move, time between two frames. */
@@ -184,13 +185,8 @@ export class Grids {
   }
 
   destroy(): void {
-    this.grids.forEach(({ shader: { pass, frame }, caches }, decoder) => {
-      caches.forEach((cache) => cache.destroy());
-      pass.destroy();
-      if (frame !== null) {
-        decoder.forget(frame.cores);
-        frame.destroy();
-      }
+    this.grids.forEach(({ shader: { pass, frame }, caches }) => {
+      [...caches, pass, frame].forEach((each) => each.destroy());
     });
   }
 }

@@ -6,8 +6,8 @@ import type { Axis, FileKind, Role } from "../reader/metadata";
 const NAMES = { svbrdf: "material", lightfield: "light field", volume: "volume" };
 
 export interface Layout {
-  light: number | null;
-  views: number[];
+  lights: number[]; // one axis of directions, or two of angles
+  views: number[]; // likewise; of a light field cameras, or row and column of their grid
   time: number | null;
   space: number[]; // y, x, or z, y, x of a volume
   channel: number | null;
@@ -24,8 +24,8 @@ export function layOut(axes: Axis[], kind: Exclude<FileKind, "generic">): Layout
     throw new Problem(`A ${NAMES[kind]} needs ${wanted} axes of role space; this file has ${space.length}.`, "",
       "It is shown as slices.");
   }
-  if (kind === "svbrdf" && (lights.length > 1 || views.length > 1)) {
-    throw new Problem("A material needs one axis of lights and one of views; this file has several.", "",
+  if (kind === "svbrdf" && (lights.length > 2 || views.length > 2)) {
+    throw new Problem("A material has one or two axes of lights, and of views; this file has more.", "",
       "It is shown as slices.");
   }
   if (kind === "lightfield" && (views.length < 1 || views.length > 2)) {
@@ -35,7 +35,7 @@ export function layOut(axes: Axis[], kind: Exclude<FileKind, "generic">): Layout
   const channel = kind === "volume" ? null : having("channel").find((n) => axes[n]!.size > 1) ?? null;
   return {
     space, channel, views: kind === "volume" ? [] : views, time: having("time")[0] ?? null,
-    light: kind === "svbrdf" ? lights[0] ?? null : null,
+    lights: kind === "svbrdf" ? lights : [],
     channels: channel === null ? [0] : shownChannels(axes[channel]!.size),
   };
 }

@@ -20,24 +20,20 @@ export class Screen {
   pictures: GPUTexture[] = [];
   private shown: GPUTexture | null = null;
   private readonly heat: GPUBuffer;
-  private readonly context: GPUCanvasContext;
+  private context: GPUCanvasContext | null = null;
 
   private constructor(
     private readonly device: GPUDevice, private readonly canvas: HTMLCanvasElement, private readonly pass: Pass,
-    context: GPUCanvasContext,
   ) {
-    this.context = context;
     this.heat = filledBuffer(device, heatTable(), GPUBufferUsage.STORAGE);
   }
 
   static async make(device: GPUDevice, canvas: HTMLCanvasElement): Promise<Screen> {
-    const context = canvas.getContext("webgpu")!;
-    context.configure({ device, format: "rgba8unorm", usage: GPUTextureUsage.COPY_DST | GPUTextureUsage.RENDER_ATTACHMENT });
     const pass = await Pass.make(device, {
       entry: "show", struct: "DisplayFrame", shaders: ["display"],
       bindings: ["texture-2d", "texture-2d", "storage", "store-8"],
     });
-    return new Screen(device, canvas, pass, context);
+    return new Screen(device, canvas, pass);
   }
 
   /** Have pictures of this size. */
@@ -67,7 +63,17 @@ export class Screen {
       background: BACKGROUND,
     }, [first, mode === "none" ? first : second, this.heat, this.shown!], [width, height, 1]);
     const encoder = this.device.createCommandEncoder();
-    encoder.copyTextureToTexture({ texture: this.shown! }, { texture: this.context.getCurrentTexture() }, [width, height]);
+    encoder.copyTextureToTexture({ texture: this.shown! }, { texture: this.canvasTexture() }, [width, height]);
     this.device.queue.submit([encoder.finish()]);
+  }
+
+  /** Where the browser takes the picture from. The page is painted anew when a canvas gets its context: not before there is one. */
+  private canvasTexture(): GPUTexture {
+    if (this.context === null) {
+      this.context = this.canvas.getContext("webgpu")!;
+      const usage = GPUTextureUsage.COPY_DST | GPUTextureUsage.RENDER_ATTACHMENT;
+      this.context.configure({ device: this.device, format: "rgba8unorm", usage });
+    }
+    return this.context.getCurrentTexture();
   }
 }

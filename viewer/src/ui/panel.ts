@@ -303,6 +303,6 @@ export class Panel extends Groups {
       return [];
     }
     const layout = layOut(metadata.axes, kind);
-    return [...layout.space, ...layout.views, layout.light, layout.time, layout.channel].filter((n) => n !== null);
+    return [...layout.space, ...layout.views, ...layout.lights, layout.time, layout.channel].filter((n) => n !== null);
   }
 }
