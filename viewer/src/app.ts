@@ -88,7 +88,7 @@ export class App {
     this.metadata = reading.metadata;
     this.decoder = new Decoder(gpu.device, reading.metadata, reading.levels);
     this.state = newState(reading.metadata.axes.length);
-    this.state.position = reading.metadata.axes.map((axis) => Math.floor(axis.size / 2));
+    this.state.position = reading.metadata.axes.map(({ role, size }) => (role === "channel" && size === 2 ? 0 : Math.floor(size / 2)));
   }
 
   /** Prepare to show a model whose tables are there; frames have the given size, or the page's. */

@@ -44,8 +44,9 @@ def paying_modes(model: Model, options: Options, still: Sequence[int], fixed: Se
 
 
 def pixel_cost(metadata: Metadata, options: Options) -> int:
-    """What one weighted sum costs at most, in all cells that its rows can be members of: a multiply-add counts 1, a word
-    read 2, for reading is what decoders wait for.
+    """What one weighted sum costs at most, in all cells that its rows can be members of.
+
+    A multiply-add counts 1, a word read 2, for reading is what decoders wait for.
     """
     room, (colour, tinted) = rooms(metadata, options), colour_mode(metadata, options)
     kept = [n for n in range(len(room)) if n not in options.contracted]

@@ -81,7 +81,7 @@ def lay_out(axes: Sequence[Axis], kind: str, position: Mapping[str, int] | None 
         time=time,
         space=space,
         channel=channel if kind != "volume" else None,
-        channels=_channels(axes[channel]) if channel is not None and kind != "volume" else (0,),
+        channels=(0,) if channel is None or kind == "volume" else _channels(axes[channel], position or {}),
         stands=stands,
         names=tuple(axis.name for axis in axes),
         sizes=tuple(axis.size for axis in axes),
@@ -129,10 +129,13 @@ def _space(found: list[int], axes: Sequence[Axis], kind: str) -> tuple[int, ...]
     return tuple(found[-wanted:])
 
 
-def _channels(axis: Axis) -> tuple[int, ...]:
-    """Indices shown as red, green, blue: the first three of a colour, else long, middle and short end of a spectrum."""
+def _channels(axis: Axis, position: Mapping[str, int]) -> tuple[int, ...]:
+    """Indices shown as red, green, blue: the first three of a colour, else long, middle and short end of a spectrum.
+
+    Of two channels one is shown, in grey.
+    """
     if axis.size == 2:
-        return (0,)
+        return (position.get(axis.name, 0),)
     return (0, 1, 2) if axis.size <= 4 else (axis.size - 1, axis.size // 2, 0)
 
 

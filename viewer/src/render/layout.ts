@@ -40,6 +40,11 @@ export function layOut(axes: Axis[], kind: Exclude<FileKind, "generic">): Layout
   };
 }
 
+/** The channels that are shown where axes stand: one of two, in grey, is chosen like the place on any other axis. */
+export function channelsAt({ channel, channels }: Layout, position: number[]): number[] {
+  return channel !== null && channels.length === 1 ? [position[channel]!] : channels;
+}
+
 /** The first three of a colour, else long, middle and short end of a spectrum. */
 export function shownChannels(size: number): number[] {
   if (size === 2) {

@@ -5,7 +5,7 @@ import { Pass } from "../gpu/pass";
 import type { Axis, Metadata } from "../reader/metadata";
 import type { State } from "../state";
 import { Grids } from "./grid";
-import { type Layout, layOut } from "./layout";
+import { type Layout, channelsAt, layOut } from "./layout";
 import type { Progress, Renderer, Side } from "./renderer";
 import { fitted } from "./slices";
 
@@ -104,7 +104,7 @@ export class LightfieldRenderer implements Renderer {
     const { axes } = side.decoder.metadata;
     const aimed = aim(cameras, state.view).sort((a, b) => b.weight - a.weight).slice(0, MOST_CAMERAS);
     const [y, x] = layout.space as [number, number];
-    const groups = aimed.map(({ camera }) => layout.channels.map((channel) => {
+    const groups = aimed.map(({ camera }) => channelsAt(layout, state.position).map((channel) => {
       const index = state.position.map((place, n) => (n === x || n === y || n === layout.time ? 0 : place));
       layout.views.forEach((axis, k) => {
         index[axis] = cameras.index[camera]![k]!;

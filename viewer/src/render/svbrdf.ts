@@ -6,7 +6,7 @@ import type { Values } from "../gpu/uniform";
 import type { Metadata } from "../reader/metadata";
 import type { Light, State } from "../state";
 import { zenithFirst } from "./angles";
-import { type Layout, layOut } from "./layout";
+import { type Layout, channelsAt, layOut } from "./layout";
 import { Directions, type FixedDirection, NO_AXIS } from "./measured";
 import type { Mesh } from "./mesh";
 import type { Progress, Renderer, Side } from "./renderer";
@@ -120,9 +120,10 @@ export class SvbrdfRenderer implements Renderer {
   /** What axes stand at that neither directions nor texels move; that of the colours at all of them. */
   private standing(state: State): Still {
     const stands = this.stands(state);
-    const { still, layout: { channel, channels } } = this.directed;
+    const { still, layout } = this.directed;
+    const channels = channelsAt(layout, state.position);
     const standing: Still = new Map(still.map((axis) => [axis, { index: [stands[axis]!], weight: [1] }]));
-    return channel === null ? standing : standing.set(channel, { index: channels, weight: channels.map(() => 1) });
+    return layout.channel === null ? standing : standing.set(layout.channel, { index: channels, weight: channels.map(() => 1) });
   }
 
   /** Where the axes stand that nothing else moves along; time at its nearest frame. */

@@ -283,17 +283,17 @@ export class Panel extends Groups {
   private axes(): Control {
     const { metadata, kind } = this.app;
     const moved = this.movedAxes();
+    const stands = (n: number): boolean => metadata.axes[n]!.size > 1 && !moved.includes(n)
+      && (kind !== "generic" || ![this.state.slice.x, this.state.slice.y, colourAxis(metadata, this.state)].includes(n));
     const sliders = metadata.axes.map((axis, n) => only(
-      () => kind !== "generic" || (n !== this.state.slice.x && n !== this.state.slice.y && n !== colourAxis(metadata, this.state)),
+      () => stands(n),
       slider(axis.name, {
         min: 0, max: axis.size - 1, step: 1, get: () => this.state.position[n]!, show: (value) => `${value} / ${axis.size - 1}`,
         set: this.change((value) => {
           this.state.position[n] = value;
         }),
       })));
-    const rest = sliders.filter((_, n) => !moved.includes(n) && metadata.axes[n]!.size > 1);
-    return group(kind === "generic" ? "Other axes" : "Further axes", rest, () => rest.length > 0
-      && (kind !== "generic" || rest.some((control) => !control.element.hidden) || metadata.axes.length > 2));
+    return group(kind === "generic" ? "Other axes" : "Further axes", sliders, () => metadata.axes.some((_, n) => stands(n)));
   }
 
   /** Axes that the renderer of the kind moves along. */
@@ -302,7 +302,7 @@ export class Panel extends Groups {
     if (kind === "generic") {
       return [];
     }
-    const layout = layOut(metadata.axes, kind);
-    return [...layout.space, ...layout.views, ...layout.lights, layout.time, layout.channel].filter((n) => n !== null);
+    const { space, views, lights, time, channel, channels } = layOut(metadata.axes, kind);
+    return [...space, ...views, ...lights, time, channels.length > 1 ? channel : null].filter((n) => n !== null);
   }
 }
