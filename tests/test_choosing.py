@@ -15,6 +15,7 @@ from hmkcta import HmkctaError, choose_plan, compress, parse_plan
 from hmkcta.allocation import allocate, choices_of, pareto, ration, spectrum
 from hmkcta.blocks import finer, sampled_blocks, spread
 from hmkcta.fit import EFFORTS
+from hmkcta.grids import allowed, many_grids
 from hmkcta.source import prepare
 from hmkcta.spectra import captured, cores, energies, ladders
 from hmkcta.synthetic import light_field
@@ -293,6 +294,16 @@ def test_axes_of_size_one_ride_along(monkeypatch: pytest.MonkeyPatch) -> None:
     for modes, *_ in judged(monkeypatch, array):
         assert {"axis0", "axis3"} <= set(modes[0])
         assert sorted(name for mode in modes for name in mode) == [f"axis{n}" for n in range(8)]
+
+
+def test_grids_to_begin_with() -> None:
+    """Of a stack of pictures, pictures alone are cut as well: its depth is a dimension of its own."""
+    grids = list(many_grids((72, 160, 160, 3)))
+    assert len(set(grids)) == len(grids)
+    assert {(1, 1, 1, 1), (1, 2, 2, 1), (3, 6, 6, 1), (1, 8, 8, 1)} <= set(grids)
+    assert (4, 4, 1) not in many_grids((128, 128, 128))
+    assert all(allowed(grid[0] + 1, 0, grid, (72, 160, 160, 3)) for grid in grids[:3])
+    assert not allowed(19, 0, (1, 1, 1, 1), (72, 160, 160, 3))
 
 
 def test_what_cannot_be_cut_is_not(monkeypatch: pytest.MonkeyPatch) -> None:

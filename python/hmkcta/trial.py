@@ -23,6 +23,8 @@ from .spectra import Ladder, captured, cores, energies, ladders
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+#: Sets of modes left undecomposed.
+Kinds = tuple[tuple[int, ...], ...]
 
 #: Worse than any number of bytes, in octaves.
 OUT_OF_REACH = 1000.0
@@ -114,11 +116,19 @@ class Trial:
         """The source's values, if they are few enough to be held."""
         return self.source.values() if prod(self.source.shape) <= HELD else None
 
-    def worths(self, organisation: Organisation, grid: tuple[int, ...], sample: int) -> list[tuple[float, Candidate]]:
-        """Every candidate with this organisation and grid: dB at the goal's bytes, or minus octaves of bytes."""
+    def worths(
+        self, organisation: Organisation, grid: tuple[int, ...], sample: int, kinds: Kinds = ()
+    ) -> list[tuple[float, Candidate]]:
+        """Every candidate with this organisation and grid: dB at the goal's bytes, or minus octaves of bytes.
+
+        Of `kinds`, if any, only those that leave one of these sets of modes undecomposed.
+        """
         cut = self._cut(organisation, grid, sample)
         if not cut.energy.any():
             return []
+        possible = [kind for kind in kinds if all(cut.clusters[n] == 1 for n in kind)]
+        if possible:
+            return [each for kind in possible for each in self._judged(cut, kind)[0]]
         found, ranks = self._judged(cut, ())
         best, alone = _best(found), {n: self._judged(cut, (n,))[0] for n in _promising(cut, ranks)}
         helpful = sorted((n for n in alone if _best(alone[n]) > best), key=lambda n: -_best(alone[n]))[:TOGETHER]

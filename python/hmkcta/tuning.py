@@ -18,17 +18,16 @@ from .axes import Axis, Organisation
 from .errors import invalid
 from .filesize import planned_bytes
 from .fit import EFFORTS
+from .grids import SMALLEST_EDGE, allowed, changed, few_grids, many_grids
 from .hierarchy import Progress, Run
 from .memory import check_memory, memory_budget
 from .plan import Plan
 from .predict import PROCESS
 from .source import Source
-from .trial import OUT_OF_REACH, Candidate, Trial, plan_of, trial_of
+from .trial import OUT_OF_REACH, Candidate, Kinds, Trial, plan_of, trial_of
 
-#: Block edges never fall below this, nor elements of a block below so many times the sum of its edges.
-SMALLEST_EDGE, THIN = 4, 4
-#: Most blocks, and the gain in dB (or octaves of bytes) that a change of the grid must bring.
-MOST_BLOCKS, WORTHWHILE = 4096, 0.01
+#: Gain in dB, or octaves of bytes, that a change of the grid must bring.
+WORTHWHILE = 0.01
 #: Up to so many axes all organisations are tried; of more, the best so many are merged further.
 FEW_AXES, BEAM = 5, 3
 #: Elements of all the samples that are worked on at once, at most and, where memory is scarce, at the least; and bytes
@@ -94,14 +93,19 @@ class Search:
         default_factory=dict[tuple[Organisation, tuple[int, ...], int], Ranked]
     )
 
-    def best(self, choices: Sequence[Choice], sample: int, told: Callable[[float], None] = _silent) -> Ranked:
-        """The best candidate with each organisation and grid; `told` hears which share of them is judged."""
-        sample = min(sample, prod(self.trial.source.shape), self.together)
+    def best(
+        self, choices: Sequence[Choice], sample: int, told: Callable[[float], None] = _silent, kinds: Kinds = ()
+    ) -> Ranked:
+        """The best candidate with each organisation and grid; `told` hears which share of them is judged.
+
+        `kinds` are the sets of undecomposed modes to look at; none: all that promise something.
+        """
+        sample = min(sample, self.most)
         new = list(dict.fromkeys(choice for choice in choices if (*choice, sample) not in self.seen))
         workers = max(1, min(self.threads, len(new), self.together // sample))  # side by side as far as memory goes
 
         def judge(choice: Choice) -> Ranked:
-            return self.trial.worths(*choice, sample)
+            return self.trial.worths(*choice, sample, kinds)
 
         with ThreadPoolExecutor(workers) as pool:
             try:
@@ -114,6 +118,11 @@ class Search:
         return [
             max(self.seen[(*choice, sample)], key=_worth, default=(0.0, Candidate(*choice))) for choice in choices
         ]
+
+    @property
+    def most(self) -> int:
+        """Most elements of a sample."""
+        return min(prod(self.trial.source.shape), self.together)
 
     def matrices(self) -> list[Organisation]:
         """The best organisations in two modes, those of matrix PCA, by the survey."""
@@ -187,7 +196,7 @@ def _spare(search: Search, best: Candidate) -> list[Candidate]:
 def _finalists(search: Search, fixed: bool, progress: Progress) -> Ranked:
     """Organisations by a survey over few grids, then more grids for the best of them."""
     shape = search.trial.source.shape
-    grids = _few_grids(shape)
+    grids = few_grids(shape)
     left = [search.plain] if fixed else _merged(search, grids, progress)
     for turn, (sample, most) in enumerate(zip(search.care.survey, search.care.organisations, strict=True)):
         few = grids if turn else grids[1:2] or grids
@@ -196,7 +205,7 @@ def _finalists(search: Search, fixed: bool, progress: Progress) -> Ranked:
         left = sorted(left, key=lambda modes: -worth[modes])[:most]
         # A survey thins large blocks and so misjudges high ranks: nothing merged always stays in the race.
         left += [search.plain] if search.plain not in left else []
-    many = [(modes, grid) for grid in _many_grids(shape) for modes in left]
+    many = [(modes, grid) for grid in many_grids(shape) for modes in left]
     ranked = search.best(many, search.care.compare, partial(progress, "blocks"))
     ranked.sort(key=lambda item: -item[0])
     # Samples flatter large blocks and long modes: the best of every organisation comes first.
@@ -236,7 +245,7 @@ def _settled(search: Search, finalists: Sequence[Candidate], progress: Progress)
     shape = search.trial.source.shape
     whole = (1,) * len(shape)
     again = [(c.organisation, c.grid) for c in finalists]
-    again += [(search.plain, grid) for grid in _few_grids(shape)]
+    again += [(search.plain, grid) for grid in few_grids(shape)]
     again += [(modes, whole) for modes in search.matrices()]
     again = list(dict.fromkeys(again))
     judged = search.best(again, search.care.refine, lambda share: progress("finer choice of blocks", share / 3))
@@ -256,9 +265,11 @@ def _worth(item: tuple[float, Candidate]) -> float:
 def _climbed(search: Search, start: Candidate, sample: int) -> tuple[float, Candidate]:
     """Change the blocks along one axis after the other while that helps."""
     now = search.best([(start.organisation, start.grid)], sample)[0]
+    around = search.seen[start.organisation, start.grid, min(sample, search.most)]
+    kinds = tuple(dict.fromkeys(each.undecomposed for worth, each in around if worth > now[0] - HOPELESS))
     idle, n, hopeless, before = 0, 0, set[tuple[int, int]](), len(search.seen)
     while idle < len(start.grid) and len(search.seen) - before < search.care.steps:
-        found = max([now, *_around(search, now, n, sample, hopeless)], key=_worth)
+        found = max([now, *_around(search, now, n, sample, hopeless, kinds)], key=_worth)
         if found[0] > now[0] + WORTHWHILE:
             now, idle = found, 0
             hopeless -= {(n, 1), (n, -1)}
@@ -293,9 +304,9 @@ def _cut_along(search: Search, now: Candidate, n: int) -> Iterator[Candidate]:
     if _undecomposed(search, now, n) or prod(now.cuts) >= MOST_CUTS:
         return
     if 2 * grid[n] * SMALLEST_EDGE <= search.trial.source.shape[n]:
-        yield replace(now, cuts=_changed(now.cuts, n, 2))
+        yield replace(now, cuts=changed(now.cuts, n, 2))
     if grid[n] % 2 == 0 and prod(grid) >= 2 * FEWEST_BLOCKS:
-        yield replace(now, grid=_changed(grid, n, grid[n] // 2), cuts=_changed(now.cuts, n, 2))
+        yield replace(now, grid=changed(grid, n, grid[n] // 2), cuts=changed(now.cuts, n, 2))
 
 
 def _undecomposed(search: Search, candidate: Candidate, n: int) -> bool:
@@ -303,40 +314,8 @@ def _undecomposed(search: Search, candidate: Candidate, n: int) -> bool:
     return any(name in candidate.organisation[mode] for mode in candidate.undecomposed)
 
 
-def _few_grids(shape: Sequence[int]) -> list[tuple[int, ...]]:
-    """No blocks, and edges of about 64 and 32 along axes longer than 48."""
-    grids = [tuple(round(size / edge) if size > 48 else 1 for size in shape) for edge in (64, 32)]
-    return list(dict.fromkeys([(1,) * len(shape), *(grid for grid in grids if _worth_cutting(grid, shape))]))
-
-
-def _worth_cutting(grid: Sequence[int], shape: Sequence[int]) -> bool:
-    """Whether there are not too many blocks, nor such thin ones that one vector for each axis is most of a block."""
-    edges = [size / count for size, count in zip(shape, grid, strict=True) if size > 1]
-    return prod(grid) <= MOST_BLOCKS and prod(edges) >= THIN * sum(edges)
-
-
-def _many_grids(shape: Sequence[int]) -> Iterator[tuple[int, ...]]:
-    """The three or two longest axes cut alike, by one common edge; axes of middle length whole or cut in two."""
-    longest = sorted(range(len(shape)), key=lambda n: -shape[n])[:3]
-    long = [n for n in longest if shape[n] >= 24]
-    middle = [n for n in range(len(shape)) if n not in long and shape[n] >= 24]
-    edges = sorted({shape[n] / count for n in long[:1] for count in (1, 2, 3, 4, 6, 8, 12)})
-    seen = {(1,) * len(shape)}
-    yield (1,) * len(shape)
-    longer = [long] if len(long) < 3 or shape[long[2]] == shape[long[1]] else [long, long[:2]]
-    for few, edge, cuts in product(longer, edges, product((1, 2), repeat=len(middle))):
-        grid = [1] * len(shape)
-        for n in few:
-            grid[n] = max(1, round(shape[n] / edge))
-        for n, count in zip(middle, cuts, strict=True):
-            grid[n] = count
-        if tuple(grid) not in seen and edge >= SMALLEST_EDGE and _worth_cutting(grid, shape):
-            seen.add(tuple(grid))
-            yield tuple(grid)
-
-
 def _around(
-    search: Search, now: tuple[float, Candidate], n: int, sample: int, hopeless: set[tuple[int, int]]
+    search: Search, now: tuple[float, Candidate], n: int, sample: int, hopeless: set[tuple[int, int]], kinds: Kinds
 ) -> Ranked:
     """Candidates with one block more or less along axis n; where that does little harm, twice or half as many.
 
@@ -344,25 +323,13 @@ def _around(
     """
     worth, (modes, grid) = now[0], (now[1].organisation, now[1].grid)
     shape, count = search.trial.source.shape, grid[n]
-    steps = [step for step in (1, -1) if (n, step) not in hopeless and _allowed(count + step, n, grid, shape)]
-    found = search.best([(modes, _changed(grid, n, count + step)) for step in steps], sample)
+    steps = [step for step in (1, -1) if (n, step) not in hopeless and allowed(count + step, n, grid, shape)]
+    found = search.best([(modes, changed(grid, n, count + step)) for step in steps], sample, kinds=kinds)
     hopeless |= {(n, step) for step, (reached, _) in zip(steps, found, strict=True) if reached < worth - HOPELESS}
     near = [step for step, (reached, _) in zip(steps, found, strict=True) if reached > worth - STEEP]
     further = [2 * count if step > 0 else count // 2 for step in near]
-    return found + search.best(
-        [(modes, _changed(grid, n, many)) for many in further if _allowed(many, n, grid, shape)], sample
-    )
-
-
-def _changed(grid: tuple[int, ...], n: int, count: int) -> tuple[int, ...]:
-    return (*grid[:n], count, *grid[n + 1 :])
-
-
-def _allowed(count: int, n: int, grid: tuple[int, ...], shape: Sequence[int]) -> bool:
-    """Whether axis n may be cut into so many blocks, the others as they are."""
-    if count < grid[n]:
-        return count > 0
-    return count <= shape[n] / SMALLEST_EDGE and _worth_cutting(_changed(grid, n, count), shape)
+    many = [(modes, changed(grid, n, many)) for many in further if allowed(many, n, grid, shape)]
+    return found + search.best(many, sample, kinds=kinds)
 
 
 def organisations(axes: Sequence[Axis]) -> Iterator[Organisation]:
