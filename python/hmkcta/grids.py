@@ -27,8 +27,7 @@ def worth_cutting(grid: Sequence[int], shape: Sequence[int]) -> bool:
 
 
 def many_grids(shape: Sequence[int]) -> Iterator[tuple[int, ...]]:
-    """The three longest axes cut alike, by one common edge, or two that are longer than the third; axes of middle length
-    whole or cut in two."""
+    """The three longest axes cut alike, by one common edge, or two that are longer; those of middle length in two."""
     longest = sorted(range(len(shape)), key=lambda n: -shape[n])[:3]
     long = [n for n in longest if shape[n] >= 24]
     middle = [n for n in range(len(shape)) if n not in long and shape[n] >= 24]
