@@ -79,6 +79,17 @@ def merged() -> tuple[Model, Any]:
     return _compressed(synthetic.material(9, 9, 16), "R=6,6 / R=2,2 C=3,2 K=2,1", "light+view+rgb, y+x")
 
 
+def grids() -> tuple[Model, Any]:
+    """Lights and views on grids of zeniths and azimuths, lights in one mode with the colours."""
+    data = synthetic.material(9, 9, 16)
+    values = data.values.reshape(3, 3, 3, 3, *data.values.shape[2:])
+    zenith, azimuth = np.array([10.0, 35.0, 60.0]), np.array([0.0, 120.0, 240.0])
+    axes = [Axis(f"{angle}_{role[0]}", 3, role, coords, "degrees") for role in ("light", "view")
+            for angle, coords in (("theta", zenith), ("phi", azimuth))]
+    return compress(values, "R=9,3,3,8", axes=[*axes, *data.axes[2:]], kind=data.kind,
+                    organisation="theta_l+phi_l+rgb, theta_v, phi_v, y+x"), values
+
+
 def light_field() -> tuple[Model, Any]:
     """Cameras merged, time left as it is."""
     data = synthetic.light_field(views=3, size=24, frames=3)
@@ -113,8 +124,8 @@ def series() -> tuple[Model, Any]:
     return compress(array, "R=1 C=5 K=1", axes=[Axis("t", 40)]), array
 
 
-MAKERS = {"material": material, "ageing": ageing, "merged": merged, "lightfield": light_field, "volume": volume,
-          "stack": stack, "bare": bare, "series": series}
+MAKERS = {"material": material, "ageing": ageing, "merged": merged, "grids": grids,
+          "lightfield": light_field, "volume": volume, "stack": stack, "bare": bare, "series": series}
 
 
 def patch(path: Path) -> None:
@@ -144,6 +155,8 @@ def _cases() -> list[Case]:
         Case("material-time", "ageing", Scene(time=1), {"Frame": "1"}),
         Case("merged", "merged", Scene()),
         Case("merged-cloth", "merged", Scene(surface=Surface("cloth")), {"Shape": "cloth"}),
+        Case("grids", "grids", Scene()),
+        Case("grids-plane", "grids", Scene(surface=Surface("plane")), {"Shape": "plane"}),
         Case("lightfield", "lightfield", Scene(viewpoint=Viewpoint(0.5, 1.25)), {"Row": "0.5", "Column": "1.25"}),
         Case("lightfield-focus", "lightfield", Scene(viewpoint=Viewpoint(focus=1.5, aperture=1.0), time=1.5),
              {"Focus": "1.5", "Aperture": "1", "Frame": "1.5"}),
