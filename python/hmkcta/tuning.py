@@ -208,10 +208,9 @@ def _finalists(search: Search, fixed: bool, progress: Progress) -> Ranked:
     many = [(modes, grid) for grid in many_grids(shape) for modes in left]
     ranked = search.best(many, search.care.compare, partial(progress, "blocks"))
     ranked.sort(key=lambda item: -item[0])
-    # Samples flatter large blocks and long modes: the best of every organisation comes first.
+    # Samples flatter large blocks and long modes: the best of every organisation gets a chance.
     firsts = {candidate.organisation: (worth, candidate) for worth, candidate in reversed(ranked)}
-    ranked.sort(key=lambda item: (item not in firsts.values(), -item[0]))
-    return ranked[: max(search.care.finalists, len(firsts))]
+    return list(dict.fromkeys([*ranked[: search.care.finalists], *firsts.values()]))
 
 
 def _merged(search: Search, few: Sequence[tuple[int, ...]], progress: Progress) -> list[Organisation]:
