@@ -10,7 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 import hmkcta
-from hmkcta import Axis, HmkctaError, Journal, LevelSpec, compress
+from hmkcta import Axis, HmkctaError, Journal, LevelSpec, compress, parse_plan
+from hmkcta.plan import check_plan
 from hmkcta.render.layout import lay_out
 
 WAVE: NDArray[np.float64] = np.add.outer(np.sin(np.arange(20) / 3), np.arange(18.0) / 9)
@@ -92,3 +93,12 @@ def test_a_level_has_one_of_each_for_every_mode() -> None:
     with pytest.raises(HmkctaError) as caught:
         LevelSpec((2, 2), (1, 1), (1,))
     assert caught.value.reason == "level-modes"
+
+
+@pytest.mark.parametrize("plan", ["R=1025", "R=1 / R=1,1025"])
+def test_ranks_that_no_file_can_have_are_refused_before_the_fit(plan: str) -> None:
+    modes = (("y",), ("x",))
+    with pytest.raises(HmkctaError) as caught:
+        check_plan(parse_plan(plan, modes), (1500, 1600))
+    assert caught.value.reason == "rank-too-large"
+    check_plan(parse_plan("R=1 / R=1025", modes), (600, 700))  # nodes have no more rows

@@ -19,6 +19,8 @@ SCHEMES = ("most", "least", "uniform")
 #: Beyond this many cluster subsets in a mode the optimal search gives way to the greedy one (docs/design-notes.md).
 OPTIMAL_SUBSETS = 64
 
+#: Most ranks of a mode that a file may have.
+HIGHEST_RANK = 1024
 #: Most ranks of a mode that a level with ranks of its own (R<=..) is given.
 MOST_RANKS = 160
 
@@ -286,6 +288,10 @@ def check_plan(plan: Plan, sizes: Sequence[int]) -> None:
         if len(level.ways(plan.organisation)) > MOST_WAYS:
             allowed = f"at most {MOST_WAYS} ways to cut a node: products of divisors of the counts"
             raise invalid("plan-grid", f"level {number}", str(level), allowed)
+        for n, (rank, size) in enumerate(zip(level.ranks, sizes, strict=True)):
+            if rank is not None and min(rank, size) > HIGHEST_RANK and not level.own:
+                allowed = f"1 to {HIGHEST_RANK}, or * for an undecomposed mode"
+                raise invalid("rank-too-large", f"R of mode {n + 1}, level {number}", rank, allowed)
     for n, (rank, clusters, size) in enumerate(zip(first.ranks, first.clusters, sizes, strict=True)):
         if rank is not None and rank > size and not first.own:
             allowed = f"1 to {size}, or * for an undecomposed mode"
