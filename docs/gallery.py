@@ -65,7 +65,7 @@ SYNTHETIC = (
         "material", synthetic.material, "light+rgb, view, y, x",
         (("HOSVD", "R=18,12,36,36"),
          ("clusters (MK-CTA)", "R=3,3,4,4 C=4,3,6,6 K=2"),
-         ("levels (HMK-CTA)", "R=6,6,12,12 / R=3,3,5,5 C=2,2,4,4 K=2 / R=2,2,3,3 C=2,1,3,3 K=1")),
+         ("levels (HMK-CTA)", "R=6,4,8,8 C=2 K=2 / R=2,2,3,3 C=2,2,3,3 K=2")),
         Scene(300, 240, surface=Surface("cloth", (2, 2)), camera=Camera(20, 42, 4.7),
               lights=(Light(60, 50),),
               tone=Tone(0.3, curve="filmic", background=(1.0, 1.0, 1.0))), 8.0,

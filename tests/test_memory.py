@@ -203,3 +203,17 @@ def test_measuring_lets_go_of_what_it_has_read(waves: Path, tmp_path: Path) -> N
     """A file larger than memory can be verified."""
     printed(FIT, waves, tmp_path / "a.hmk")
     assert int(printed(MEASURE, waves, tmp_path / "a.hmk")) < waves.stat().st_size
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+@pytest.mark.parametrize("memory", [280_000_000, 400_000_000])
+def test_choosing_a_plan_keeps_within_the_memory_given(waves: Path, memory: int) -> None:
+    program = """
+import sys
+from benchmarks.machine import peak_memory
+from hmkcta import choose_plan
+from hmkcta.readers import open_array
+choose_plan(open_array(sys.argv[1]), size=1_000_000, threads=2, max_memory=int(sys.argv[2]))
+print(peak_memory())
+"""
+    assert int(printed(program, waves, memory)) < memory
