@@ -16,6 +16,7 @@ from hmkcta import Axis, Model
 from hmkcta.axes import name_axes
 from hmkcta.errors import HmkctaError
 from hmkcta.render import Camera, Compare, Light, Look, Renderer, Scene, Surface, Tone, Viewpoint, render, svbrdf
+from hmkcta.render.directions import DirectionTable
 from hmkcta.render.gbuffer import GBuffer, Rays
 from hmkcta.render.layout import lay_out
 from hmkcta.synthetic import hemisphere_directions
@@ -93,9 +94,10 @@ def test_directions_and_texels_are_interpolated() -> None:
 
     x, y = 0.4 * COLUMNS - 0.5, 0.53 * ROWS - 0.5
     expected = np.zeros(3)
-    tables = [svbrdf.prepare(axes, lay_out(axes, "svbrdf")).light, svbrdf.prepare(axes, lay_out(axes, "svbrdf")).view]
+    shading = svbrdf.prepare(axes, lay_out(axes, "svbrdf"))
+    tables = [each.table for each in (shading.light, shading.view) if isinstance(each.table, DirectionTable)]
     (i, wi, _), (j, wj, _) = (table.interpolate(d[None].astype(np.float32))
-                              for table, d in zip(tables, (light, view), strict=True) if table is not None)
+                              for table, d in zip(tables, (light, view), strict=True))
     for a in range(3):
         for b in range(3):
             for row, wy in ((int(y), 1 - y % 1), (int(y) + 1, y % 1)):
