@@ -218,8 +218,9 @@ def test_levels_are_what_equation_2_says(shape: Sequence[int], plan: str) -> Non
         coarse, sum_ = np.asarray(model.at_level(number), np.float64), equation_2(model, number)
         assert np.abs(coarse - sum_).max() < 1e-5 * np.abs(tensor).max()
         reported = model.quality[number - 1]
-        if reported.snr_db < 60:  # beyond, float32 decoding shows
+        if reported.snr_db < 60:
             assert reported.snr_db == pytest.approx(snr(tensor, energy(tensor - sum_)), abs=1e-6)
+        if reported.snr_db < 50:  # beyond, float32 decoding shows
             assert reported.snr_db == pytest.approx(snr(tensor, energy(tensor - coarse)), abs=2e-5)
         assert reported.snr_db > before  # every level adds something
         before = reported.snr_db
