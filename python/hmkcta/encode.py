@@ -171,12 +171,8 @@ def _threads(count: int) -> Generator[None]:
     """
     from threadpoolctl import threadpool_limits  # pyright: ignore[reportMissingTypeStubs] (it has none)
 
-    kernels.set_threads(count)
-    try:
-        with threadpool_limits(limits=1, user_api="blas"):
-            yield
-    finally:
-        kernels.set_threads(0)
+    with kernels.threads(count), threadpool_limits(limits=1, user_api="blas"):
+        yield
 
 
 def _found(wanted: str | Device) -> Device:

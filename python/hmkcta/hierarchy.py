@@ -79,6 +79,9 @@ class Hierarchy:
         return self.residual.error if isinstance(self.residual, Streamed) else squared_norm(self.residual)
 
 
+#: So many nodes for each thread keep it busy: kernels do not share out a node's work then, which would be slower.
+MANY = 8
+
 #: The disjoint memberships a node's cells start from; None: found by trial.
 LabelsOf = Callable[[Node], Labels | None]
 
@@ -148,7 +151,8 @@ def in_parallel(
             return sizes[number]
 
     run.progress(stage, 0.0)
-    with Pool(max_workers=run.threads) as pool:
+    each = 1 if len(groups) >= MANY * run.threads else run.threads
+    with Pool(max_workers=run.threads) as pool, kernels.threads(each, after=run.threads):
         futures = [pool.submit(together) for _ in groups]
         try:
             for future in futures:

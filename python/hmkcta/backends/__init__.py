@@ -22,7 +22,8 @@ from .device import Device, Kernels
 from .reference import F64, Rows
 
 __all__ = ["Device", "Kernels", "accumulate", "code_rows", "contract_lanes", "dictionary_gram", "find_device",
-           "fit_cells", "gather", "name", "project_cells", "project_pair", "scatter", "set_threads", "use"]  # fmt: skip
+           "fit_cells", "gather", "name", "project_cells", "project_pair", "scatter", "set_threads", "threads",
+           "use"]  # fmt: skip
 
 #: Where the kernels of the work at hand run; None: on the CPU.
 _device: ContextVar[Kernels | None] = ContextVar("device", default=None)
@@ -161,3 +162,13 @@ def code_rows(
 def set_threads(count: int) -> None:
     """How many threads of the CPU work on large nodes from now on; 0: all cores."""
     on_cpu().set_threads(count)
+
+
+@contextmanager
+def threads(count: int, after: int = 0) -> Generator[None]:
+    """So many threads of the CPU work on large nodes inside, and `after` (0: all cores) from then on."""
+    set_threads(count)
+    try:
+        yield
+    finally:
+        set_threads(after)
