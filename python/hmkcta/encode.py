@@ -20,6 +20,7 @@ from .follow import Task, follow, follow_any
 from .hierarchy import Progress, Run
 from .hmkfile import KINDS
 from .journal import Journal, decisive
+from .memory import keep_freed_memory
 from .model import Model
 from .plan import SCHEMES, Plan, parse_plan
 from .predict import check_least_memory
@@ -171,6 +172,7 @@ def _threads(count: int) -> Generator[None]:
     """
     from threadpoolctl import threadpool_limits  # pyright: ignore[reportMissingTypeStubs] (it has none)
 
+    keep_freed_memory()
     with kernels.threads(count), threadpool_limits(limits=1, user_api="blas"):
         yield
 
