@@ -12,6 +12,7 @@ pub fn contract_lanes(p: &[f32], w: &[f32], sizes: [usize; 3], rank: usize, lane
     let mut y = vec![0.0f32; before * after * rank * lanes];
     let tasks = y.chunks_mut(rank * lanes).enumerate().collect();
     for_each(p.len() >= PARALLEL, tasks, |(at, y)| {
+        y.fill(0.0); // as pages of fresh zeros are not to be read first
         let from = &p[(at / after * size * after + at % after) * lanes..];
         dispatch(Lanes { from, step: after * lanes, w, y, lanes });
     });

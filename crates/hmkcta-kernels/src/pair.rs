@@ -127,6 +127,8 @@ impl<'a> Pair<'a> {
     fn tuples(&self, tensor: &[f32], first: usize, block: &mut Vec<f32>, sums: &mut Vec<f32>, out: &mut [f32]) {
         let Pair { lanes, padded, .. } = *self;
         if lanes == padded {
+            // Pages of fresh zeros that are read before they are written cost two faults and a flush of all cores.
+            out.fill(0.0);
             return self.add_up(tensor, first, block, out);
         }
         let sums = room(sums, out.len() / lanes * padded);
