@@ -157,8 +157,9 @@ def test_exact_reconstruction_is_null() -> None:
 
 @pytest.mark.parametrize("dtype", ["float32", "float64", "int64", "float16"])
 @pytest.mark.parametrize("shape", [(INLINE_COORDS,), (INLINE_COORDS + 1,), (33, 2), (2, 2)])
-def test_coordinates(dtype: str, shape: tuple[int, ...]) -> None:
-    coords = np.arange(prod(shape)).reshape(shape).astype(dtype)
+@pytest.mark.parametrize("step", [1.0, 1 / 3])
+def test_coordinates(dtype: str, shape: tuple[int, ...], step: float) -> None:
+    coords = (step * np.arange(prod(shape)).reshape(shape)).astype(dtype)
     axes = (Axis("x", shape[0], "space", coords, "mm"), Axis("t", 2))
     model = random_model(np.random.default_rng(0), (shape[0], 2), 1, axes=axes)
     data = encoded(model)
@@ -166,5 +167,25 @@ def test_coordinates(dtype: str, shape: tuple[int, ...]) -> None:
     found = loads(data)[0].axes[0].coords
     assert found is not None
     assert stored == (coords.size > INLINE_COORDS)
-    assert found.dtype == (np.float32 if stored and dtype == "float32" else np.float64)
-    np.testing.assert_array_equal(found, coords)
+    exact = dtype == "float64" and step < 1
+    assert found.dtype == (np.float32 if stored and not exact else np.float64)
+    np.testing.assert_array_equal(found.astype(dtype), coords)
+    assert encoded(loads(data)) == data
+
+
+def test_coordinates_have_no_more_digits_than_they_need() -> None:
+    def written(coords: list[float], dtype: str) -> str:
+        axes = (Axis("x", len(coords), "space", np.array(coords, dtype)), Axis("t", 2))
+        text = header_of(encoded(random_model(np.random.default_rng(0), (len(coords), 2), 1, axes=axes)))[1]
+        return text["__metadata__"]["hmkcta"].partition('"coords":')[2].partition(',"unit"')[0]
+
+    assert written([0, 0.1, -2.5, 1e-7], "float32") == "[0,0.1,-2.5,1e-07]"
+    assert written([0, 0.1, -30], "float64") == "[0,0.1,-30]"
+    assert written([float(np.float32(0.1)), 2.0**60], "float64") == "[0.10000000149011612,1.152921504606847e+18]"
+
+
+def test_figures_of_quality_do_not_change_the_size() -> None:
+    metadata, levels = small_model()
+    plain = replace(metadata, quality=(LevelQuality(1.0, 1.0, 1.0),) * 2)
+    for quality in (LevelQuality(inf, 0.0, 0.0), LevelQuality(-123.456789, 1.23456e-38, 0.000123456)):
+        assert len(encoded((replace(metadata, quality=(quality,) * 2), levels))) == encoded_size(plain, levels)

@@ -58,8 +58,9 @@ def undecomposed_in(plan: Plan) -> tuple[int, ...]:
 
 
 def _rounded(quality: LevelQuality) -> LevelQuality:
-    """Nine digits: more are noise, as sums in another order change them."""
-    return LevelQuality(*(float(f"{v:.9g}") for v in (quality.snr_db, quality.rmse, quality.max_abs_error)))
+    """A millionth of a dB and six digits: more are noise, as sums in another order change them."""
+    errors = (float(f"{error:.6g}") for error in (quality.rmse, quality.max_abs_error))
+    return LevelQuality(round(quality.snr_db, 6), *errors)
 
 
 def predicted_bytes(plan: Plan, source: Source, kind: str | None = None, seed: int = 0) -> int | None:

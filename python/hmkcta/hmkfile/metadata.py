@@ -18,7 +18,7 @@ from ..axes import ROLES, Axis, Organisation, check_organisation, mode_sizes
 from ..errors import HmkctaError
 from ..packed import LevelBounds, LevelQuality, Metadata
 from ..plan import SCHEMES
-from .fields import Json, as_integer, as_list, as_map, as_number, as_object, as_text, check_sizes
+from .fields import SAFE_INTEGER, Json, as_integer, as_list, as_map, as_number, as_object, as_text, check_sizes
 from .header import ITEM_SIZES, parse_shape
 from .limits import Limits, check_limit
 from .reasons import fault
@@ -73,11 +73,14 @@ def coords_name(axis: Axis) -> str | None:
 
 
 def coords_array(axis: Axis) -> NDArray[Any]:
-    """The coordinates as the file stores them: float32 if they are that already, else float64."""
+    """The coordinates as the file stores them: float32 if that changes none of them, else float64."""
     coords = np.asarray(axis.coords)
     if coords.dtype.kind not in "iufb":
         raise fault("field-type", f"coords of axis {axis.name!r}", coords.dtype, "numbers")
-    return np.ascontiguousarray(coords, "<f4" if coords.dtype == np.float32 else "<f8")
+    wide = np.ascontiguousarray(coords, "<f8")
+    with np.errstate(over="ignore"):
+        narrow = wide.astype("<f4")
+    return narrow if np.array_equal(narrow, wide) else wide
 
 
 def coords_info(axis: Axis) -> ArrayInfo:
@@ -110,8 +113,17 @@ def _integers(values: Iterable[int]) -> list[int]:
 def axis_to_json(axis: Axis) -> dict[str, Any]:
     """The axis as the metadata holds it; long coordinates are an array of their own, named there."""
     coords = coords_name(axis)
-    inline = None if axis.coords is None or coords else coords_array(axis).tolist()
+    inline = None if axis.coords is None or coords else _inline_coords(axis)
     return {"name": axis.name, "size": int(axis.size), "role": axis.role, "coords": coords or inline, "unit": axis.unit}
+
+
+def _inline_coords(axis: Axis) -> list[Any]:
+    """Coordinates in no more digits than they need: of float32, those that tell its numbers apart."""
+    stored, given = coords_array(axis), np.asarray(axis.coords)
+    single = given.dtype == np.float32
+    numbers = [float(str(value)) if single else float(value) for value in given.reshape(-1)]
+    shortest = [int(value) if value.is_integer() and abs(value) <= SAFE_INTEGER else value for value in numbers]
+    return np.array(shortest, object).reshape(stored.shape).tolist()
 
 
 def _quality_to_json(quality: LevelQuality) -> dict[str, Any]:
