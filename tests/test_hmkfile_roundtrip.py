@@ -187,5 +187,5 @@ def test_coordinates_have_no_more_digits_than_they_need() -> None:
 def test_figures_of_quality_do_not_change_the_size() -> None:
     metadata, levels = small_model()
     plain = replace(metadata, quality=(LevelQuality(1.0, 1.0, 1.0),) * 2)
-    for quality in (LevelQuality(inf, 0.0, 0.0), LevelQuality(-123.456789, 1.23456e-38, 0.000123456)):
+    for quality in (LevelQuality(inf, 0.0, 0.0), LevelQuality(-123.456789, 1.234567e-38, 0.0001234567)):
         assert len(encoded((replace(metadata, quality=(quality,) * 2), levels))) == encoded_size(plain, levels)

@@ -58,8 +58,8 @@ def undecomposed_in(plan: Plan) -> tuple[int, ...]:
 
 
 def _rounded(quality: LevelQuality) -> LevelQuality:
-    """A millionth of a dB and six digits: more are noise, as sums in another order change them."""
-    errors = (float(f"{error:.6g}") for error in (quality.rmse, quality.max_abs_error))
+    """A millionth of a dB and seven digits: more are noise, as sums in another order change them."""
+    errors = (float(f"{error:.7g}") for error in (quality.rmse, quality.max_abs_error))
     return LevelQuality(round(quality.snr_db, 6), *errors)
 
 

@@ -26,8 +26,8 @@ from .schema import LEVEL_TYPES, NUMPY_TYPES, TYPE_NAMES, ArrayInfo, arrays_of, 
 
 Piece: TypeAlias = bytes | memoryview
 
-#: A checksum with the most digits, and a figure as long as any of six decimals, or of six digits and an exponent.
-_WIDEST_CRC, _WIDEST_FIGURE = 2**32 - 1, -123.456789
+#: A checksum with the most digits, and a figure as long as any of six decimals, or of seven digits and an exponent.
+_WIDEST_CRC, _WIDEST_FIGURE = 2**32 - 1, -1234.567891
 
 
 def encode(metadata: Metadata, levels: Sequence[PackedLevel]) -> list[Piece]:
