@@ -13,6 +13,7 @@ import hmkcta
 from hmkcta import Axis, HmkctaError, Journal, LevelSpec, compress, parse_plan
 from hmkcta.plan import check_plan
 from hmkcta.render.layout import lay_out
+from hmkcta.source import described as describe_source
 
 WAVE: NDArray[np.float64] = np.add.outer(np.sin(np.arange(20) / 3), np.arange(18.0) / 9)
 
@@ -65,6 +66,23 @@ def test_a_kind_is_one_that_can_be_shown(axes: str, kind: str) -> None:
 def test_an_axis_of_another_size_is_named() -> None:
     error = refused(axes=["y", Axis("x", 17)])
     assert (error.reason, error.found) == ("axis-size", 17)
+
+
+@pytest.mark.parametrize("coords", [
+    np.zeros((17, 3)), np.zeros((18, 3, 1)), np.zeros((18, 17)), np.zeros((18, 0)), np.full(18, np.nan), 3,
+    ["north"] * 18, [[1]] * 17 + [[1, 2]],
+], ids=str)
+def test_coordinates_that_no_file_holds_are_refused_before_the_fit(coords: Any) -> None:
+    with pytest.raises(HmkctaError) as caught:
+        describe_source(WAVE, [Axis("y", 20), Axis("x", 18, coords=coords)])
+    assert (caught.value.reason, caught.value.where) == ("coords", "coords of axis 'x'")
+    assert caught.value.allowed
+
+
+def test_coordinates_may_be_lists(tmp_path: Path) -> None:
+    lists: Any = [[n, 0] for n in range(18)]
+    compress(WAVE, "R=1", axes=[Axis("y", 20), Axis("x", 18, coords=lists)]).save(tmp_path / "a.hmk")
+    assert np.array_equal(np.asarray(hmkcta.open(tmp_path / "a.hmk").metadata.axes[1].coords), lists)
 
 
 @pytest.mark.parametrize("options", [

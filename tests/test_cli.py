@@ -141,8 +141,9 @@ def test_what_a_file_says_of_its_source_may_be_anything(told: object, shown: str
     (1e6 + smooth(12, 14, 16), "subtract the mean first"),
     (smooth(3, 4, 5), "no smaller than its source of 240 bytes"),
     (np.ones((1, 1)), "no smaller than its source of 8 bytes"),
+    (np.where(np.arange(6720).reshape(12, 20, 28) % 3000 == 7, 9e4, smooth(12, 20, 28)), "--transform asinh:"),
     (smooth(16, 20, 24), None),
-], ids=["vector", "offset", "tiny", "one number", "none"])
+], ids=["vector", "offset", "tiny", "one number", "outliers", "none"])
 def test_what_figures_do_not_tell_is_said(array: NDArray[Any], sentence: str | None, tmp_path: Path) -> None:
     path, words = saved(tmp_path / "a.npy", array), ("--quality", "fast", "--overwrite")
     result = run("compress", path, "-o", tmp_path / "a.hmk", *words)
@@ -150,6 +151,34 @@ def test_what_figures_do_not_tell_is_said(array: NDArray[Any], sentence: str | N
     assert sentence is None or sentence in result.stderr
     assert run("compress", path, "-o", tmp_path / "a.hmk", *words, "--quiet").stderr == ""
     assert len(report("compress", path, "-o", tmp_path / "a.hmk", *words)["notes"]) == (sentence is not None)
+
+
+def test_a_plan_larger_than_its_source_is_not_blamed_on_the_header(tmp_path: Path) -> None:
+    path = saved(tmp_path / "a.npy", (smooth(20, 24, 28) * 50).astype(np.uint8))
+    text = run("compress", path, "-o", tmp_path / "a.hmk", "--plan", "R=20,24,28").stderr
+    assert "smaller R or K" in text
+
+
+def test_directions_come_with_the_array(tmp_path: Path) -> None:
+    """As `compress` from Python does it with `Axis`, and as `plan` counts them and writes them down."""
+    source, out = saved(tmp_path / "a.npy", smooth(30, 6, 7)), tmp_path / "a.hmk"
+    angles = np.stack([np.linspace(0, 80, 30), np.linspace(0, 350, 30)], 1)
+    np.savetxt(tmp_path / "lights.csv", angles, delimiter=",", header="zenith,azimuth")
+    np.savez(tmp_path / "places.npz", y=np.arange(6) / 2, other=np.ones(3))
+    words = ("--axes", "light,y,x", "--coords", f"light={tmp_path / 'lights.csv'}", "--unit", "light=degrees",
+             "--coords", f"y={tmp_path / 'places.npz'}:y", "--plan", "R=2")
+    predicted = report("plan", source, *words, "--kind", "generic")
+    run("compress", source, "-o", out, *words, "--kind", "generic")
+    assert predicted["predicted_bytes"] == out.stat().st_size
+    again = shlex.split(predicted["command"])
+    again[again.index("OUT.hmk")] = str(tmp_path / "b.hmk")
+    run(*again[1:], "--quiet")
+    assert (tmp_path / "b.hmk").read_bytes() == out.read_bytes()
+    light, y, x = hmkcta.open(out).metadata.axes
+    assert (light.unit, y.unit, x.coords) == ("degrees", "", None)
+    np.testing.assert_array_equal(np.asarray(light.coords), angles)
+    np.testing.assert_array_equal(np.asarray(y.coords), np.arange(6) / 2)
+    assert "light 30 (light, coordinates in degrees), y 6 (space, coordinates), x 7 (space)" in run("info", out).stdout
 
 
 def test_advice_fits_what_was_asked(source: Path, tmp_path: Path) -> None:

@@ -100,6 +100,7 @@ def test_other_number_types(dtype: str, tmp_path: Path) -> None:
     (("--axes", "y,x"), "axes"), (("--axes", "y,x,x"), "axes"), (("--axes", "y,x,z:depth"), "role of axis 'z'"),
     (("--organisation", "axis0, axis1"), "organisation"), (("--organisation", "a+b, c"), "organisation"),
     (("--transform", "cube"), "transform"), (("--transform", "log1p:-1"), "scale of log1p"),
+    (("--unit", "light=degrees"), "--unit"), (("--coords", "light=there.npy"), "--coords"),
 ])
 def test_arguments_out_of_range(words: tuple[str, ...], named: str, source: Path, tmp_path: Path) -> None:
     options = words if "--plan" in words else (*words, *PLAN)
@@ -113,11 +114,26 @@ def test_arguments_out_of_range(words: tuple[str, ...], named: str, source: Path
     ("--snr", "20", "--size", "1MB"), ("--size", "20MQ"), ("--size", "0"), ("--size", "-3"), ("--nan", "0"),
     ("--nan", "fill=inf"), ("--quality", "best"), ("--scheme", "some"), ("--seed", "-1"), ("--threads", "0"),
     ("--decode-cost", "0"), ("--kind", "cube"), ("--shape", "2,,3"), ("--frobnicate",), ("--snr", "loud"),
+    ("--coords", "light"), ("--unit", "=degrees"),
 ])
 def test_usage(words: tuple[str, ...], source: Path, tmp_path: Path) -> None:
-    result = run("compress", source, "-o", tmp_path / "a.hmk", *words, code=2)
+    result = run("compress", source, "-o", tmp_path / "a.hmk", *words, "--json", code=2)
     assert "Error: " in result.stderr
+    error = json.loads(result.stdout)["error"]
+    assert error["exit_code"] == 2
+    assert error["sentence"] in result.stderr
     assert not list(tmp_path.iterdir())
+
+
+def test_coordinates_that_do_not_fit(source: Path, tmp_path: Path) -> None:
+    """They are told before the fit, not when the file is written."""
+    here = tmp_path / "coords.txt"
+    words = ("compress", source, "-o", tmp_path / "a.hmk", "--coords", f"axis0={here}")
+    assert "No such file" in refused(*words, code=3)
+    here.write_text("0 0 1\n0 1 0\n")
+    sentence = refused(*words, code=2)
+    assert "coords of axis 'axis0': found shape (2, 3), allowed shape [6]" in sentence
+    assert [path.name for path in tmp_path.iterdir()] == ["coords.txt"]
 
 
 def test_level_that_is_not_there(packed: Path, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hmkcta.errors import HmkctaError, Kind
-from hmkcta.readers import open_array
+from hmkcta.readers import open_array, read_coordinates
 
 VALUES = np.arange(24, dtype=np.float32).reshape(2, 3, 4)
 DTYPES = ["<f4", ">f4", "<f2", ">f2", "<f8", ">f8", "u1", "i1", "<i2", ">u2", "<i4", ">i4", "<i8", ">u8"]
@@ -203,3 +203,20 @@ def test_unknown_format_asks_for_a_description(tmp_path: Path) -> None:
 
 def test_member_of_a_plain_array(tmp_path: Path) -> None:
     assert refusal(saved(tmp_path / "a.npy", VALUES), member="wood").reason == "npz-member"
+
+
+@pytest.mark.parametrize(("name", "text", "expected"), [
+    ("a.txt", "# zenith\n\n30\n60\n", [30, 60]), ("a.csv", "0,0,1\n0.6, 0, 0.8 # second\n", [[0, 0, 1], [0.6, 0, 0.8]]),
+    ("a.txt", "", []),
+])
+def test_coordinates_from_a_table(tmp_path: Path, name: str, text: str, expected: list[Any]) -> None:
+    (tmp_path / name).write_text(text)
+    assert read_coordinates(str(tmp_path / name)).tolist() == expected
+
+
+@pytest.mark.parametrize(("name", "text"), [("a.txt", "1 2\n3\n"), ("a.txt", "1,2\n"), ("a.csv", "x,y\n1,2\n")])
+def test_what_is_no_table_is_refused(tmp_path: Path, name: str, text: str) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(HmkctaError) as caught:
+        read_coordinates(str(tmp_path / name))
+    assert (caught.value.kind, caught.value.reason) == (Kind.IO, "coords-table")

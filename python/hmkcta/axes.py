@@ -7,7 +7,7 @@ listed order (`docs/format.md`, section 2). The paper folds colour into the ligh
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import prod
 from typing import Any
 
@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from .errors import invalid
 
 ROLES = ("space", "view", "light", "time", "channel", "other")
+#: Most numbers that a coordinate of an index may have.
+MOST_COORDS = 16
 
 _ROLE_OF_NAME = {
     **dict.fromkeys(("x", "y", "z", "u", "v", "texel", "pixel", "space"), "space"),
@@ -73,6 +75,33 @@ def name_axes(shape: Sequence[int], names: Sequence[str] | None = None) -> tuple
     if len({axis.name for axis in axes}) != len(axes):
         raise invalid("axis-twice", "axes", ", ".join(axis.name for axis in axes), "names that differ")
     return tuple(axes)
+
+
+def checked_coords(axis: Axis) -> Axis:
+    """The axis, its coordinates an array that a file can hold.
+
+    >>> checked_coords(Axis("light", 2, "light", [30, 60], "degrees")).coords
+    array([30, 60])
+
+    Raises:
+        HmkctaError: they are no finite numbers, or not one, or one list of up to 16, for each index.
+    """
+    if axis.coords is None:
+        return axis
+    where = f"coords of axis {axis.name!r}"
+    try:
+        coords = np.asarray(axis.coords)
+    except ValueError:  # rows of different lengths
+        raise invalid("coords", where, "lists of different lengths", "as many numbers for each index") from None
+    if coords.dtype.kind not in "iufb":
+        raise invalid("coords", where, f"dtype {coords.dtype}", "numbers")
+    if coords.shape[:1] != (axis.size,) or coords.ndim > 2 or not 1 <= coords[:1].size <= MOST_COORDS:
+        allowed = f"shape [{axis.size}], or [{axis.size}, 1 to {MOST_COORDS}], as the axis has {axis.size} indices"
+        raise invalid("coords", where, f"shape {coords.shape}", allowed)
+    if not np.isfinite(coords).all():
+        raise invalid("coords", where, f"{int((~np.isfinite(coords)).sum())} that are NaN or infinite",
+                      "finite numbers")
+    return replace(axis, coords=coords)
 
 
 def separate(axes: Sequence[Axis]) -> Organisation:

@@ -12,7 +12,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from .axes import Axis, Organisation, mode_rows, name_axes, organise, parse_organisation, separate
+from .axes import Axis, Organisation, checked_coords, mode_rows, name_axes, organise, parse_organisation, separate
 from .errors import invalid
 from .memory import drop_pages
 from .slabs import slabs
@@ -142,8 +142,8 @@ def described(array: Any, axes: Sequence[Axis] | Sequence[str] | None = None, tr
     """An array with its description; its values are not looked at, so its fingerprint is a stand-in.
 
     Raises:
-        HmkctaError: not an array of 1 to 8 axes of real numbers, empty, masked, names that do not fit, or no such
-            transform.
+        HmkctaError: not an array of 1 to 8 axes of real numbers, empty, masked, names or coordinates that do not
+            fit, or no such transform.
     """
     array = cast(NDArray[Any], np.asanyarray(array))
     if array.dtype.kind not in "bfiu":
@@ -196,7 +196,8 @@ def _named(shape: tuple[int, ...], axes: Sequence[Axis] | Sequence[str] | None) 
     for axis, size in zip(given, shape, strict=True):
         if isinstance(axis, Axis) and axis.size != size:
             raise invalid("axis-size", f"size of axis {axis.name!r}", axis.size, f"{size}, as the array has")
-    return tuple(axis if isinstance(axis, Axis) else by_name for axis, by_name in zip(given, named, strict=True))
+    return tuple(checked_coords(axis) if isinstance(axis, Axis) else by_name
+                 for axis, by_name in zip(given, named, strict=True))
 
 
 def _scan(array: NDArray[Any], nan: float | None) -> tuple[str, bool]:

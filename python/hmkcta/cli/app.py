@@ -22,6 +22,7 @@ from .failure import EXIT_CODES, Exit, Failure
 from .info import info_command
 from .interrupt import Interrupted, interruptible
 from .options import CONTEXT, VERBOSE, WORDS, examples_first
+from .output import emit
 from .plan import plan_command
 from .render import render_command
 from .resume import abandon, going_on
@@ -44,6 +45,10 @@ class Hmkcta(click.Group):
         try:
             with interruptible(partial(_leave, ctx)):
                 return super().invoke(ctx)
+        except click.UsageError as error:
+            if "--json" in ctx.meta.get(WORDS, ()):
+                emit({"error": {"sentence": error.format_message(), "exit_code": error.exit_code}})
+            raise
         except (click.ClickException, click.exceptions.Exit, click.Abort):
             raise
         except HmkctaError as error:

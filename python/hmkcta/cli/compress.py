@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..backends import Device, find_device
 from ..encode import compress
-from ..hmkfile import KINDS, check_output
+from ..hmkfile import check_output
 from ..model import Model
 from .failure import Exit
 from .goal import Goal, goal_from, goal_options
@@ -48,13 +48,10 @@ SNR_SLACK = 0.005
 @click.argument("source", metavar="SRC", type=File())
 @click.option("-o", "--output", required=True, type=OutputFile(), metavar="FILE", help="File to write.")
 @goal_options
-@click.option("--kind", type=click.Choice(KINDS), metavar="NAME",
-              help="What it shows: svbrdf, lightfield, volume, generic.")
 @together(device_option, resume_option, overwrite_option, json_option, quiet_option, verbose_option)
-def compress_command(source: str, output: str, plan: str | None, kind: str | None, device: str, resume: bool,
-                     overwrite: bool, as_json: bool, quiet: bool, verbose: bool, **options: Any) -> None:
+def compress_command(source: str, output: str, plan: str | None, device: str, resume: bool, overwrite: bool,
+                     as_json: bool, quiet: bool, verbose: bool, **options: Any) -> None:
     """Compress the array SRC (.npy, .npz or raw binary).
-
     Exit code 7: the goal was not reached, the file is the best found.
     """
     goal = goal_from(options)
@@ -69,8 +66,8 @@ def compress_command(source: str, output: str, plan: str | None, kind: str | Non
         if resume and not journal.holds_work:
             click.echo(f"hmkcta: there is nothing in {journal.folder} to go on with: it begins anew.", err=True)
         array = goal.open(source)
-        model = compress(array, plan, snr=goal.snr, size=goal.size, kind=kind, device=where, progress=progress,
-                         journal=journal, **goal.settings)
+        model = compress(array, plan, snr=goal.snr, size=goal.size, kind=goal.kind, device=where,
+                         progress=progress, journal=journal, **goal.settings_for(array))
         model.save(output, overwrite=overwrite)
     report = {**describe(model, array, progress), "device": asdict(where), "nodes_resumed": journal.found}
     missed, said = missed_goal(model, goal), [*(str(each.message) for each in warned), *notes(model, array)]

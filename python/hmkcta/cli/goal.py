@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import click
 from numpy.typing import NDArray
 
-from ..axes import format_organisation
+from ..axes import format_organisation, name_axes
+from ..errors import invalid
 from ..fit import EFFORTS
+from ..hmkfile import KINDS
 from ..plan import SCHEMES, Plan
-from ..readers import open_array
-from .options import ByteSize, Count, Names, memory_option, nan_option, source_options, together
+from ..readers import open_array, read_coordinates
+from .options import Assignment, ByteSize, Count, Names, memory_option, nan_option, source_options, together
 
 goal_options = together(
     click.option("--snr", type=float, metavar="DB", help="Goal: this signal-to-noise ratio, few bytes."),
@@ -27,7 +29,13 @@ goal_options = together(
     click.option("--organisation", metavar="TEXT", help='Axes into modes: "light+rgb, view, y+x".'),
     click.option("--scheme", type=click.Choice(["auto", *SCHEMES]), default="auto", metavar="NAME",
                  help="Subdivision: auto, most, least or uniform."),
-    click.option("--axes", type=Names(), metavar="A,B,..", help="Names of the axes: light,view,y,x,rgb."),
+    click.option("--axes", type=Names(), metavar="A,B,..", help="Names of the axes: light,view,y,x,rgb, NAME:ROLE."),
+    click.option("--coords", type=Assignment(), multiple=True, metavar="AXIS=FILE",
+                 help="Directions, positions: .npy, .npz, .csv or .txt."),
+    click.option("--unit", type=Assignment(), multiple=True, metavar="AXIS=UNIT",
+                 help="Of an axis's coordinates: degrees, nm, .."),
+    click.option("--kind", type=click.Choice(KINDS), metavar="NAME",
+                 help="What it is: svbrdf, lightfield, volume, generic."),
     click.option("--transform", default="identity", metavar="NAME",
                  help="Of values: log1p[:scale], asinh[:scale], sqrt."),
     nan_option,
@@ -48,18 +56,34 @@ class Goal:
 
     snr: float | None
     size: int | None
-    settings: dict[str, Any]  # further arguments of `compress` and `choose_plan`
+    kind: str | None
+    settings: dict[str, Any]  # further arguments of `compress` and `choose_plan`; axes by name
     source: dict[str, Any]  # arguments of `open_array`
+    along: dict[str, tuple[tuple[str, str], ...]]  # --coords and --unit
 
     def open(self, path: str) -> NDArray[Any]:
         """The source."""
         return open_array(path, **self.source)
 
+    def settings_for(self, array: NDArray[Any]) -> dict[str, Any]:
+        """The settings, with the coordinates and units of the axes of the source."""
+        if not any(self.along.values()):
+            return self.settings
+        axes = {axis.name: axis for axis in name_axes(array.shape, self.settings["axes"])}
+        for option, given in self.along.items():
+            for name, value in given:
+                if name not in axes:
+                    raise invalid("axis-unknown", f"--{option}", repr(name), ", ".join(axes), "name axes by --axes")
+                change = {"coords": read_coordinates(value)} if option == "coords" else {"unit": value}
+                axes[name] = replace(axes[name], **change)
+        return {**self.settings, "axes": list(axes.values())}
+
 
 def goal_from(options: dict[str, Any]) -> Goal:
     """Take the values of `goal_options`, but for --plan, out of a command's options."""
     source = {key: options.pop(key) for key in ("member", "shape", "dtype", "order", "offset")}
-    goal = Goal(options.pop("snr"), options.pop("size"), options, source)
+    along = {key: options.pop(key) for key in ("coords", "unit")}
+    goal = Goal(options.pop("snr"), options.pop("size"), options.pop("kind"), options, source, along)
     if goal.snr is not None and goal.size is not None:
         raise click.UsageError("--snr and --size are both given: choose one of them.")
     return goal
@@ -69,11 +93,13 @@ def command_for(source: str, output: str, plan: Plan, goal: Goal) -> str:
     """The command that fits exactly this plan: the plan in full, and whatever else was given."""
     words = ["hmkcta", "compress", source, "-o", output]
     words += ["--organisation", format_organisation(plan.organisation), "--plan", str(plan)]
-    given: dict[str, Any] = {"snr": plan.snr, "size": plan.size, **goal.settings, **goal.source}
+    given: dict[str, Any] = {"snr": plan.snr, "size": plan.size, "kind": goal.kind, **goal.settings, **goal.source}
     defaults = {param.name: param.default for param in click.get_current_context().command.params}
     for name, value in given.items():
         if name != "organisation" and value is not None and value != defaults.get(name):
             words += [f"--{name.replace('_', '-')}", _written(name, value)]
+    for option, pairs in goal.along.items():
+        words += [word for pair in pairs for word in (f"--{option}", "=".join(pair))]
     return shlex.join(words)
 
 

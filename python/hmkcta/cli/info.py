@@ -89,9 +89,14 @@ def cells_of(level: PackedLevel) -> tuple[int, int]:
     return len(lengths), int((~filled).sum())
 
 
+def _coordinates(axis: dict[str, Any]) -> str:
+    unit = f" in {axis['unit']}" if axis["unit"] else ""
+    return f", coordinates{unit}" if axis["coordinates"] else ""
+
+
 def as_text(report: dict[str, Any], verbose: bool) -> str:
     """The facts for people."""
-    axes = ", ".join(f"{axis['name']} {axis['size']} ({axis['role']})" for axis in report["axes"])
+    axes = ", ".join(f"{axis['name']} {axis['size']} ({axis['role']}{_coordinates(axis)})" for axis in report["axes"])
     domain = [report["transform"]["name"]] if any(level["transformed_snr_db"] for level in report["levels"]) else []
     levels = table(
         ["level", "R", "C", "K", "subdivision", "nodes", "empty", "clusters", "empty", "SNR dB",

@@ -15,6 +15,10 @@ from ..slabs import thinning
 SAMPLE = 1 << 20
 #: Parts of a mapped file that are looked at one after another, as even a sample touches most of its pages.
 PARTS = 64
+#: Elements of which each is compared with what the model makes of it.
+COMPARED = 1 << 12
+#: Few values make the SNR, where it is beyond so many dB, if all values are so many times as large as most of them.
+LOUD, FEW = 20.0, 3.0
 #: An offset counts as one beyond so many deviations, and hides the values where the error is this share of one.
 OFFSET, HIDDEN = 3.0, 0.5
 
@@ -32,14 +36,41 @@ def notes(model: Model, array: NDArray[Any]) -> list[str]:
         found.append("one axis has nothing to share: every number takes two bytes. "
                      "Next: make windows of a signal, array.reshape(-1, 256)")
     elif model.nbytes >= array.nbytes:
-        found.append(f"the file is no smaller than its source of {array.nbytes} bytes; header and tables alone take "
-                     "some KiB. Next: compress more data as one array")
+        numbers = sum(2 * level.numbers() for level in model.levels)
+        why = ("header and tables alone take some KiB. Next: compress more data as one array"
+               if 2 * numbers < array.nbytes else
+               f"{numbers} are for cores and bases. Next: give the plan smaller R or K, or a goal in its place")
+        found.append(f"the file is no smaller than its source of {array.nbytes} bytes; {why}")
     mean, deviation = _moments(array)
     rmse = model.quality[-1].rmse if model.quality else 0.0
     if abs(mean) > OFFSET * deviation and rmse > HIDDEN * deviation > 0:
         found.append(f"the values are {mean:.6g} give or take {deviation:.3g}, and the RMSE is {rmse:.3g}: of what "
                      "varies the file holds little, whatever the SNR. Next: subtract the mean first")
+    else:
+        found += _few_loud(model, array)
     return found
+
+
+def _few_loud(model: Model, array: NDArray[Any]) -> list[str]:
+    """Whether a few large values make the SNR while most values are lost."""
+    if not LOUD < model.snr < np.inf:
+        return []
+    places = tuple(slice(None, None, step) for step in thinning(array.shape, COMPARED))
+    values, decoded = np.asarray(array[places], np.float64), np.asarray(model[places], np.float64)
+    drop_pages(array)
+    kept = np.isfinite(values)
+    values, decoded = values[kept], decoded[kept]
+    if not values.size:
+        return []
+    middle, error = float(np.median(values)), float(np.median(np.abs(values - decoded)))
+    spread = float(np.median(np.abs(values - middle)))
+    all_of_them = model.quality[-1].rmse * 10 ** (model.snr / 20)
+    if not (error > HIDDEN * spread > 0 and all_of_them > FEW * np.hypot(middle, spread)):
+        return []
+    helps = ("clip them" if model.metadata.transform["name"] != "identity" else
+             f"--transform asinh:{np.hypot(middle, spread):.1g}, which keeps shares of small values, or clip the large")
+    return [f"half of the values are wrong by {error:.2g} or more, and differ by {spread:.2g}: the SNR is that of "
+            f"a few large ones. Next: {helps}"]
 
 
 def _moments(array: NDArray[Any]) -> tuple[float, float]:

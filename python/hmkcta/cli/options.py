@@ -106,6 +106,23 @@ class Names(click.ParamType[list[str]]):
         return [word.strip() for word in str(value).split(",")]
 
 
+class Assignment(click.ParamType[tuple[str, str]]):
+    """A name and what it gets: ``NAME=VALUE``.
+
+    >>> Assignment().convert("light=directions.npy", None, None)
+    ('light', 'directions.npy')
+    """
+
+    name = "assignment"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, str]:
+        """Read it, or end with what is wrong."""
+        name, _, given = str(value).partition("=")
+        if not name.strip() or not given:
+            self.fail(f"{value!r}: write the name of an axis, =, and what belongs to it.", param, ctx)
+        return name.strip(), given
+
+
 class Fill(click.ParamType[float]):
     """What to do with NaN and infinity: ``fill=VALUE``.
 
@@ -209,7 +226,7 @@ quiet_option = click.option("--quiet", is_flag=True, help="No progress, no repor
 verbose_option = click.option("-v", "--verbose", is_flag=True, is_eager=True, callback=_remember(VERBOSE),
                               help="More about the work; tracebacks.")
 memory_option = click.option("--max-memory", type=ByteSize(), metavar="SIZE",
-                             help="Memory to work in; what needs more is refused before it begins.")
+                             help="Memory to work in; what needs more is refused.")
 device_option = click.option("--device", type=click.Choice(("cpu", "cuda")), default="cpu", metavar="NAME",
                              help="cpu (default), or cuda for an NVIDIA GPU.")
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace an output that is there already.")

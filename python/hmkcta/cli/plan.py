@@ -40,12 +40,13 @@ def plan_command(source: str, plan: str | None, as_json: bool, quiet: bool, verb
     del verbose
     goal = goal_from(options)
     array = goal.open(source)
-    described = describe_source(array, goal.settings["axes"], goal.settings["transform"])
+    settings = goal.settings_for(array)
+    described = describe_source(array, settings["axes"], settings["transform"])
     with Progress(quiet or as_json) as progress:
         if plan is not None:
             chosen = given_plan(plan, described, goal)
         else:
-            chosen = choose_plan(array, snr=goal.snr, size=goal.size, progress=progress, **goal.settings)
+            chosen = choose_plan(array, snr=goal.snr, size=goal.size, progress=progress, **settings)
     report = describe(chosen, described, goal)
     report["command"] = command_for(source, "OUT.hmk", chosen, goal)
     report["seconds"] = round(progress.elapsed, 3)
@@ -83,7 +84,7 @@ def describe(plan: Plan, source: Source, goal: Goal) -> dict[str, Any]:
         "levels": [{"level": number, "text": str(level), "search": level.search, "decode_cost": cost}
                    for number, (level, cost) in enumerate(zip(plan.levels, costs, strict=True), start=1)],
         "snr": plan.snr, "size": plan.size,
-        "predicted_bytes": predicted_bytes(plan, source, seed=goal.settings["seed"]),
+        "predicted_bytes": predicted_bytes(plan, source, goal.kind, goal.settings["seed"]),
         "decode_cost": sum(costs), "memory": cost.memory, "scratch": cost.scratch,
         "fitting_seconds": round(cost.seconds, 1), "source_bytes_float32": 4 * prod(sizes),
     }

@@ -9,4 +9,5 @@
 Nothing is unpickled, and no array is believed to be longer than its file.
 """
 
+from .coordinates import read_coordinates as read_coordinates
 from .open_array import open_array as open_array
