@@ -1,6 +1,6 @@
 """Metadata to and from the JSON object of the file (`docs/format.md`, section 5): every field, type and range.
 
-Coordinates of more than `INLINE_COORDS` numbers are arrays of the file, named in the JSON.
+Coordinates of more than `INLINE_COORDS` numbers, or of many digits, are arrays of the file, named in the JSON.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ TRANSFORMS: Mapping[str, tuple[str, ...]] = {
     "identity": (), "log1p": ("scale",), "asinh": ("scale",), "sqrt": (),
 }
 
-#: More coordinates than this are stored as an array.
-INLINE_COORDS = 64
+#: More coordinates than this are stored as an array, which takes about so many bytes of header.
+INLINE_COORDS, ARRAY_HEADER = 64, 160
 
 _MAX_U32 = 2**32 - 1
 _FIELDS = ("version", "source_dtype", "axes", "organisation", "levels", "undecomposed", "kind", "transform", "quality",
@@ -68,8 +68,16 @@ class Parsed:
 
 
 def coords_name(axis: Axis) -> str | None:
-    """Name of the array that holds an axis's coordinates; None where they are inline or absent."""
-    return f"coords/{axis.name}" if axis.coords is not None and axis.coords.size > INLINE_COORDS else None
+    """Name of the array that holds an axis's coordinates; None where they are inline, few and short, or absent."""
+    if axis.coords is None:
+        return None
+    short = axis.coords.size <= INLINE_COORDS and _digits(axis) <= coords_array(axis).nbytes + ARRAY_HEADER
+    return None if short else f"coords/{axis.name}"
+
+
+def _digits(axis: Axis) -> int:
+    """Characters that inline coordinates take."""
+    return len(str(_inline_coords(axis)).replace(" ", ""))
 
 
 def coords_array(axis: Axis) -> NDArray[Any]:
