@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise, product
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from hmkcta.allocation import allocate, choices_of, pareto, ration, spectrum
 from hmkcta.blocks import finer, sampled_blocks, spread
 from hmkcta.fit import EFFORTS
 from hmkcta.grids import allowed, many_grids
+from hmkcta.growth import growth_of
 from hmkcta.source import prepare
 from hmkcta.spectra import captured, cores, energies, ladders
 from hmkcta.synthetic import light_field
@@ -54,6 +56,16 @@ def test_one_core_tells_of_all_choices_of_undecomposed_modes() -> None:
     assert core.values.shape == (6, 18, 3)  # a mode of 50 rows has 18 columns
     for limits in [(4, None, 2), (None, 5, 3), (6, 6, None)]:
         np.testing.assert_allclose(core.energies(limits), core_energies(tensor, limits, rng), rtol=1e-5)
+
+
+def test_errors_of_long_nearly_constant_modes_are_told_at_60_db() -> None:
+    """Sums of a thousand like terms in float32 drift by as much as they leave."""
+    rng = np.random.default_rng(0)
+    low = rng.standard_normal((1500, 3), np.float32) @ rng.standard_normal((3, 600), np.float32)
+    tensor = 1 + np.float32(3e-4) * low
+    squares = np.linalg.svd(tensor.astype(np.float64), compute_uv=False) ** 2
+    found = np.diag(core_energies(tensor, (8, 8), np.random.default_rng(0)))
+    np.testing.assert_allclose(1 - found / squares.sum(), 1 - np.cumsum(squares[:8]) / squares.sum(), atol=1e-7)
 
 
 def test_of_long_modes_few_vectors_are_found() -> None:
@@ -335,3 +347,31 @@ def test_rows_left_out_of_a_sample_do_not_flatter_ranks(monkeypatch: pytest.Monk
     few = replace(CARES[EFFORTS["medium"]], survey=(1 << 13, 1 << 14), compare=1 << 14, refine=1 << 16)
     monkeypatch.setitem(CARES, EFFORTS["medium"], few)
     assert compress(values, snr=45.0).snr >= 45
+
+
+@pytest.mark.parametrize("elements", [1 << 18, 1 << 17, 1 << 16])
+def test_thinned_blocks_tell_what_whole_ones_reach(elements: int) -> None:
+    """Four textures of noise under smooth lights: half the columns of a texture need half the ranks."""
+    rng, place = np.random.default_rng(0), np.linspace(0, 1, 48)
+    lights = np.exp(-np.array([1.0, 3.0, 9.0, 27.0])[:, None] * place)
+    textures = rng.standard_normal((4, 64, 64, 3)) * np.array([1, 0.3, 0.1, 0.03])[:, None, None, None]
+    source = prepare(np.einsum("kl,kyxc->lyxc", lights, textures).astype(np.float32), None, "identity", None)
+    trial = trial_of(source, None, 20000, None, 4096, 0)
+    modes = (("axis0",), ("axis1", "axis3"), ("axis2",))
+
+    def judged(sample: int) -> dict[tuple[int, ...], float]:
+        found = trial.worths(modes, (1, 1, 1, 1), sample, ((), (2,)))
+        return {each.undecomposed: worth for worth, each in found}
+
+    assert judged(elements) == pytest.approx(judged(prod(source.shape)), abs=1.0)
+
+
+def test_ranks_grow_with_the_rows_of_noise_and_not_with_those_of_waves() -> None:
+    def grown(rows: NDArray[np.float64]) -> tuple[int, ...]:
+        batch = rows[None, ::2].astype(np.float32)
+        growth = growth_of(batch, cores(batch, (32, 32)), batch[:, ::2], (64, 400))
+        return growth.unthinned([(1, 4, 8, 16, 32), (1,)])[0]
+
+    place = np.linspace(0, 1, 64)[:, None]
+    assert grown(np.sin(12 * place * np.linspace(0, 1, 400)))[:2] == (1, 4)
+    assert grown(noise(64, 400).astype(np.float64)) == pytest.approx((2, 8, 16, 32, 64), rel=0.15, abs=1)

@@ -18,7 +18,7 @@ PACKAGE = ROOT / "python" / "hmkcta"
 #: Modules and subpackages from the lowest layer up; an import goes to a lower layer, or stays in its subpackage.
 LAYERS = (
     ("_version", "errors", "executors", "metrics", "recordlog", "slabs", "spectra", "temporaries", "tucker", "_native"),
-    ("axes", "grids", "memory", "transform", "indexing"),
+    ("axes", "grids", "growth", "memory", "transform", "indexing"),
     ("plan", "packed", "scratch"),
     ("cells", "coding", "pieces", "predict", "storage", "hmkfile", "source", "_example"),
     ("backends", "memberships", "decode_scattered"),

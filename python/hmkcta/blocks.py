@@ -9,6 +9,7 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
+from .axes import Axis, Organisation, axis_order
 from .slabs import thinning
 from .source import Source
 
@@ -31,14 +32,19 @@ class Blocks:
         edges: rows of a block along each axis, before any were left out.
         share: how many of the grid's blocks they are.
         elements: how many of all elements, which is more as they overlap.
-        thinned: whether rows were left out.
+        steps: of the rows along each axis one of so many was taken.
     """
 
     values: F32
     edges: tuple[int, ...]
     share: float
     elements: float
-    thinned: bool
+    steps: tuple[int, ...]
+
+    @property
+    def thinned(self) -> bool:
+        """Whether rows were left out."""
+        return max(self.steps) > 1
 
 
 def sampled_blocks(source: Source, values: F32 | None, grid: Sequence[int], sample: int, seed: int) -> Blocks:
@@ -53,7 +59,7 @@ def sampled_blocks(source: Source, values: F32 | None, grid: Sequence[int], samp
         part = tuple(slice(start, start + edge, step) for start, edge, step in zip(starts, edges, steps, strict=True))
         chosen.append(source.values(part) if values is None else values[part])
     elements = wanted * prod(edges) / prod(shape)
-    return Blocks(np.stack(chosen), edges, wanted / number, elements, max(steps) > 1)
+    return Blocks(np.stack(chosen), edges, wanted / number, elements, tuple(steps))
 
 
 def split(values: F32, counts: Sequence[int]) -> F32:
@@ -72,6 +78,11 @@ def split(values: F32, counts: Sequence[int]) -> F32:
     return np.stack(parts, axis=1).reshape(-1, *edges)
 
 
+def halved(blocks: Blocks) -> F32:
+    """The blocks with every second of the rows along the axes that were thinned."""
+    return blocks.values[(slice(None), *(slice(None, None, 2 if step > 1 else 1) for step in blocks.steps))]
+
+
 def finer(blocks: Blocks, around: Sequence[int], grid: Sequence[int]) -> Blocks:
     """Blocks of the grid `around` as those of a `grid` of multiples of its counts."""
     counts = [own // before for own, before in zip(grid, around, strict=True)]
@@ -79,7 +90,15 @@ def finer(blocks: Blocks, around: Sequence[int], grid: Sequence[int]) -> Blocks:
         return blocks
     edges = tuple(-(-edge // count) for edge, count in zip(blocks.edges, counts, strict=True))
     more = prod(counts) * prod(edges) / prod(blocks.edges)
-    return Blocks(split(blocks.values, counts), edges, blocks.share, blocks.elements * more, blocks.thinned)
+    return Blocks(split(blocks.values, counts), edges, blocks.share, blocks.elements * more, blocks.steps)
+
+
+def organised(blocks: F32, axes: Sequence[Axis], organisation: Organisation) -> F32:
+    """Blocks `[B, axes]` as tensors of the organisation's modes."""
+    order = axis_order(axes, organisation)
+    sizes = iter(blocks.shape[1 + n] for n in order)
+    modes = [prod(next(sizes) for _ in mode) for mode in organisation]
+    return blocks.transpose(0, *(1 + n for n in order)).reshape(len(blocks), *modes)
 
 
 def _start(index: int, count: int, length: int) -> int:

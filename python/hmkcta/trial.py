@@ -13,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .allocation import Choices, best_of_one, choices_of, empty_node_bytes, node_bytes, pareto, plausible, ration
-from .axes import Axis, Organisation, axis_order, mode_sizes
-from .blocks import Blocks, finer, sampled_blocks, split
+from .axes import Axis, Organisation, mode_sizes
+from .blocks import Blocks, finer, halved, organised, sampled_blocks, split
 from .filesize import planned_bytes
+from .growth import Growth, growth_of
 from .metrics import snr_db
 from .plan import MOST_RANKS, LevelSpec, Plan
 from .source import Source
-from .spectra import Ladder, captured, cores, energies, ladders
+from .spectra import captured, cores, energies, ladders
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -36,9 +37,7 @@ LONGEST_UNDECOMPOSED, NEARLY_FULL = 128, 0.2
 TOGETHER = 3
 #: Highest rank looked at, of matrices and of tensors.
 HIGHEST = (MOST_RANKS, 64)
-#: Errors below this share of the energy are not told apart.
-LEAST_ERROR = 1e-8
-#: What float16 leaves at the most, as a share of the energy.
+#: What float16 leaves, as a share of the energy, at the most; errors below it are not told apart.
 VERBATIM = 1e-7
 
 
@@ -64,7 +63,7 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class _Cut:
-    """An organisation cut by a grid.
+    """An organisation of axes cut by a grid.
 
     Attributes:
         batch: the sampled blocks as tensors, `[B, modes]`; with `energy`, their squared norms.
@@ -74,6 +73,7 @@ class _Cut:
         precision: what Gram matrices are summed in.
     """
 
+    axes: Sequence[Axis]
     organisation: Organisation
     grid: tuple[int, ...]
     blocks: Blocks
@@ -89,6 +89,18 @@ class _Cut:
     def core(self) -> F32:
         """Their truncated HOSVD cores, no mode shorter than its entry of `limits`."""
         return cores(self.batch, self.limits, self.precision)
+
+    @cached_property
+    def growth(self) -> Growth | None:
+        """What ranks of whole blocks are told by; None where no rows were left out."""
+        return self.growth_of(self.batch, self.core, (1,) * len(self.grid), self.edges)
+
+    def growth_of(self, parts: F32, core: F32, way: Sequence[int], edges: Sequence[int]) -> Growth | None:
+        """The same of the blocks cut into so many `parts` along each axis, by their cores and rows."""
+        if not self.blocks.thinned:
+            return None
+        fewer = organised(split(halved(self.blocks), way), self.axes, self.organisation)
+        return growth_of(parts, core, fewer, edges, self.precision)
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,14 +189,15 @@ class Trial:
     def _way(self, cut: _Cut, flags: tuple[bool, ...], way: Sequence[int]) -> tuple[F64, F64]:
         """Error that each block is left with and bytes, at every choice of ranks, if all are cut in the same way."""
         axes, clusters = self.source.axes, _clusters(self.source.axes, way, cut.organisation)
-        parts = _organised(split(cut.blocks.values, way), axes, cut.organisation)
+        parts = organised(split(cut.blocks.values, way), axes, cut.organisation)
         edges = tuple(-(-edge // count) for edge, count in zip(cut.edges, clusters, strict=True))
         limits = self._limits(parts.shape[1:], edges)
         ladder = tuple(ladders([1 if flag else limit for flag, limit in zip(flags, limits, strict=True)], len(parts)))
         chosen = [None if flag else limit for flag, limit in zip(flags, limits, strict=True)]
         steps = [None if flag else own for flag, own in zip(flags, ladder, strict=True)]
-        energy, table = energies(parts), captured(cores(parts, chosen, self._precision), steps)
-        meant = tuple(map(_unthinned, ladder, parts.shape[1:], edges))
+        core = cores(parts, chosen, self._precision)
+        energy, table, growth = energies(parts), captured(core, steps), cut.growth_of(parts, core, way, edges)
+        meant = ladder if growth is None else growth.unthinned(ladder)
         choices = choices_of(meant, cut.edges, flags, max(1, self.decode_cost - 1), clusters)
         together = (len(cut.batch), prod(way), -1)
         left = _left(energy.reshape(together).sum(axis=(1, 2)), table.reshape(together).sum(axis=1), choices)
@@ -200,13 +213,15 @@ class Trial:
     def _cut_of(self, organisation: Organisation, grid: tuple[int, ...], blocks: Blocks) -> _Cut:
         """Blocks as tensors of the organisation's modes."""
         axes = self.source.axes
-        batch = _organised(blocks.values, axes, organisation)
+        batch = organised(blocks.values, axes, organisation)
         clusters = _clusters(axes, grid, organisation)
         sizes = mode_sizes(axes, organisation)
         rows = dict(zip((axis.name for axis in axes), blocks.edges, strict=True))
         edges = tuple(prod(rows[name] for name in mode) for mode in organisation)
         limits = self._limits(batch.shape[1:], edges)
-        return _Cut(organisation, grid, blocks, batch, energies(batch), limits, edges, sizes, clusters, self._precision)
+        return _Cut(
+            axes, organisation, grid, blocks, batch, energies(batch), limits, edges, sizes, clusters, self._precision
+        )
 
     def _limits(self, have: Sequence[int], edges: Sequence[int]) -> tuple[int, ...]:
         """Highest rank of each mode: what there is, what the bytes can store, what may be decoded."""
@@ -231,7 +246,7 @@ class Trial:
         steps = [None if flag else own for flag, own in zip(flags, kept, strict=True)]
         table = captured(self._core(cut, flags), steps).reshape(len(cut.batch), -1)
         one = Candidate(cut.organisation, cut.grid, choice, carried=False)
-        meant = tuple(map(_unthinned, kept, cut.batch.shape[1:], cut.edges))
+        meant = kept if cut.growth is None else cut.growth.unthinned(kept)
         whole = choices_of(meant, cut.sizes, flags, self.decode_cost, cut.clusters)
         left = _left(cut.energy.sum(keepdims=True), table.sum(axis=0, keepdims=True), whole)[0]
         nbytes = whole.nbytes * cut.blocks.share
@@ -327,29 +342,10 @@ def decibels(signal: float, error: float) -> float:
     return snr_db(max(signal, 1e-300), max(error, 1e-14 * signal, 1e-300))
 
 
-def _unthinned(ranks: Ladder, have: int, edge: int) -> Ladder:
-    """Ranks that all rows of a mode will want where some of them want these: the same of few, all rows for all.
-
-    A mode thinned to 29 of 64 rows has no errors at rank 29; where it is smooth it has hardly any at rank 3 either way.
-
-    >>> _unthinned((1, 8, 16, 32), 32, 64)
-    (1, 8, 19, 64)
-    """
-    return tuple(round(rank * (edge / have) ** (rank / have) ** 2) for rank in ranks)
-
-
 def _left(energy: F64, table: F64, choices: Choices) -> F64:
     """Squared error of each block by each choice, `[B, choices]`, the first of which is to store nothing."""
     whole = energy[:, None]
-    return np.concatenate([whole, np.maximum(whole - table[:, choices.entry], LEAST_ERROR * whole)], axis=1)
-
-
-def _organised(blocks: F32, axes: Sequence[Axis], organisation: Organisation) -> F32:
-    """Blocks `[B, axes]` as tensors of the organisation's modes."""
-    order = axis_order(axes, organisation)
-    sizes = iter(blocks.shape[1 + n] for n in order)
-    modes = [prod(next(sizes) for _ in mode) for mode in organisation]
-    return blocks.transpose(0, *(1 + n for n in order)).reshape(len(blocks), *modes)
+    return np.concatenate([whole, np.maximum(whole - table[:, choices.entry], VERBATIM * whole)], axis=1)
 
 
 def _clusters(axes: Sequence[Axis], counts: Sequence[int], organisation: Organisation) -> tuple[int, ...]:
@@ -377,8 +373,7 @@ def _promising(cut: _Cut, ranks: Sequence[int]) -> Iterator[int]:
         if clusters > 1 or (size == 1 and len(cut.sizes) > 1):
             continue
         core, basis = size * (others // rank), size * (rank + 1)
-        # Thinned blocks flatter it: few numbers are left for each of the mode's rows.
-        short = not cut.blocks.thinned and size <= LONGEST_UNDECOMPOSED and rank >= NEARLY_FULL * size
+        short = size <= LONGEST_UNDECOMPOSED and rank >= NEARLY_FULL * size
         if (short and len(cut.sizes) > 1) or core <= basis + others:
             yield n
 

@@ -46,7 +46,7 @@ def leading_subspace(tensor: F32, n: int, rank: int, rng: np.random.Generator) -
         sample = matrix @ (matrix.T @ _orthonormal(sample))
     basis = _orthonormal(sample)
     _, vectors = np.linalg.eigh(_gram(basis.T @ matrix))
-    return basis @ vectors[:, : -rank - 1 : -1].astype(np.float32)
+    return (basis @ vectors[:, : -rank - 1 : -1]).astype(np.float32)
 
 
 def _gram(matrix: NDArray[np.floating]) -> F64:
@@ -57,6 +57,16 @@ def _gram(matrix: NDArray[np.floating]) -> F64:
         chunk = matrix[:, start : start + step].astype(np.float64)
         gram += chunk @ chunk.T
     return gram
+
+
+def _projected(matrix: NDArray[np.floating], basis: F32) -> F32:
+    """``U^T A`` summed in float64: float32 sums of thousands of like terms drift, by 1e-4 of the energy."""
+    rows = basis.T.astype(np.float64)
+    step = max(1, 2**18 // max(1, len(matrix)))
+    found = np.empty((len(rows), matrix.shape[1]), np.float32)
+    for start in range(0, matrix.shape[1], step):
+        found[:, start : start + step] = rows @ matrix[:, start : start + step].astype(np.float64)
+    return found
 
 
 def _orthonormal(matrix: NDArray[np.floating]) -> F32:
@@ -88,10 +98,12 @@ class Core:
     Attributes:
         values: of the tensor's order; along a mode longer than its unfolding has columns, as long as those are many.
         complete: whether all energy is there along a mode. Of modes too long for that only the leading rows are.
+        scale: of energies, the tensor's squared norm by that of its rotation.
     """
 
     values: F32
     complete: tuple[bool, ...]
+    scale: float
 
     def energies(self, limits: Sequence[int | None]) -> F64:
         """Energy that HOSVD captures at every choice of ranks up to the limits: ``table[R_1 - 1, .., R_N - 1]``.
@@ -102,7 +114,7 @@ class Core:
         # Sums over rows do not depend on how the rows are rotated: an undecomposed mode needs no core of its own.
         kept = np.square(self.values[tuple(slice(limit) for limit in limits)])
         undecomposed = tuple(n for n, limit in enumerate(limits) if limit is None)
-        table = kept.sum(axis=undecomposed, keepdims=True, dtype=np.float64)
+        table = self.scale * kept.sum(axis=undecomposed, keepdims=True, dtype=np.float64)
         for n, limit in enumerate(limits):
             if limit is not None:
                 np.cumsum(table, axis=n, out=table)
@@ -128,11 +140,21 @@ def full_core(tensor: F32, limits: Sequence[int | None], rng: np.random.Generato
             left += [at] if found is None else []
             rotated = matrix.T if found is None else found
         core = np.ascontiguousarray(rotated).reshape(*core.shape[1:], rotated.shape[1])
+    # Rotations keep the norm: what float32 sums lose of it would look like error, or hide it.
+    scale = _norm(tensor) / max(_norm(core), 1e-300)
     for at in left:
-        limit = limits[turn[at]] or 0
-        core = mode_product(core, leading_subspace(core, at, limit, rng).T, at).astype(np.float32, copy=False)
+        basis = leading_subspace(core, at, limits[turn[at]] or 0, rng)
+        others = [size for n, size in enumerate(core.shape) if n != at]
+        core = np.moveaxis(_projected(unfold(core, at), basis).reshape(-1, *others), 0, at)
     back = sorted(range(order), key=turn.__getitem__)
-    return Core(core.transpose(back), tuple(at not in left for at in back))
+    return Core(core.transpose(back), tuple(at not in left for at in back), scale)
+
+
+def _norm(tensor: F32) -> float:
+    """Squared norm, summed in float64."""
+    flat = tensor.reshape(-1)
+    parts = (flat[start : start + 2**18].astype(np.float64) for start in range(0, flat.size, 2**18))
+    return sum(float(wide @ wide) for wide in parts)
 
 
 def _rotated(matrix: F32, rank: int) -> F32 | None:
