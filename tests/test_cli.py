@@ -111,11 +111,14 @@ def test_info_counts_what_carries_nothing(tmp_path: Path) -> None:
 
 def test_transform_is_shown(tmp_path: Path) -> None:
     source = saved(tmp_path / "a.npy", smooth(6, 8, 4))
-    run("compress", source, "-o", tmp_path / "a.hmk", "--plan", "R=2", "--transform", "log1p:0.5", "--quiet")
+    words = ("compress", source, "-o", tmp_path / "a.hmk", "--plan", "R=2", "--transform", "log1p:0.5", "--overwrite")
+    assert "SNR dB  SNR of log1p" in run(*words).stdout
+    made = report(*words)["levels"][0]
     text = run("info", tmp_path / "a.hmk").stdout
     assert "log1p, scale 0.5" in text
     assert "SNR dB  SNR of log1p" in text
     level = report("info", tmp_path / "a.hmk")["levels"][0]
+    assert (made["snr_db"], made["transformed_snr_db"]) == (level["snr_db"], level["transformed_snr_db"])
     values, decoded = np.load(source).astype(float), np.asarray(hmkcta.open(tmp_path / "a.hmk"), float)
     for key, before, after in (("snr_db", values, decoded),
                                ("transformed_snr_db", np.log1p(2 * values), np.log1p(2 * decoded))):

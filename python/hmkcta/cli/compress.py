@@ -15,6 +15,7 @@ from ..hmkfile import check_output
 from ..model import Model
 from .failure import Exit
 from .goal import Goal, goal_from, goal_options
+from .info import decibels_or_unknown, transformed_snr
 from .notes import notes
 from .options import (
     Command,
@@ -95,19 +96,23 @@ def describe(model: Model, array: NDArray[Any], progress: Progress) -> dict[str,
         upto = model.at_level(number)
         spent = sum(time for stage, time in progress.stages.items() if stage.endswith(f"level {number}"))
         levels.append({
-            "level": number, "snr_db": quality.snr_db, "rmse": quality.rmse, "max_abs_error": quality.max_abs_error,
-            "bytes": upto.nbytes, "ratio": array.nbytes / upto.nbytes, "decode_cost": upto.decode_cost,
-            "seconds": round(spent, 3),
+            "level": number, "snr_db": quality.snr_db, "transformed_snr_db": transformed_snr(model)[number - 1],
+            "rmse": quality.rmse, "max_abs_error": quality.max_abs_error, "bytes": upto.nbytes,
+            "ratio": array.nbytes / upto.nbytes, "decode_cost": upto.decode_cost, "seconds": round(spent, 3),
         })
     return {"snr_db": model.snr, "bytes": model.nbytes, "ratio": array.nbytes / model.nbytes,
-            "decode_cost": model.decode_cost, "seconds": round(progress.elapsed, 3), "levels": levels}
+            "decode_cost": model.decode_cost, "seconds": round(progress.elapsed, 3), "levels": levels,
+            "transform": model.metadata.transform["name"]}
 
 
 def as_text(report: dict[str, Any]) -> str:
     """The table, and the time that belongs to no level."""
-    rows = [[str(level["level"]), decibels(level["snr_db"]), mebibytes(level["bytes"]), ratio(level["ratio"]),
-             str(level["decode_cost"]), f"{level['seconds']:.1f}"] for level in report["levels"]]
-    whole = table(["level", "SNR dB", "MiB", "ratio", "decode cost", "seconds"], rows)
+    domain = [report["transform"]] if any(level["transformed_snr_db"] for level in report["levels"]) else []
+    rows = [[str(level["level"]), decibels(level["snr_db"]),
+             *(decibels_or_unknown(level["transformed_snr_db"]) for _ in domain), mebibytes(level["bytes"]),
+             ratio(level["ratio"]), str(level["decode_cost"]), f"{level['seconds']:.1f}"] for level in report["levels"]]
+    header = ["level", "SNR dB", *(f"SNR of {name}" for name in domain), "MiB", "ratio", "decode cost", "seconds"]
+    whole = table(header, rows)
     resumed = f" {report['nodes_resumed']} nodes were finished before." if report["nodes_resumed"] else ""
     return f"{whole}\nAll of it took {seconds(report['seconds'])}.{resumed}"
 

@@ -66,7 +66,7 @@ def _level(model: Model, number: int) -> dict[str, Any]:
         "nodes": level.nodes, "nodes_that_carry_nothing": int((~level.shape.any(axis=(1, 2))).sum()),
         "clusters": cells, "clusters_that_carry_nothing": zero_cells,
         "bytes": 2 * level.numbers() + sum(array.nbytes for _, array in level.tables()),
-        "snr_db": quality.snr_db, "transformed_snr_db": _transformed(model)[number - 1],
+        "snr_db": quality.snr_db, "transformed_snr_db": transformed_snr(model)[number - 1],
         "rmse": quality.rmse, "max_abs_error": quality.max_abs_error,
     }
 
@@ -104,7 +104,7 @@ def as_text(report: dict[str, Any], verbose: bool) -> str:
         [[str(level["level"]), *(",".join(map(str, level[key])) for key in "RCK"), level["subdivision"],
           str(level["nodes"]), str(level["nodes_that_carry_nothing"]),
           str(level["clusters"]), str(level["clusters_that_carry_nothing"]),
-          decibels(level["snr_db"]), *(_shown(level["transformed_snr_db"]) for _ in domain),
+          decibels(level["snr_db"]), *(decibels_or_unknown(level["transformed_snr_db"]) for _ in domain),
           f"{level['rmse']:.4g}", f"{level['max_abs_error']:.4g}",
           format_bytes(level["bytes"])] for level in report["levels"]], "  ", left=[1, 2, 3, 4])
     parts = report["bytes"]
@@ -131,11 +131,12 @@ def _share(ratio: float) -> str:
     return f"1/{ratio:.1f} of" if ratio >= 1 else f"{1 / ratio:.1f} times"
 
 
-def _shown(snr: float | None) -> str:
+def decibels_or_unknown(snr: float | None) -> str:
+    """An SNR that a file may not tell, for people."""
     return "unknown" if snr is None else decibels(snr)
 
 
-def _transformed(model: Model) -> list[float | None]:
+def transformed_snr(model: Model) -> list[float | None]:
     """SNR of each level in the domain of the value transform, None where the file does not say it.
 
     The levels' own SNR is that of the values. What a file says of its source is free, so it may be anything.
