@@ -15,14 +15,20 @@ pub fn dispatch<Op: WithSimd>(op: Op) -> Op::Output {
 /// Have the numbers fetched into the cache.
 #[inline(always)]
 pub fn prefetch(numbers: &[f32]) {
+    prefetch_from(numbers.as_ptr(), numbers.len());
+}
+
+/// Have so many numbers fetched into the cache, if there are any: nothing is read.
+#[inline(always)]
+pub fn prefetch_from(numbers: *const f32, count: usize) {
     #[cfg(target_arch = "x86_64")]
-    for line in numbers.chunks(16) {
+    for at in (0..count).step_by(16) {
         use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
-        // SAFETY: a prefetch changes nothing, and every x86-64 has it.
-        unsafe { _mm_prefetch::<_MM_HINT_T0>(line.as_ptr().cast()) };
+        // SAFETY: a prefetch changes nothing and fails nowhere, and every x86-64 has it.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(numbers.wrapping_add(at).cast()) };
     }
     #[cfg(not(target_arch = "x86_64"))]
-    let _ = numbers;
+    let _ = (numbers, count);
 }
 
 #[cfg(not(test))]

@@ -37,24 +37,26 @@ impl Places {
         Places { columns, blocks: (0..columns.div_ceil(BLOCK)).map(sources).collect() }
     }
 
-    /// Add lines, the first numbers of each `step`, to these rows of `x`; `lines` ends with a block more than the last.
+    /// Add `M` lines, the first numbers of each `step`, to these rows of `x`; `lines` ends with a block more than the last.
     #[inline(always)]
-    pub fn add<S: Simd>(&self, _: S, lines: &[f32], step: usize, rows: &[u32], x: &mut [f32]) {
+    pub fn add<S: Simd, const M: usize>(&self, _: S, lines: &[f32], step: usize, rows: &[u32; M], x: &mut [f32]) {
         let last = self.blocks.iter().flatten().map(|source| source.start).max().unwrap_or(0);
         assert!(rows.iter().all(|&row| (row as usize + 1) * self.columns <= x.len()));
-        assert!(rows.is_empty() || (rows.len() - 1) * step + last + BLOCK <= lines.len());
-        for (number, &row) in rows.iter().enumerate() {
-            let (line, x) = (&lines[number * step..], &mut x[row as usize * self.columns..][..self.columns]);
-            for (x, sources) in x.chunks_mut(BLOCK).zip(&self.blocks) {
-                #[cfg(target_arch = "x86_64")]
-                if S::F32_LANES == BLOCK {
-                    // SAFETY: 16 lanes are AVX-512; all sources lie within the line and a block behind it.
-                    unsafe { add_block(sources, line, x) };
-                    continue;
-                }
-                for Source { start, mask, order } in sources {
-                    for (lane, x) in x.iter_mut().enumerate().filter(|(lane, _)| mask >> lane & 1 == 1) {
-                        *x += line[start + order[lane] as usize];
+        assert!((M - 1) * step + last + BLOCK <= lines.len());
+        for (number, sources) in self.blocks.iter().enumerate() {
+            let columns = number * BLOCK..self.columns.min((number + 1) * BLOCK);
+            let starts = rows.map(|row| row as usize * self.columns + columns.start);
+            #[cfg(target_arch = "x86_64")]
+            if S::F32_LANES == BLOCK {
+                // SAFETY: 16 lanes are AVX-512; all sources lie within the lines and a block behind them, all rows in x.
+                unsafe { add_block(sources, lines, step, x, starts, columns.len()) };
+                continue;
+            }
+            for (start, line) in starts.into_iter().zip(lines.chunks(step)) {
+                for Source { start: from, mask, order } in sources {
+                    let x = x[start..][..columns.len()].iter_mut().zip(order).enumerate();
+                    for (_, (x, at)) in x.filter(|(lane, _)| mask >> lane & 1 == 1) {
+                        *x += line[from + *at as usize];
                     }
                 }
             }
@@ -62,20 +64,33 @@ impl Places {
     }
 }
 
+/// Add the same block of columns to `M` rows of `x`.
+///
 /// # Safety
-/// The machine has AVX-512, and from each source's start on the line has 16 numbers.
+/// The machine has AVX-512, from each source's start on the lines have 16 numbers, and from each start on `x` has `columns`.
 #[cfg(target_arch = "x86_64")]
 #[inline(always)]
-unsafe fn add_block(sources: &[Source], line: &[f32], x: &mut [f32]) {
+unsafe fn add_block<const M: usize>(
+    sources: &[Source],
+    lines: &[f32],
+    step: usize,
+    x: &mut [f32],
+    starts: [usize; M],
+    columns: usize,
+) {
     use std::arch::x86_64::*;
-    let inside = u16::MAX >> (BLOCK - x.len());
+    let inside = u16::MAX >> (BLOCK - columns);
     unsafe {
-        let mut sum = _mm512_maskz_loadu_ps(inside, x.as_ptr());
+        let mut sums = starts.map(|start| _mm512_maskz_loadu_ps(inside, x.as_ptr().add(start)));
         for Source { start, mask, order } in sources {
-            let members = _mm512_loadu_ps(line.as_ptr().add(*start));
             let order = _mm512_loadu_si512(order.as_ptr().cast());
-            sum = _mm512_add_ps(sum, _mm512_maskz_permutexvar_ps(*mask, order, members));
+            for (m, sum) in sums.iter_mut().enumerate() {
+                let members = _mm512_loadu_ps(lines.as_ptr().add(m * step + start));
+                *sum = _mm512_add_ps(*sum, _mm512_maskz_permutexvar_ps(*mask, order, members));
+            }
         }
-        _mm512_mask_storeu_ps(x.as_mut_ptr(), inside, sum);
+        for (start, sum) in starts.into_iter().zip(sums) {
+            _mm512_mask_storeu_ps(x.as_mut_ptr().add(start), inside, sum);
+        }
     }
 }

@@ -1,6 +1,6 @@
 //! What all cells that meet at some leading indices add to one plane, some lines at a time.
 
-use crate::machine::prefetch;
+use crate::machine::prefetch_from;
 use crate::planes::{Buffers, Group, LINES, PAD, Partial, Planes};
 use crate::threads::room;
 use pulp::{Simd, WithSimd};
@@ -19,28 +19,50 @@ impl WithSimd for Plane<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Plane { planes, present, buffers: Buffers { choices, coefficients, lines }, x } = self;
-        let (node, line) = (planes.node, planes.line());
+        let node = planes.node;
         let numbers = node.clusters[planes.depth + 1] * node.ranks[planes.depth + 1] * LINES;
         let coefficients = room(coefficients, present.cells.len() * node.mixture[planes.depth] * numbers);
-        let lines = room(lines, LINES * line + PAD);
-        for group in &planes.groups {
-            for &row in &group.rows {
-                prefetch(&x[row as usize * planes.columns..][..planes.columns]);
-            }
+        let lines = room(lines, LINES * planes.line() + PAD);
+        for (number, group) in planes.groups.iter().enumerate() {
             choose(planes, present, &group.subsets, choices);
             contract(planes, choices, &present.cores, group, coefficients);
-            let tiles = Tiles { planes, choices, coefficients, numbers };
+            let ahead = Ahead::of(planes, number + 1, node.clusters[planes.depth + 1], x);
+            let mut tiles = Tiles { planes, choices, coefficients, numbers, ahead };
             match group.rows.len() {
-                1 => tiles.all::<S, 1>(simd, lines),
-                2 => tiles.all::<S, 2>(simd, lines),
-                3 => tiles.all::<S, 3>(simd, lines),
-                4 => tiles.all::<S, 4>(simd, lines),
-                5 => tiles.all::<S, 5>(simd, lines),
-                6 => tiles.all::<S, 6>(simd, lines),
-                7 => tiles.all::<S, 7>(simd, lines),
-                _ => tiles.all::<S, 8>(simd, lines),
+                1 => tiles.add::<S, 1>(simd, lines, group, x),
+                2 => tiles.add::<S, 2>(simd, lines, group, x),
+                3 => tiles.add::<S, 3>(simd, lines, group, x),
+                4 => tiles.add::<S, 4>(simd, lines, group, x),
+                5 => tiles.add::<S, 5>(simd, lines, group, x),
+                6 => tiles.add::<S, 6>(simd, lines, group, x),
+                7 => tiles.add::<S, 7>(simd, lines, group, x),
+                _ => tiles.add::<S, 8>(simd, lines, group, x),
             }
-            planes.places.add(simd, lines, line, &group.rows, x);
+        }
+    }
+}
+
+/// The rows of the group that comes next, of this plane or of the one behind it.
+struct Ahead<'a> {
+    rows: std::slice::Chunks<'a, u32>,
+    plane: *const f32,
+    columns: usize,
+}
+
+impl<'a> Ahead<'a> {
+    /// In so many parts.
+    fn of(planes: &'a Planes, group: usize, parts: usize, x: &[f32]) -> Self {
+        let (at, behind) = if group < planes.groups.len() { (group, 0) } else { (0, x.len()) };
+        let rows = &planes.groups[at].rows;
+        let rows = rows.chunks(rows.len().div_ceil(parts));
+        Ahead { rows, plane: x.as_ptr().wrapping_add(behind), columns: planes.columns }
+    }
+
+    /// Have the next part fetched: more at once than a core can wait for beside its work hold it up.
+    #[inline(always)]
+    fn fetch(&mut self) {
+        for &row in self.rows.next().unwrap_or_default() {
+            prefetch_from(self.plane.wrapping_add(row as usize * self.columns), self.columns);
         }
     }
 }
@@ -104,6 +126,18 @@ fn contract_ranks<const A: usize, const B: usize>(
         let core = &cores[choice.core..][..rank_a * planes.lanes];
         let (basis, _) = group.basis[choice.basis..][..clusters * rank_a * LINES].as_chunks::<LINES>();
         for (c, (basis, outs)) in basis.chunks_exact(rank_a).zip(&mut outs).enumerate() {
+            if A > 0 {
+                // All sums of a cell stay in registers.
+                let mut sums = [[0.0; LINES]; B];
+                for (weights, core) in basis[..A].iter().zip(core.chunks_exact(planes.lanes)) {
+                    let core: &[f32; B] = core[c * B..][..B].try_into().unwrap();
+                    for (sum, z) in sums.iter_mut().zip(core) {
+                        sum.iter_mut().zip(weights).for_each(|(sum, u)| *sum += z * u);
+                    }
+                }
+                outs.copy_from_slice(&sums);
+                continue;
+            }
             for (r, out) in outs.iter_mut().enumerate() {
                 let mut sum = [0.0; LINES];
                 for (weights, core) in basis.iter().zip(core.chunks_exact(planes.lanes)) {
@@ -123,18 +157,28 @@ struct Tiles<'t> {
     /// `[choices, C_b, R_b, LINES]`, so many numbers for each choice.
     coefficients: &'t [f32],
     numbers: usize,
+    ahead: Ahead<'t>,
 }
 
 impl Tiles<'_> {
+    /// Add the `M` lines of a group to its rows of a plane.
+    #[inline(always)]
+    fn add<S: Simd, const M: usize>(&mut self, simd: S, lines: &mut [f32], group: &Group, x: &mut [f32]) {
+        self.all::<S, M>(simd, lines);
+        let rows = std::array::from_fn(|m| group.rows[m]);
+        self.planes.places.add::<S, M>(simd, lines, self.planes.line(), &rows, x);
+    }
+
     /// `M` lines.
     #[inline(always)]
-    fn all<S: Simd, const M: usize>(&self, simd: S, lines: &mut [f32]) {
+    fn all<S: Simd, const M: usize>(&mut self, simd: S, lines: &mut [f32]) {
         let b = self.planes.depth + 1;
         // Sums, vectors and a weight stay in registers.
         let wide = ((S::REGISTER_COUNT - 2) / (M + 1)).clamp(1, 3);
         for c in 0..self.planes.node.clusters[b] {
+            self.ahead.fetch();
             let vectors = self.planes.node.rows(b, c).len().div_ceil(S::F32_LANES);
-            let step = vectors.div_ceil(vectors.div_ceil(wide).max(1)).max(1);
+            let step = if vectors <= wide { vectors.max(1) } else { vectors.div_ceil(2).min(wide) };
             for first in (0..vectors).step_by(step) {
                 // SAFETY: members are padded to whole vectors, and lines are as long as all of them.
                 unsafe {
@@ -151,7 +195,7 @@ impl Tiles<'_> {
     /// `M` lines of `V` vectors of the members of one cluster of mode b, which stay in registers.
     #[inline(always)]
     unsafe fn tile<S: Simd, const M: usize, const V: usize>(&self, simd: S, c: usize, first: usize, lines: &mut [f32]) {
-        let Tiles { planes, choices, coefficients, numbers: each } = *self;
+        let &Tiles { planes, choices, coefficients, numbers: each, .. } = self;
         let rank = planes.node.ranks[planes.depth + 1];
         let (start, line) = (planes.starts[c], planes.line());
         let width = planes.starts[c + 1] - start;
