@@ -17,6 +17,7 @@ import pytest
 import hmkcta
 from cli_tools import finish, refused, report, run, saved, smooth, start
 from hmkcta.cli import compress as compress_module
+from hmkcta.cli.interrupt import ECHO
 
 PLAN = ("--plan", "R=2")
 
@@ -314,8 +315,27 @@ def test_second_interrupt_ends_at_once(source: Path, tmp_path: Path) -> None:
     await_file(ready)
     process.send_signal(signal.SIGINT)
     await_file(stopping)
+    time.sleep(1.5 * ECHO)
     process.send_signal(signal.SIGINT)
-    assert finish(process)[0] == 130
+    code, _, err = finish(process)
+    assert (code, err) == (130, "")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs signals")
+def test_one_interrupt_may_come_twice(source: Path, tmp_path: Path) -> None:
+    """As `timeout -s INT` sends it: it must not cut the clean-up short."""
+    ready, cleaned = tmp_path / "ready", tmp_path / "cleaned"
+    thorough = f"""try: time.sleep(60)
+    finally: time.sleep({ECHO}); open({str(cleaned)!r}, "w").close()"""
+    process = start("compress", source, "-o", tmp_path / "a.hmk",
+                    before=SLOW.format(ready=str(ready), body=thorough))
+    await_file(ready)
+    for _ in range(2):
+        process.send_signal(signal.SIGINT)
+        time.sleep(ECHO / 10)
+    code, _, err = finish(process)
+    assert (code, cleaned.exists()) == (130, True)
+    assert err.startswith("hmkcta: interrupted")
 
 
 @pytest.mark.parametrize("module", ["numpy", "hmkcta.cli.app"])

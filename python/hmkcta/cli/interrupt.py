@@ -8,11 +8,15 @@ import socket
 import threading
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
+from time import monotonic
 from types import FrameType
 from typing import Any
 
 #: Seconds to clean up in. Native code cannot be interrupted and may take minutes.
 GRACE = 1.0
+#: Signals that follow the first within so many seconds are the same one: `timeout` and other wrappers send it twice, to
+#: their child and to its group.
+ECHO = 0.25
 
 
 class Interrupted(KeyboardInterrupt):
@@ -31,7 +35,8 @@ def interruptible(farewell: Callable[[int], None]) -> Generator[None]:
 
     Args:
         farewell: says why the process ends; called with the signal's number, from that thread, and only if the main
-            thread has not left the block after `GRACE` seconds. A second signal ends the process without it.
+            thread has not left the block after `GRACE` seconds. A second signal, unless it is an echo of the first,
+            ends the process without it.
     """
     if threading.current_thread() is not threading.main_thread():  # only that one can set handlers
         yield
@@ -79,10 +84,15 @@ def _listen(heard: socket.socket, numbers: Any, farewell: Callable[[int], None])
         if not byte:
             return
         number = byte[0]
-    heard.settimeout(GRACE)
-    try:
-        if not heard.recv(1):
-            return
-    except TimeoutError:
-        farewell(number)
+    began = monotonic()
+    while (passed := monotonic() - began) < GRACE:
+        heard.settimeout(GRACE - passed)
+        try:
+            if not heard.recv(1):
+                return
+        except TimeoutError:
+            break
+        if monotonic() - began > ECHO:
+            os._exit(128 + number)
+    farewell(number)
     os._exit(128 + number)
