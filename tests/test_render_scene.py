@@ -161,6 +161,8 @@ def test_directions_come_from_coordinates() -> None:
     assert directions_of(Axis("view", 7, "view"))[1]
     reason("directions-shape", directions_of, Axis("view", 2, "view", np.zeros((2, 4))))
     reason("bad-direction", directions_of, Axis("view", 1, "view", np.array([[0.0, 0.0, -1.0]])))
+    with pytest.raises(HmkctaError, match=r"\[2.0, 90.0\].* --unit light=degrees"):
+        directions_of(Axis("light", 1, "light", np.array([[2.0, 90.0]])))
 
 
 def test_grids_of_angles_are_bilinear_and_go_around() -> None:

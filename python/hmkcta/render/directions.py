@@ -141,8 +141,10 @@ def directions_of(axis: Axis) -> tuple[NDArray[np.float64], bool]:
     bad = ~((length[:, 0] > 1e-6) & (vectors[:, 2] > -0.2 * length[:, 0]))
     if bad.any():
         row = int(np.argmax(bad))
-        raise invalid("bad-direction", f"coords of axis {axis.name!r}, row {row}", vectors[row].tolist(),
-                      "directions with z along the normal, above the surface")
+        radians = coords.shape[1] == 2 and "deg" not in axis.unit.lower()
+        raise invalid("bad-direction", f"coords of axis {axis.name!r}, row {row}", coords[row].tolist(),
+                      "directions with z along the normal, above the surface",
+                      f"if these are degrees say so, --unit {axis.name}=degrees" if radians else "")
     unit = vectors / length
     unit[:, 2] = np.maximum(unit[:, 2], 0.0)  # hand-held measurements dip a little below the horizon
     return unit, False
