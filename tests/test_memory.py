@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from statistics import median
 from threading import get_ident
 
 import numpy as np
@@ -70,11 +71,13 @@ CASES = [
 @pytest.mark.parametrize(("plan", "memory"), CASES)
 def test_memory_is_what_was_said(waves: Path, plan: str, memory: int) -> None:
     said = forecast(parse_plan(plan, MODES), (SIDE,) * 4, EFFORTS["fast"], 2, memory or None)
-    took = json.loads(printed(PROGRAM, waves, plan, memory))
-    assert took["snr"] > 11  # the noise
-    assert said.memory / 1.25 < took["peak"] < 1.25 * said.memory
+    runs = [json.loads(printed(PROGRAM, waves, plan, memory)) for _ in range(3)]
+    assert min(took["snr"] for took in runs) > 11  # the noise
+    peaks = [took["peak"] for took in runs]
+    # Which sub-tensors happen to be in memory together makes a tenth of difference.
+    assert said.memory / 1.25 < median(peaks) < 1.25 * said.memory
     if memory:
-        assert took["peak"] < memory
+        assert max(peaks) < memory
 
 
 def test_scratch_space_is_that_of_the_tensor_where_it_is_subdivided() -> None:
@@ -179,6 +182,33 @@ def test_pages_of_a_mapped_file_are_let_go_of(waves: Path) -> None:
     assert looked_at - before > 30_000_000
     assert resident() - before < 10_000_000
     assert float(array[SIDE // 2 :].sum()) == total
+
+
+@pytest.mark.skipif(sys.platform != "linux" or os.confstr("CS_GNU_LIBC_VERSION") is None, reason="not glibc")
+@pytest.mark.parametrize(("environment", "kept"), [({}, True), ({"MALLOC_TRIM_THRESHOLD_": "131072"}, False)])
+def test_freed_memory_is_kept_for_what_comes_next_unless_the_user_says_otherwise(
+    environment: dict[str, str], kept: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = """
+import resource
+import numpy as np
+from hmkcta.memory import keep_freed_memory
+keep_freed_memory()
+def faults():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+def node():
+    return [np.ones(n << 16) for n in (11, 23, 7, 31)]
+node()
+before = faults()
+for _ in range(20):
+    node()
+print(faults() - before)
+"""
+    for name in [name for name in os.environ if name.startswith(("MALLOC_", "GLIBC_TUNABLES"))]:
+        monkeypatch.delenv(name)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    assert (int(printed(program)) < 2000) == kept
 
 
 #: Fits a file and saves the model; measures that against the file and says the peak.

@@ -18,7 +18,7 @@ _RESIDUAL, _SAVED = 4, 4
 #: Bytes for each element of a slab that quality is measured on.
 _MEASURING = 36
 #: Bytes of the interpreter with everything loaded.
-_BASE = 90 * 2**20
+_BASE = 56 * 2**20
 #: Copies of a slab that are made while it is read and worked on.
 _SLAB_COPIES = 4
 #: How much larger than the average the largest sub-tensors get for each mode of two, or of more clusters.

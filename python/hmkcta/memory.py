@@ -16,8 +16,8 @@ from .errors import HmkctaError, Kind
 
 _MEMINFO = Path("/proc/meminfo")
 _LIMIT, _USED = Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory.current")
-#: Parameters of glibc's `mallopt` by number: freed bytes at the top of a heap from which they are given back; bytes from
-#: which an allocation is mapped for itself; heaps.
+#: Parameters of glibc's `mallopt` by number: freed bytes at the top of a heap from which on they are given back; bytes
+#: from which on an allocation is mapped for itself; heaps.
 _MALLOC = {-1: 2**28, -3: 2**25, -8: 1}
 
 
