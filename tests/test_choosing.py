@@ -375,3 +375,15 @@ def test_ranks_grow_with_the_rows_of_noise_and_not_with_those_of_waves() -> None
     place = np.linspace(0, 1, 64)[:, None]
     assert grown(np.sin(12 * place * np.linspace(0, 1, 400)))[:2] == (1, 4)
     assert grown(noise(64, 400).astype(np.float64)) == pytest.approx((2, 8, 16, 32, 64), rel=0.15, abs=1)
+
+
+def test_modes_that_are_far_worse_undecomposed_are_not_tried_so_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A texture is many times as large with all its rows as with its two ranks."""
+    lights, rows, columns = (np.linspace(0, 1, size) for size in (24, 120, 140))
+    waves = [np.multiply.outer(np.cos(k * lights), np.multiply.outer(np.sin(3 * k * rows), columns**k)) for k in (1, 2)]
+    plain = (("axis0",), ("axis1",), ("axis2",))
+    seen = [what for what in judged(monkeypatch, waves[0] + waves[1]) if what[0] == plain]
+    compared = [what[3] for what in seen if what[2] == CARES[EFFORTS["medium"]].compare]
+    assert seen[0][3] == ()
+    assert compared
+    assert all(kinds and set(kinds) < {(), (0,), (1,), (2,)} for kinds in compared)

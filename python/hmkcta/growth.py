@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .spectra import Ladder, cores
+from .spectra import Ladder, cores, energies
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -73,10 +73,10 @@ def growth_of(batch: F32, core: F32, halved: F32, edges: Sequence[int], dtype: A
 
 def _left(batch: F32, core: F32) -> tuple[F64, ...]:
     """Of each mode the logarithm of the share of error that each rank leaves."""
-    energy = float(np.square(batch).sum(dtype=np.float64))
+    energy = float(energies(batch).sum())
     table, found = np.square(core), list[F64]()
     for n in range(1, core.ndim):
-        own = table.sum(axis=tuple(m for m in range(core.ndim) if m != n), dtype=np.float64)
+        own = table.reshape(prod(core.shape[:n]), core.shape[n], -1).sum(axis=2).sum(axis=0, dtype=np.float64)
         # Of a mode with all ranks the core holds everything but what other modes leave.
         total = float(own.sum()) if core.shape[n] == batch.shape[n] else energy
         found.append(np.log(np.maximum((total - np.cumsum(own)) / max(energy, 1e-300), LEAST)))

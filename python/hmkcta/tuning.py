@@ -37,6 +37,8 @@ TOGETHER, FEWEST, EACH = 1 << 24, 1 << 20, 40
 #: where one loses more than the second; a second start is left where it is if it lies the last behind the first, once
 #: that has climbed.
 STEEP, HOPELESS = 0.05, 0.5
+#: Modes are left undecomposed on trial again if that came so near before, in dB or octaves of bytes.
+FAR = 3.0
 #: Blocks that may be cut further are no fewer than these, and are cut into no more than so many parts.
 FEWEST_BLOCKS, MOST_CUTS = 4, 8
 #: Further plans for an SNR.
@@ -68,7 +70,7 @@ class Care:
 
 CARES = {
     EFFORTS["fast"]: Care((1 << 17, 1 << 19), (3, 1), 1 << 18, 1, 0, 1 << 22, 0.0, 4, 0),
-    EFFORTS["medium"]: Care((1 << 17, 1 << 20), (6, 3), 1 << 19, 4, 1, 1 << 23, 0.3, 16, 1 << 20),
+    EFFORTS["medium"]: Care((1 << 16, 1 << 20), (6, 3), 1 << 18, 4, 1, 1 << 23, 0.3, 16, 1 << 20),
     EFFORTS["thorough"]: Care((1 << 17, 1 << 19), (12, 4), 1 << 20, 4, 2, 1 << 23, 1.0, 1000, 1 << 23),
 }
 
@@ -98,14 +100,18 @@ class Search:
     ) -> Ranked:
         """The best candidate with each organisation and grid; `told` hears which share of them is judged.
 
-        `kinds` are the sets of undecomposed modes to look at; none: all that promise something.
+        `kinds` are the sets of undecomposed modes to look at; none: those that came near the best of their organisation
+        so far, or, at first and at last, all that promise something.
         """
         sample = min(sample, self.most)
         new = list(dict.fromkeys(choice for choice in choices if (*choice, sample) not in self.seen))
         workers = max(1, min(self.threads, len(new), self.together // sample))  # side by side as far as memory goes
 
+        again = sample < min(self.care.refine, self.most)
+        known = {modes: kinds or (self.kinds(modes) if again else ()) for modes, _ in new}
+
         def judge(choice: Choice) -> Ranked:
-            return self.trial.worths(*choice, sample, kinds)
+            return self.trial.worths(*choice, sample, known[choice[0]])
 
         with ThreadPoolExecutor(workers) as pool:
             try:
@@ -115,9 +121,15 @@ class Search:
             except BaseException:
                 pool.shutdown(wait=True, cancel_futures=True)
                 raise
-        return [
-            max(self.seen[(*choice, sample)], key=_worth, default=(0.0, Candidate(*choice))) for choice in choices
-        ]
+        return [max(self.seen[(*choice, sample)], key=_worth, default=(0.0, Candidate(*choice))) for choice in choices]
+
+    def kinds(self, modes: Organisation) -> Kinds:
+        """Sets of undecomposed modes that came near the best with some grid and sample."""
+        found = dict[tuple[int, ...], None]()
+        for key in [key for key in self.seen if key[0] == modes and self.seen[key]]:
+            ranked = self.seen[key]
+            found |= {each.undecomposed: None for worth, each in ranked if worth > max(map(_worth, ranked)) - FAR}
+        return tuple(found)
 
     @property
     def most(self) -> int:
