@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..axes import ROLES, Axis, Organisation, check_organisation, mode_sizes
+from ..axes import MOST_COORDS, ROLES, Axis, Organisation, check_organisation, mode_sizes
 from ..errors import HmkctaError
 from ..packed import LevelBounds, LevelQuality, Metadata
 from ..plan import SCHEMES
@@ -22,7 +22,7 @@ from .fields import SAFE_INTEGER, Json, as_integer, as_list, as_map, as_number, 
 from .header import ITEM_SIZES, parse_shape
 from .limits import Limits, check_limit
 from .reasons import fault
-from .schema import MAX_COORD_DIMENSIONS, TYPE_NAMES, ArrayInfo
+from .schema import TYPE_NAMES, ArrayInfo
 
 VERSION = "1.0"
 KINDS = ("svbrdf", "lightfield", "volume", "generic")
@@ -199,8 +199,8 @@ def _parse_coords(value: Json, where: str, size: int) -> NDArray[np.float64] | N
     width = len(items[0]) if isinstance(items[0], list) else None
     if width is None:
         return np.array([as_number(item, f"{where}[{n}]") for n, item in enumerate(items)])
-    if not 1 <= width <= MAX_COORD_DIMENSIONS:
-        raise fault("field-value", where, f"{width} numbers an index", f"1 to {MAX_COORD_DIMENSIONS}")
+    if not 1 <= width <= MOST_COORDS:
+        raise fault("field-value", where, f"{width} numbers an index", f"1 to {MOST_COORDS}")
     return np.array([[as_number(number, f"{where}[{n}]") for number in as_list(item, f"{where}[{n}]", width)]
                      for n, item in enumerate(items)])
 

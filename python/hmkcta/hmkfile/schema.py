@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..axes import MOST_COORDS
 from ..packed import Metadata, PackedLevel
 from .limits import Limits, check_limit
 from .reasons import fault
@@ -18,7 +19,6 @@ from .reasons import fault
 NUMPY_TYPES = {"F16": "<f2", "F32": "<f4", "F64": "<f8", "U16": "<u2", "U32": "<u4"}
 TYPE_NAMES = {np.dtype(code): name for name, code in NUMPY_TYPES.items()}
 
-MAX_COORD_DIMENSIONS = 16  # numbers that an axis's coordinates may have for one index
 
 _RAGGED = -1  # a length that the tables decide
 
@@ -88,8 +88,8 @@ def check_schema(metadata: Metadata, coords: Mapping[int, str], arrays: Mapping[
         size = metadata.axes[n].size
         width = arrays[name].shape[1:2]
         _check_info(name, arrays[name], ("F32", "F64"), (size, *width))
-        if width and not 1 <= width[0] <= MAX_COORD_DIMENSIONS:
-            raise fault("array-shape", name, list(arrays[name].shape), f"1 to {MAX_COORD_DIMENSIONS} numbers an index")
+        if width and not 1 <= width[0] <= MOST_COORDS:
+            raise fault("array-shape", name, list(arrays[name].shape), f"1 to {MOST_COORDS} numbers an index")
     _check_names(arrays, {*expected, *coords.values()})
 
 
