@@ -43,10 +43,6 @@ def random_cells(sizes: tuple[int, ...], spec: LevelSpec, seed: int, *, empty: b
     return Cells(sizes, spec, members, bases, rng.standard_normal((spec.cells, *ranks), np.float32))
 
 
-def copy_of(cells: Cells) -> Cells:
-    return Cells(cells.sizes, cells.spec, list(cells.members), [b.copy() for b in cells.bases], cells.cores.copy())
-
-
 def smooth_data(sizes: tuple[int, ...], seed: int) -> F32:
     """A few separable waves and some noise."""
     rng = np.random.default_rng(seed)
@@ -215,7 +211,7 @@ def check_scale(kernels: Kernels, scale: float) -> None:
     shares: list[float] = []
     for factor in (1.0, scale):
         residual = (data * factor).astype(np.float32)
-        kernels.fit_cells(copy_of(cells), residual, 3, 2)
+        kernels.fit_cells(cells.copy(), residual, 3, 2)
         shares.append(energy((residual / np.float32(factor)).astype(np.float32)) / energy(data))
     assert shares[1] == pytest.approx(shares[0], rel=1e-3)
 
@@ -291,7 +287,7 @@ def test_threads_do_not_change_a_bit(spec: LevelSpec) -> None:
     try:
         for threads in (1, 2, 5, 0):
             native.set_threads(threads)
-            fit, residual, total = copy_of(cells), data.copy(), data.copy()
+            fit, residual, total = cells.copy(), data.copy(), data.copy()
             native.fit_cells(fit, residual, 2, 2)
             native.accumulate(cells, total, 0.5)
             results: list[NDArray[np.floating]] = [residual, fit.cores, *fit.bases, total]
@@ -333,7 +329,7 @@ def test_arrays_are_worked_on_in_place_or_refused() -> None:
     cells.bases = [np.asfortranarray(b) for b in cells.bases]
     cells.cores.flags.writeable = False
     cells.cores = np.zeros_like(cells.cores)
-    expected = copy_of(cells)
+    expected = cells.copy()
     native.fit_cells(cells, data.copy(), 1, 1)
     native.fit_cells(expected, data.copy(), 1, 1)
     np.testing.assert_array_equal(cells.cores, expected.cores)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
+from math import ceil
 
 import numpy as np
 import pytest
@@ -13,15 +14,17 @@ from numpy.typing import NDArray
 from dense_reference import energy, node_rows, unfold
 from hmkcta import backends as kernels
 from hmkcta import compress, projection
+from hmkcta import fit as fitting
 from hmkcta.cells import Cells, dense_basis, empty_cells
 from hmkcta.fit import EFFORTS, fit_level, left_by
 from hmkcta.plan import GRAM_CELLS, OPTIMAL_SUBSETS, LevelSpec, parse_level
-from hmkcta.search import choose_rows, extend, orthonormalise, right_sides
-from hmkcta.subdivision import subdivide
+from hmkcta.search import OVER_RELAXED, choose_rows, extend, orthonormalise, right_sides
+from hmkcta.subdivision import CAP, subdivide
 from test_special_cases import MODES, shuffled, smooth
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+U16 = NDArray[np.uint16]
 
 TENSORS = [
     ((8, 6, 7), "R=2,1,2 C=4,2,2 K=2,1,2"),
@@ -213,10 +216,65 @@ def test_most_and_least_significant_parts_are_brute_force(shape: Sequence[int], 
             assert np.array_equal(least[n], members[:, 0])
             continue
         errors = lone_errors(cells, tensor, n)
-        rows = np.arange(shape[n])
-        assert np.array_equal(most[n], members[rows, errors.argmin(axis=1)])
-        assert np.array_equal(least[n], members[rows, errors.argmax(axis=1)])
+        assert_best_with_room(most[n], members, errors, cells.spec.clusters[n])
+        assert_best_with_room(least[n], members, -errors, cells.spec.clusters[n])
         assert np.any(most[n] != least[n])
+
+
+def assert_best_with_room(parts: NDArray[np.intp], members: U16, errors: F64, clusters: int) -> None:
+    """Every row in its best subset, unless that is full of rows that would lose more elsewhere."""
+    sizes = np.bincount(parts, minlength=clusters)
+    most = ceil(CAP * len(parts) / clusters)
+    assert sizes.max() <= most
+    margins = np.diff(np.sort(errors, axis=1)[:, :2], axis=1)[:, 0]
+    best = np.take_along_axis(members, errors.argmin(axis=1)[:, None], axis=1)[:, 0]
+    for i in np.nonzero(parts != best)[0]:
+        assert sizes[best[i]] == most
+        assert margins[(parts == best[i]) & (best == best[i])].min() >= margins[i] * (1 - 1e-9)
+
+
+def test_rows_that_share_a_cluster_are_divided_all_the_same() -> None:
+    """The first subset says nearly everything of every row; each row's second one differs."""
+    tensor = smooth(12, 10, 9)
+    cells = fit(tensor, "R=2 C=3,1,1 K=2,1,1")
+    cells.members[0] = np.stack([np.zeros(12), np.arange(12) % 2 + 1], axis=1).astype(np.uint16)
+    cells.bases[0][:, 1] *= 1e-3
+    assert np.bincount(subdivide(cells, tensor, "most")[0], minlength=3).max() == 5
+
+
+def test_over_relaxed_rows_go_beyond_the_best_and_never_raise_the_error() -> None:
+    tensor = shuffled(smooth(9, 8, 7, noise=0.3))
+    cells = fit(tensor, "R=2 C=3,2,2 K=2,2,1", "fast")
+    best, beyond = cells.copy(), cells.copy()
+    seen = right_sides(cells, kernels.project_cells(cells, tensor, 0), 0)
+    choose_rows(best, seen, 0, 2, "fixed")
+    choose_rows(beyond, seen, 0, 2, "fixed", OVER_RELAXED)
+    expected = cells.bases[0] + OVER_RELAXED * (best.bases[0] - cells.bases[0])
+    np.testing.assert_allclose(beyond.bases[0], expected, rtol=1e-4, atol=1e-5)
+    errors = [energy(left_by(each, tensor)) for each in (best, beyond, cells)]
+    assert errors[0] < errors[1] < errors[2]
+
+
+def test_rows_of_new_subsets_are_not_relaxed() -> None:
+    tensor = shuffled(smooth(9, 8, 7, noise=0.3))
+    cells = fit(tensor, "R=2 C=3,2,2 K=2,2,1", "fast")
+    cells.members[0][:4] = cells.members[0][[5, 6, 7, 8]]  # wrong ones
+    best, beyond = cells.copy(), cells.copy()
+    seen = right_sides(cells, kernels.project_cells(cells, tensor, 0), 0)
+    choose_rows(best, seen, 0, 2, "optimal")
+    choose_rows(beyond, seen, 0, 2, "optimal", OVER_RELAXED)
+    moved = (best.members[0] != cells.members[0]).any(axis=1)
+    assert 0 < np.count_nonzero(moved) < len(moved)
+    assert np.array_equal(best.members[0], beyond.members[0])
+    assert np.array_equal(best.bases[0][moved], beyond.bases[0][moved])
+    assert not np.allclose(best.bases[0][~moved], beyond.bases[0][~moved])
+
+
+def test_over_relaxed_sweeps_get_further(monkeypatch: pytest.MonkeyPatch) -> None:
+    tensor = smooth(20, 18, 16, noise=0)
+    relaxed = energy(left_by(fit(tensor, "R=2 C=3,3,3 K=2"), tensor))
+    monkeypatch.setattr(fitting, "OVER_RELAXED", 1.0)
+    assert energy(left_by(fit(tensor, "R=2 C=3,3,3 K=2"), tensor)) > 1.25 * relaxed
 
 
 @pytest.mark.parametrize("mixture", [1, 2])

@@ -64,6 +64,11 @@ class Cells:
         bases = [own if skip else own[chosen] for own, chosen, skip in stored]
         return Cells(tuple(map(len, rows)), self.spec, members, bases, cores)
 
+    def copy(self) -> Cells:
+        """Cells that may be changed in place."""
+        bases = [basis.copy() for basis in self.bases]
+        return Cells(self.sizes, self.spec, list(self.members), bases, self.cores.copy())
+
     def rounded(self) -> Cells:
         """The cells as they will be stored: float16 numbers, cores with a float32 factor a cell."""
         cores, scale = round_cores(self.cores)

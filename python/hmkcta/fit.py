@@ -1,14 +1,13 @@
 """One level on one node: MK-CTA (paper, section 3.2; equation 2).
 
-A disjoint start, then sweeps over the modes: cluster subsets and rows by joint least squares in the Gram domain, or,
-where nodes are small, Gauss-Seidel HOOI over the cells. Each step lowers the error or leaves it.
+A disjoint start, then over-relaxed sweeps over the modes: cluster subsets and rows by joint least squares in the Gram
+domain. Where nothing is to be searched, or too much: HOOI, cell after cell. Each step lowers the error or leaves it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,7 @@ from . import backends as kernels
 from .cells import Cells, empty_cells
 from .memberships import start_candidates, strided_sample
 from .plan import LevelSpec
-from .search import extend, sweep
+from .search import OVER_RELAXED, extend, sweep
 from .streamed import squared_norm
 from .tucker import st_hosvd
 
@@ -30,7 +29,7 @@ class Effort:
 
     Attributes:
         candidates: disjoint starts tried for each node's memberships.
-        sweeps: over all modes; those of joint rows, which come first, search for cluster subsets.
+        sweeps: over all modes, of cluster subsets and joint rows.
         hooi: HOOI rounds where there is nothing to search (0: plain HOSVD), or too much.
         backfits: rounds in which every level is refitted to what the others leave.
     """
@@ -45,11 +44,6 @@ EFFORTS = {"fast": Effort(2, 3, 2, 0), "medium": Effort(3, 5, 4, 1), "thorough":
 
 #: Elements that starts are judged on: by what disjoint blocks capture, and by a joint sweep.
 SAMPLE, JUDGED = 2_000_000, 1 << 19
-#: Joint sweeps at the least, before Gauss-Seidel sweeps where those are faster.
-SEARCHES = 2
-#: What a joint sweep costs in visits to an element: each number of H, and each element.
-GRAM_VISITS, PASS_VISITS = 12, 4
-
 #: Subspace iterations of a cell's mode update: at a random start, and when it is warm.
 COLD, WARM = 4, 2
 
@@ -85,12 +79,9 @@ def fit_level(
     if spec.search == "fast" or max(spec.mixture) == 1:
         return _sequential(tensor if own else tensor.copy(), spec, effort, labels, rng)
     cells = _start(tensor, spec, effort, labels, rng)
-    joint = effort.sweeps if _joint_pays(cells) else max(SEARCHES, effort.sweeps // 3)
-    for _ in range(joint - 1):
-        sweep(cells, tensor, spec.mixture, spec.search)
-    residual = left_by(cells, tensor)
-    kernels.fit_cells(cells, residual, max(0, effort.sweeps - joint), WARM)
-    return cells, residual
+    for left in reversed(range(effort.sweeps - 1)):
+        sweep(cells, tensor, spec.mixture, spec.search, OVER_RELAXED if left else 1.0)
+    return cells, left_by(cells, tensor)
 
 
 def _sequential(
@@ -109,23 +100,12 @@ def _sequential(
 
 def refit_level(cells: Cells, residual: F32) -> None:
     """A sweep over fitted cells with the memberships they have; they and the residual they leave change in place."""
-    if max(cells.spec.mixture) == 1 or cells.spec.search == "fast" or not _joint_pays(cells):
+    if max(cells.spec.mixture) == 1 or cells.spec.search == "fast":
         kernels.fit_cells(cells, residual, 1, WARM)
         return
     kernels.accumulate(cells, residual, 1.0)
     sweep(cells, residual, cells.spec.mixture, "fixed")
     kernels.accumulate(cells, residual, -1.0)
-
-
-def _joint_pays(cells: Cells) -> bool:
-    """Whether a sweep of joint rows costs no more than one of Gauss-Seidel, which is slower where elements are many.
-
-    It makes two passes over the tensor and factors H of every mode; Gauss-Seidel visits each element prod K_n times.
-    """
-    decomposed = [n for n, skip in enumerate(cells.undecomposed) if not skip]
-    numbers = sum((cells.spec.cells * cells.ranks[n]) ** 2 for n in decomposed)
-    visits = prod(cells.spec.mixture)
-    return prod(cells.sizes) * (visits - PASS_VISITS) > GRAM_VISITS * numbers
 
 
 def left_by(cells: Cells, tensor: F32) -> F32:

