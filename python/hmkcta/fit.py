@@ -79,9 +79,21 @@ def fit_level(
     if spec.search == "fast" or max(spec.mixture) == 1:
         return _sequential(tensor if own else tensor.copy(), spec, effort, labels, rng)
     cells = _start(tensor, spec, effort, labels, rng)
+    if None in spec.ranks:
+        return cells, _alternating(cells, tensor, effort)
     for left in reversed(range(effort.sweeps - 1)):
         sweep(cells, tensor, spec.mixture, spec.search, OVER_RELAXED if left else 1.0)
     return cells, left_by(cells, tensor)
+
+
+def _alternating(cells: Cells, tensor: F32, effort: Effort) -> F32:
+    """Joint rows and HOOI by turns: along an undecomposed mode cores have rows too, which only HOOI finds."""
+    residual = tensor
+    for _ in range((effort.sweeps + 1) // 2):
+        sweep(cells, tensor, cells.spec.mixture, cells.spec.search, OVER_RELAXED)
+        residual = left_by(cells, tensor)
+        kernels.fit_cells(cells, residual, 1, WARM)
+    return residual
 
 
 def _sequential(

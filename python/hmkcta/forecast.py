@@ -11,6 +11,7 @@ from .measure import SLAB as MEASURED
 from .plan import LevelSpec, Plan
 from .predict import FLAT, WORKING, is_streamed, memory_limit
 from .streamed import SLAB
+from .subdivision import CAP
 from .workset import check_worksets, workset
 
 #: Bytes for each element of a tensor in memory: its residual lasts, the rest is `WORKING`; a saved residual for goals.
@@ -21,7 +22,8 @@ _MEASURING = 36
 _BASE = 56 * 2**20
 #: Copies of a slab that are made while it is read and worked on.
 _SLAB_COPIES = 4
-#: How much larger than the average the largest sub-tensors get for each mode of two, or of more clusters.
+#: How much larger than the average the largest sub-tensors get for each mode of two, or of more clusters, where rows
+#: have one cluster each; where they have more, subdivision has a cap.
 _UNEVEN_TWO, _UNEVEN_MORE = 1.1, 1.8
 #: Bytes that the heaps of threads keep while sub-tensors come and go.
 _HEAPS = 40 * 2**20
@@ -71,7 +73,8 @@ def forecast(plan: Plan, sizes: Sequence[int], effort: Effort, threads: int, mem
 
 def _largest(elements: int, level: LevelSpec) -> int:
     """Elements of the largest sub-tensors that a level is cut into."""
-    uneven = prod(_UNEVEN_TWO if c == 2 else _UNEVEN_MORE for c in level.clusters if c > 1)
+    modes = [(c, k) for c, k in zip(level.clusters, level.mixture, strict=True) if c > 1]
+    uneven = prod(_UNEVEN_TWO if c == 2 else CAP if k > 1 else _UNEVEN_MORE for c, k in modes)
     return int(uneven * elements / level.cells)
 
 
