@@ -111,13 +111,16 @@ def _sequential(
 
 
 def refit_level(cells: Cells, residual: F32) -> None:
-    """A sweep over fitted cells with the memberships they have; they and the residual they leave change in place."""
+    """Sweeps over fitted cells with the memberships they have; they and the residual they leave change in place."""
     if max(cells.spec.mixture) == 1 or cells.spec.search == "fast":
         kernels.fit_cells(cells, residual, 1, WARM)
         return
     kernels.accumulate(cells, residual, 1.0)
-    sweep(cells, residual, cells.spec.mixture, "fixed")
+    for omega in (OVER_RELAXED, 1.0):
+        sweep(cells, residual, cells.spec.mixture, "fixed", omega)
     kernels.accumulate(cells, residual, -1.0)
+    if None in cells.spec.ranks:
+        kernels.fit_cells(cells, residual, 1, WARM)
 
 
 def left_by(cells: Cells, tensor: F32) -> F32:
