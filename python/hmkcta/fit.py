@@ -1,13 +1,14 @@
 """One level on one node: MK-CTA (paper, section 3.2; equation 2).
 
 A disjoint start, then over-relaxed sweeps over the modes: cluster subsets and rows by joint least squares in the Gram
-domain. Where nothing is to be searched, or too much: HOOI, cell after cell. Each step lowers the error or leaves it.
+domain; on small nodes half of them Gauss-Seidel HOOI over the cells. Each step lowers the error or leaves it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,7 @@ class Effort:
 
     Attributes:
         candidates: disjoint starts tried for each node's memberships.
-        sweeps: over all modes, of cluster subsets and joint rows.
+        sweeps: over all modes; those of joint rows, which come first, search for cluster subsets.
         hooi: HOOI rounds where there is nothing to search (0: plain HOSVD), or too much.
         backfits: rounds in which every level is refitted to what the others leave.
     """
@@ -44,6 +45,9 @@ EFFORTS = {"fast": Effort(2, 3, 2, 0), "medium": Effort(3, 5, 4, 1), "thorough":
 
 #: Elements that starts are judged on: by what disjoint blocks capture, and by a joint sweep.
 SAMPLE, JUDGED = 2_000_000, 1 << 19
+#: What a joint sweep costs in visits to an element: each number of H, and each element.
+GRAM_VISITS, PASS_VISITS = 12, 4
+
 #: Subspace iterations of a cell's mode update: at a random start, and when it is warm.
 COLD, WARM = 4, 2
 
@@ -81,9 +85,12 @@ def fit_level(
     cells = _start(tensor, spec, effort, labels, rng)
     if None in spec.ranks:
         return cells, _alternating(cells, tensor, effort)
-    for left in reversed(range(effort.sweeps - 1)):
-        sweep(cells, tensor, spec.mixture, spec.search, OVER_RELAXED if left else 1.0)
-    return cells, left_by(cells, tensor)
+    joint = effort.sweeps if _joint_pays(cells) else (effort.sweeps + 1) // 2
+    for number in range(2, joint + 1):
+        sweep(cells, tensor, spec.mixture, spec.search, OVER_RELAXED if number < effort.sweeps else 1.0)
+    residual = left_by(cells, tensor)
+    kernels.fit_cells(cells, residual, effort.sweeps - joint, WARM)
+    return cells, residual
 
 
 def _alternating(cells: Cells, tensor: F32, effort: Effort) -> F32:
@@ -112,7 +119,7 @@ def _sequential(
 
 def refit_level(cells: Cells, residual: F32) -> None:
     """Sweeps over fitted cells with the memberships they have; they and the residual they leave change in place."""
-    if max(cells.spec.mixture) == 1 or cells.spec.search == "fast":
+    if max(cells.spec.mixture) == 1 or cells.spec.search == "fast" or not _joint_pays(cells):
         kernels.fit_cells(cells, residual, 1, WARM)
         return
     kernels.accumulate(cells, residual, 1.0)
@@ -121,6 +128,17 @@ def refit_level(cells: Cells, residual: F32) -> None:
     kernels.accumulate(cells, residual, -1.0)
     if None in cells.spec.ranks:
         kernels.fit_cells(cells, residual, 1, WARM)
+
+
+def _joint_pays(cells: Cells) -> bool:
+    """Whether a sweep of joint rows costs no more than one of Gauss-Seidel, which is slower where elements are many.
+
+    It makes two passes over the tensor and factors H of every mode; Gauss-Seidel visits each element prod K_n times.
+    """
+    decomposed = [n for n, skip in enumerate(cells.undecomposed) if not skip]
+    numbers = sum((cells.spec.cells * cells.ranks[n]) ** 2 for n in decomposed)
+    visits = prod(cells.spec.mixture)
+    return prod(cells.sizes) * (visits - PASS_VISITS) > GRAM_VISITS * numbers
 
 
 def left_by(cells: Cells, tensor: F32) -> F32:
