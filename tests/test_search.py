@@ -35,7 +35,7 @@ TENSORS = [
 
 
 def fit(tensor: F32, text: str, quality: str = "medium") -> Cells:
-    return fit_level(tensor, parse_level(text, MODES[: tensor.ndim]), EFFORTS[quality], np.random.default_rng(0))[0]
+    return fit_level(tensor, parse_level(text, MODES[: tensor.ndim]), EFFORTS[quality], np.random.default_rng(0))
 
 
 def dictionaries(cells: Cells, n: int) -> list[F64]:
@@ -230,6 +230,7 @@ def assert_best_with_room(parts: NDArray[np.intp], members: U16, errors: F64, cl
     best = np.take_along_axis(members, errors.argmin(axis=1)[:, None], axis=1)[:, 0]
     for i in np.nonzero(parts != best)[0]:
         assert sizes[best[i]] == most
+        assert parts[i] in members[i] or (sizes[members[i]] == most).all()
         assert margins[(parts == best[i]) & (best == best[i])].min() >= margins[i] * (1 - 1e-9)
 
 

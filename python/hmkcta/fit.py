@@ -63,7 +63,7 @@ def fit_level(
     labels: Labels | None = None,
     *,
     own: bool = False,
-) -> tuple[Cells, F32]:
+) -> Cells:
     """Fit one level to a node's (residual) tensor of shape I_1 x .. x I_N.
 
     Args:
@@ -75,7 +75,7 @@ def fit_level(
         own: the tensor is not needed any more, and may be overwritten.
 
     Returns:
-        The cells in float32, not yet rounded, and what they leave of the tensor.
+        The cells in float32, not yet rounded.
     """
     spec = spec.clamped(tensor.shape)
     if spec.cells == 1:
@@ -84,28 +84,26 @@ def fit_level(
         return _sequential(tensor if own else tensor.copy(), spec, effort, labels, rng)
     cells = _start(tensor, spec, effort, labels, rng)
     if None in spec.ranks:
-        return cells, _alternating(cells, tensor, effort)
+        _alternate(cells, tensor, effort)
+        return cells
     joint = effort.sweeps if _joint_pays(cells) else (effort.sweeps + 1) // 2
     for number in range(2, joint + 1):
         sweep(cells, tensor, spec.mixture, spec.search, OVER_RELAXED if number < effort.sweeps else 1.0)
-    residual = left_by(cells, tensor)
-    kernels.fit_cells(cells, residual, effort.sweeps - joint, WARM)
-    return cells, residual
+    if joint < effort.sweeps:
+        kernels.fit_cells(cells, left_by(cells, tensor), effort.sweeps - joint, WARM)
+    return cells
 
 
-def _alternating(cells: Cells, tensor: F32, effort: Effort) -> F32:
+def _alternate(cells: Cells, tensor: F32, effort: Effort) -> None:
     """Joint rows and HOOI by turns: along an undecomposed mode cores have rows too, which only HOOI finds."""
-    residual = tensor
     for _ in range((effort.sweeps + 1) // 2):
         sweep(cells, tensor, cells.spec.mixture, cells.spec.search, OVER_RELAXED)
-        residual = left_by(cells, tensor)
-        kernels.fit_cells(cells, residual, 1, WARM)
-    return residual
+        kernels.fit_cells(cells, left_by(cells, tensor), 1, WARM)
 
 
 def _sequential(
     residual: F32, spec: LevelSpec, effort: Effort, labels: Labels | None, rng: np.random.Generator
-) -> tuple[Cells, F32]:
+) -> Cells:
     """Cell after cell: K = 1, or so many clusters that even H does not fit."""
     cells = _disjoint(residual, spec, labels or _best_labels(residual, spec, effort, rng), rng)
     while cells.spec.mixture != spec.mixture:
@@ -114,7 +112,7 @@ def _sequential(
                 extend(cells, residual, n)
                 kernels.fit_cells(cells, residual, 1, WARM)
     kernels.fit_cells(cells, residual, effort.hooi, WARM)
-    return cells, residual
+    return cells
 
 
 def refit_level(cells: Cells, residual: F32) -> None:
@@ -148,7 +146,7 @@ def left_by(cells: Cells, tensor: F32) -> F32:
     return residual
 
 
-def _hooi(tensor: F32, spec: LevelSpec, effort: Effort, rng: np.random.Generator) -> tuple[Cells, F32]:
+def _hooi(tensor: F32, spec: LevelSpec, effort: Effort, rng: np.random.Generator) -> Cells:
     """C_n = 1 throughout: truncated HOSVD, then HOOI rounds (paper, section 3.1)."""
     members = [np.zeros((size, 1), np.uint16) for size in tensor.shape]
     cells = empty_cells(tensor.shape, spec, members, rng)
@@ -159,9 +157,8 @@ def _hooi(tensor: F32, spec: LevelSpec, effort: Effort, rng: np.random.Generator
             cells.bases[n][:, 0, 0, : basis.shape[1]] = basis
     cells.cores[:] = 0
     cells.cores[(0, *map(slice, core.shape))] = core
-    residual = left_by(cells, tensor)
-    kernels.fit_cells(cells, residual, effort.hooi, WARM)
-    return cells, residual
+    kernels.fit_cells(cells, left_by(cells, tensor), effort.hooi, WARM)
+    return cells
 
 
 def _best_labels(tensor: F32, spec: LevelSpec, effort: Effort, rng: np.random.Generator) -> Labels:

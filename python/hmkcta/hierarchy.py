@@ -200,7 +200,7 @@ def fit_nodes(
             if outside is not None:
                 cells = fit_streamed(outside, level, spec, run.effort, rng, labels(node))
             elif tensor is not None and tensor.any():
-                cells, _ = fit_level(tensor, spec, run.effort, rng, labels(node))
+                cells = fit_level(tensor, spec, run.effort, rng, labels(node))
             else:
                 return
             node.cells = cells.rounded()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from math import ceil
 from typing import Any
 
 import numpy as np
@@ -58,14 +59,13 @@ def balanced_clusters(
     features: F64, clusters: int, cap: float | None, rng: np.random.Generator, restarts: int = 2
 ) -> NDArray[np.intp]:
     """K-means++ labels of the rows, no cluster larger than cap I/C (None: any size); best of several restarts."""
-    most = len(features) if cap is None else int(np.ceil(cap * len(features) / clusters))
     best, best_cost = uniform_blocks(len(features), clusters), np.inf
     labels = best
     for _ in range(restarts):
         centres = _spread_centres(features, clusters, rng)
         for _ in range(8):
             distance = ((features[:, None] - centres[None]) ** 2).sum(-1)
-            labels = nearest_with_room(distance, most)
+            labels = nearest_with_room(distance, cap)
             for c in range(clusters):
                 if (labels == c).any():
                     centres[c] = features[labels == c].mean(0)
@@ -85,12 +85,13 @@ def _spread_centres(features: F64, clusters: int, rng: np.random.Generator) -> F
     return np.array(centres)
 
 
-def nearest_with_room(distance: F64, most: int) -> NDArray[np.intp]:
-    """The nearest of the centres `[rows, centres]`, none for more than `most` rows; the widest margins first.
+def nearest_with_room(distance: F64, cap: float | None) -> NDArray[np.intp]:
+    """The nearest of C centres for I rows `[I, C]`, none for more than cap I/C (None: any); widest margins first.
 
-    >>> nearest_with_room(np.array([[0.0, 9.0], [1.0, 3.0], [2.0, 3.0]]), 2).tolist()
+    >>> nearest_with_room(np.array([[0.0, 9.0], [1.0, 3.0], [2.0, 3.0]]), 1.1).tolist()
     [0, 0, 1]
     """
+    most = len(distance) if cap is None else ceil(cap * len(distance) / distance.shape[1])
     if most >= len(distance):
         return distance.argmin(1)
     ordered = np.sort(distance, axis=1)

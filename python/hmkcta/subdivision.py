@@ -2,11 +2,10 @@
 
 The error of row i approximated by its k-th cluster subset alone is |t_i|^2 - 2 x_ik b_ik + x_ik^T H_kk x_ik; the most
 significant scheme takes the subset with the least, the least significant the one with the largest.
+No part gets many more rows than others: rows that share a cluster would all stay together.
 """
 
 from __future__ import annotations
-
-from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,10 +44,10 @@ def _parts(cells: Cells, seen: Projection | None, n: int, scheme: str) -> NDArra
     if cells.spec.mixture[n] == 1:
         return cells.members[n][:, 0].astype(np.intp)
     errors = _subset_errors(cells, seen, n)
-    size, clusters = cells.sizes[n], cells.spec.clusters[n]
-    worth = np.full((size, clusters), np.inf)  # a row goes elsewhere only where none of its subsets has room
+    # A row goes elsewhere only where none of its subsets has room.
+    worth = np.full((cells.sizes[n], cells.spec.clusters[n]), np.inf)
     np.put_along_axis(worth, cells.members[n].astype(np.intp), errors if scheme == "most" else -errors, axis=1)
-    return nearest_with_room(worth, ceil(CAP * size / clusters))
+    return nearest_with_room(worth, CAP)
 
 
 def _subset_errors(cells: Cells, seen: Projection | None, n: int) -> NDArray[np.float64]:

@@ -106,7 +106,7 @@ def fit_streamed(
     steps = thinning(residual.shape, spec, residual.limit)
     sample = residual.sample(steps, number)
     chosen = None if labels is None else [part[::step] for part, step in zip(labels, steps, strict=True)]
-    cells, _ = fit_level(sample, spec, effort, rng, chosen, own=True)
+    cells = fit_level(sample, spec, effort, rng, chosen, own=True)
     del sample
     if max(steps) == 1:
         return cells
