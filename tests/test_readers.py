@@ -69,7 +69,7 @@ def test_npz_member_by_name(tmp_path: Path) -> None:
 def test_npz_with_several_members_lists_them(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", wood=VALUES, jet=VALUES)
     error = refusal(tmp_path / "a.npz")
-    assert (error.kind, error.reason) == (Kind.INVALID_ARGUMENT, "npz-member")
+    assert (error.kind, error.reason) == (Kind.INVALID_ARGUMENT, "source-member")
     assert "jet, wood" in str(error)
     assert "jet, wood" in str(refusal(f"{tmp_path}/a.npz:stone"))
 
@@ -162,7 +162,7 @@ def test_archive_with_a_damaged_member(tmp_path: Path) -> None:
 def test_archive_without_arrays(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
         archive.writestr("readme.txt", "no arrays")
-    assert refusal(tmp_path / "a.npz").reason == "npz-member"
+    assert refusal(tmp_path / "a.npz").reason == "source-member"
 
 
 def test_longer_than_its_header_says(tmp_path: Path) -> None:
@@ -202,7 +202,7 @@ def test_unknown_format_asks_for_a_description(tmp_path: Path) -> None:
 
 
 def test_member_of_a_plain_array(tmp_path: Path) -> None:
-    assert refusal(saved(tmp_path / "a.npy", VALUES), member="wood").reason == "npz-member"
+    assert refusal(saved(tmp_path / "a.npy", VALUES), member="wood").reason == "source-member"
 
 
 @pytest.mark.parametrize(("name", "text", "expected"), [

@@ -212,7 +212,7 @@ def _remember(key: str) -> Callable[[click.Context, click.Parameter, Any], Any]:
 
 
 source_options = together(
-    click.option("--member", metavar="NAME", help="Array of an .npz; or write FILE.npz:NAME."),
+    click.option("--member", metavar="NAME", help="Array of several; or write FILE.h5:NAME."),
     click.option("--shape", type=Shape(), metavar="N,N,..", help="Shape of raw binary."),
     click.option("--dtype", metavar="TYPE", help="Numbers of raw binary: float32, uint8, >f4, .."),
     click.option("--order", type=click.Choice(["C", "F"]), default="C", metavar="C|F",
@@ -241,7 +241,9 @@ def apart(source: str, output: str) -> None:
     Raises:
         HmkctaError: reason ``output-is-input``.
     """
-    for path in (source, source.rpartition(":")[0]):  # FILE.npz:NAME
+    from ..readers import source_files
+
+    for path in source_files(source):
         with suppress(OSError, ValueError):
             if os.path.samefile(path, output):
                 raise invalid("output-is-input", "output", repr(output), "another file than the input")

@@ -12,9 +12,8 @@ from typing import Any, BinaryIO, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import invalid
 from ..memory import check_memory
-from .source import Layout, check_numbers, check_shape, io_error, mapped, opened
+from .source import Layout, check_numbers, check_shape, choose, io_error, mapped, opened
 
 MAGIC = b"\x93NUMPY"
 ZIP_MAGICS = (b"PK\x03\x04", b"PK\x05\x06")  # an archive, an empty archive
@@ -86,15 +85,7 @@ def _check_length(layout: Layout, found: int, where: str) -> None:
 def _member(archive: zipfile.ZipFile, where: str, name: str | None) -> zipfile.ZipInfo:
     members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()
                if info.filename.endswith(".npy")}
-    listed = ", ".join(sorted(members)) or "none"
-    if name is None:
-        if len(members) != 1:
-            raise invalid("npz-member", f"members of {where}", listed, "one, or the name of one",
-                          f"write {where}:NAME" if members else "")
-        return next(iter(members.values()))
-    if name not in members:
-        raise invalid("npz-member", f"member of {where}", repr(name), listed)
-    return members[name]
+    return members[choose(where, dict.fromkeys(members, ""), name)]
 
 
 def _map_member(path: Path, file: BinaryIO, info: zipfile.ZipInfo, where: str) -> NDArray[Any]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import glob
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -9,64 +11,93 @@ from typing import Any
 from numpy.typing import DTypeLike, NDArray
 
 from ..errors import invalid
-from .npy import MAGIC, ZIP_MAGICS, open_npy, open_npz
+from .formats import FORMATS, PAGES, format_of
 from .raw import open_raw
-from .source import io_error, opened
+from .series import natural, open_series, pictures_of
+from .source import io_error
+from .zarr_store import is_zarr, open_zarr
+
+#: Endings behind which ``:member`` is told apart even if there is no such file.
+_HOLDERS = tuple(ending for each in FORMATS if each.members for ending in each.endings)
 
 
 def open_array(
     uri: str | Path, *, member: str | None = None, shape: Sequence[int] | None = None, dtype: DTypeLike | None = None,
     order: str = "C", offset: int = 0,
 ) -> NDArray[Any]:
-    """Open a file as an array, memory-mapped where possible.
+    """Open a file as an array, memory-mapped where possible, else read or unpacked into a temporary file.
 
     Args:
-        uri: a `.npy` file, an `.npz` archive (``file.npz:member`` for one of several arrays), or raw binary.
-        member: the array of an `.npz` archive, instead of in the uri.
+        uri: a file of a format that docs/inputs.md lists, ``file.h5:/group/array`` for one of several arrays; a folder
+            of pictures or a pattern such as ``shots/*.exr``, stacked in natural order; or raw binary.
+        member: the array of several, instead of in the uri.
         shape: of raw binary.
         dtype: of raw binary, as NumPy writes it; ``>f4`` is big-endian float32.
         order: of raw binary: "C" (last axis fastest) or "F".
         offset: bytes to skip at the start of raw binary.
 
     Raises:
-        HmkctaError: the file cannot be read, is damaged or shorter than it says, or holds no real numbers.
+        HmkctaError: the file cannot be read, is damaged or shorter than it says, or holds no real numbers; the library
+            for its format is not installed.
 
     >>> import numpy as np, tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     np.save(f"{folder}/a.npy", np.eye(2, dtype=">f4"))
-    ...     open_array(f"{folder}/a.npy").tolist()
-    [[1.0, 0.0], [0.0, 1.0]]
+    ...     open_array(f"{folder}/a.npy").tolist(), open_array(f"{folder}/*.npy").shape
+    ([[1.0, 0.0], [0.0, 1.0]], (1, 2, 2))
     """
-    path, inner = _split(str(uri))
-    member = member if member is not None else inner
     if shape is not None or dtype is not None:
         if shape is None or dtype is None:
             missing = "shape" if shape is None else "dtype"
             raise invalid("raw-description", missing, "none", "both shape and dtype, which raw binary needs",
-                          f"give the {missing} too, or neither for .npy and .npz")
-        return open_raw(path, shape, dtype, order, offset)
-    with opened(path) as file:
-        start = file.read(len(MAGIC))
-    if start.startswith(ZIP_MAGICS):
-        return open_npz(path, member)
-    if start != MAGIC:
-        raise _unknown(path, start)
-    if member is not None:
-        raise invalid("npz-member", f"member of {path}", repr(member), "none, as a .npy file holds one array")
-    return open_npy(path)
+                          f"give the {missing} too, or neither for other formats")
+        return open_raw(Path(uri), shape, dtype, order, offset)
+    place, inner = _split(str(uri))
+    member = member if member is not None else inner
+    if _is_pattern(place):
+        return open_series(_matches(place), place, lambda path: _open(path, member))
+    return _open(Path(place), member)
 
 
-def _split(uri: str) -> tuple[Path, str | None]:
-    """Path and member of ``file.npz:member``; a file of that very name comes first."""
-    left, colon, right = uri.rpartition(":")
-    if colon and left.lower().endswith(".npz") and "\0" not in uri and not Path(uri).exists():
-        return Path(left), right
-    return Path(uri), None
+def _open(path: Path, member: str | None) -> NDArray[Any]:
+    """A file, a store, or the pictures of a folder."""
+    if not os.path.isdir(path):
+        return format_of(path).open(path, member)
+    if is_zarr(path):
+        return open_zarr(path, member)
+    return open_series(pictures_of(path, PAGES), str(path), lambda page: _open(page, member))
 
 
-def _unknown(path: Path, start: bytes) -> Exception:
-    if path.suffix in (".npy", ".npz"):
-        found = "an empty file" if not start else f"{len(start)} bytes that begin another format"
-        return io_error("source-damaged", str(path), found, f"a complete {path.suffix} file", "fetch it again")
-    return io_error("source-format", str(path), "neither .npy nor .npz", ".npy, .npz, or raw binary that is described",
-                    "say shape and dtype of raw binary, e.g. --shape 64,64,3 --dtype float32")
+def source_files(uri: str) -> list[Path]:
+    """The files that a uri of `open_array` names, or the folder.
+
+    >>> source_files("jet.h5:/density")
+    [PosixPath('jet.h5')]
+    """
+    place, _ = _split(uri)
+    return [Path(match) for match in glob.glob(place)] if _is_pattern(place) else [Path(place)]
+
+
+def _split(uri: str) -> tuple[str, str | None]:
+    """Path or pattern, and member, of ``file.h5:/member``; a file of that very name comes first."""
+    if "\0" in uri or os.path.exists(uri):
+        return uri, None
+    ends = [at for at, letter in enumerate(uri) if letter == ":"]
+    for end in reversed(ends):
+        if os.path.exists(uri[:end]) or (_is_pattern(uri[:end]) and glob.glob(uri[:end])):
+            return uri[:end], uri[end + 1:]
+    for end in reversed(ends):
+        if uri[:end].lower().endswith(_HOLDERS):
+            return uri[:end], uri[end + 1:]
+    return uri, None
+
+
+def _is_pattern(place: str) -> bool:
+    return glob.has_magic(place) and "\0" not in place and not os.path.exists(place)
+
+
+def _matches(pattern: str) -> list[Path]:
+    found = sorted((Path(match) for match in glob.glob(pattern, recursive=True)), key=natural)
+    if not found:
+        raise io_error("unreadable", pattern, "no file of that pattern", "one or more", "quote it: 'shots/*.exr'")
+    return found

@@ -1,12 +1,13 @@
-"""What all readers share: opening a file that may not be there, mapping it, and the number types taken."""
+"""What all readers share: files that may not be there, libraries likewise, members by name, mapping, number types."""
 
 from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib import import_module
 from math import prod
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -17,6 +18,8 @@ from numpy.typing import NDArray
 from ..errors import HmkctaError, Kind, invalid
 
 KINDS_TAKEN = "integers, booleans, or float16 to float64"
+#: Members of a file that an error lists, and the length to which the sentence of a library is cut.
+LISTED, SENTENCE = 20, 200
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,73 @@ def opened(path: Path) -> Generator[BinaryIO]:
         raise io_error("unreadable", str(path), found, "a readable file", hint) from error
 
 
+def library(module: str, package: str, extra: str, what: str) -> Any:
+    """The field's own library, loaded when a file needs it.
+
+    Raises:
+        HmkctaError: it is not installed, or cannot be loaded; the reason is the package's name and ``-missing``.
+    """
+    try:
+        return import_module(module)
+    except Exception as error:  # a package that is there but broken raises what it likes
+        found = f"no {package} in this Python"
+        if not isinstance(error, ModuleNotFoundError):
+            found = f"{package} cannot be loaded: {sentence(error)}"
+        raise invalid(f"{package.lower()}-missing", what, found, package, f'pip install "hmkcta[{extra}]"') from error
+
+
+@contextmanager
+def guarded(path: Path, what: str) -> Generator[None]:
+    """Whatever the library of a format raises on a file becomes one sentence.
+
+    Raises:
+        HmkctaError: reason ``source-damaged``.
+    """
+    try:
+        yield
+    except (HmkctaError, MemoryError):
+        raise
+    except Exception as error:  # of a dozen parsers, each of which has its own ways to stumble over a damaged file
+        raise io_error("source-damaged", str(path), sentence(error), f"a complete {what}", "fetch it again") from error
+
+
+def sentence(error: BaseException) -> str:
+    """The first line of what an exception says, or its name.
+
+    >>> sentence(KeyError()), sentence(ValueError("no such chunk.\\nMore"))
+    ('KeyError', 'no such chunk')
+    """
+    lines = str(error).strip().splitlines()
+    return lines[0][:SENTENCE].rstrip(" .:") if lines else type(error).__name__
+
+
+def choose(where: str, members: Mapping[str, str], wanted: str | None) -> str:
+    """The member of a file that is asked for, or the only one.
+
+    Args:
+        where: the file.
+        members: what there is to choose from, each with a description or "".
+        wanted: the name; None: there should be one only.
+
+    Raises:
+        HmkctaError: reason ``source-member``; what there is is listed.
+
+    >>> choose("a.npz", {"wood": ""}, None)
+    'wood'
+    """
+    named = [f"{name} ({text})" if text else name for name, text in sorted(members.items())]
+    listed = ", ".join(named[:LISTED]) or "none"
+    listed += f" and {len(named) - LISTED} more" if len(named) > LISTED else ""
+    if wanted is None:
+        if len(members) != 1:
+            raise invalid("source-member", f"arrays of {where}", listed, "one, or the name of one",
+                          f"write {where}:NAME" if members else "")
+        return next(iter(members))
+    if wanted not in members:
+        raise invalid("source-member", f"member of {where}", repr(wanted), listed)
+    return wanted
+
+
 def check_numbers(dtype: np.dtype[Any], where: str) -> None:
     """Refuse what has no place among real numbers.
 
@@ -81,6 +151,22 @@ def check_shape(layout: Layout, where: str) -> None:
     """Refuse arrays without an axis or without an element."""
     if not layout.shape or not all(size >= 1 for size in layout.shape):
         raise invalid("source-shape", f"shape of {where}", layout.shape, "one axis or more, each of size 1 or more")
+
+
+def map_part(path: Path, layout: Layout, offset: int, where: str) -> NDArray[Any]:
+    """A read-only view of a part of a file that a header of some format describes.
+
+    Raises:
+        HmkctaError: no real numbers, no element, or the file ends before.
+    """
+    check_numbers(layout.dtype, where)
+    check_shape(layout, where)
+    with opened(path) as file:
+        held = max(0, file.seek(0, 2) - offset)
+    if offset < 0 or held < layout.nbytes:
+        raise io_error("source-truncated", where, f"{held} bytes of numbers",
+                       f"{layout.nbytes} bytes for {layout}, as its header says", "fetch it again")
+    return mapped(path, layout, offset)
 
 
 def mapped(path: Path, layout: Layout, offset: int) -> NDArray[Any]:

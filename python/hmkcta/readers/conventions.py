@@ -1,0 +1,58 @@
+"""Attributes by which netCDF and Zarr say how stored numbers are meant: the CF conventions' packing and fill values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class Packing:
+    """How numbers are unpacked: ``scale * stored + offset``, and NaN for fill values.
+
+    Attributes:
+        dtype: of the result.
+    """
+
+    dtype: np.dtype[Any]
+    scale: float
+    offset: float
+    fills: NDArray[Any]
+
+    def __call__(self, stored: NDArray[Any]) -> NDArray[Any]:
+        """The numbers that are meant."""
+        values = np.asarray(stored, self.dtype)
+        if (self.scale, self.offset) != (1.0, 0.0):
+            values = values * self.dtype.type(self.scale) + self.dtype.type(self.offset)
+        return np.where(np.isin(stored, self.fills), self.dtype.type(np.nan), values) if self.fills.size else values
+
+
+def packing(attributes: Mapping[str, Any], dtype: np.dtype[Any]) -> Packing | None:
+    """What the attributes of an array say; None: it is stored as it is meant.
+
+    >>> packing({"scale_factor": 0.5, "_FillValue": -1}, np.dtype("i2"))(np.array([4, -1], "i2")).tolist()
+    [2.0, nan]
+    """
+    if dtype.kind not in "iuf":
+        return None
+    scale, offset = (float(np.ravel(attributes.get(name, default))[0])
+                     for name, default in (("scale_factor", 1.0), ("add_offset", 0.0)))
+    fills = np.concatenate([np.ravel(attributes.get(name, [])) for name in ("_FillValue", "missing_value")])
+    fills = fills[np.isfinite(fills.astype(np.float64))].astype(dtype)
+    if (scale, offset) == (1.0, 0.0) and not fills.size:
+        return None
+    return Packing(scaled_type(dtype), scale, offset, fills)
+
+
+def scaled_type(stored: np.dtype[Any]) -> np.dtype[Any]:
+    """The type for multiples of numbers: float32 where it holds each of them exactly.
+
+    >>> scaled_type(np.dtype(">i2")), scaled_type(np.dtype("i4"))
+    (dtype('float32'), dtype('float64'))
+    """
+    exact = stored.itemsize <= 2 or (stored.kind == "f" and stored.itemsize == 4)
+    return np.dtype(np.float32 if exact else np.float64)

@@ -1,0 +1,69 @@
+"""Many files as one array: a folder of pictures, or what a pattern finds, stacked along a leading axis."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import invalid
+from ..memory import drop_pages
+from .source import Layout, io_error
+from .unpacked import Part, block_parts, unpacked
+
+
+def natural(path: Path) -> list[str | int]:
+    """Key to sort by as people count.
+
+    >>> sorted(map(Path, ["img10.png", "img2.png"]), key=natural)[0].name
+    'img2.png'
+    """
+    return [int(word) if word.isdecimal() else word for word in re.split(r"([0-9]+)", str(path))]
+
+
+def pictures_of(folder: Path, endings: Sequence[str]) -> list[Path]:
+    """The files of a folder with one of these endings, in natural order; hidden and other files are passed over.
+
+    Raises:
+        HmkctaError: there is none, or they are of several formats.
+    """
+    try:
+        files = [path for path in folder.iterdir() if path.suffix.lower() in endings and path.is_file()
+                 and not path.name.startswith(".")]
+    except OSError as error:
+        raise io_error("unreadable", str(folder), error.strerror, "a readable folder") from error
+    found = sorted({path.suffix.lower() for path in files})
+    if not found:
+        raise io_error("unreadable", str(folder), "a folder without pictures", "a file, or a folder of pictures")
+    if len(found) > 1:
+        raise invalid("series-mixed", str(folder), f"files of {', '.join(found)}", "one format",
+                      f"choose by a pattern, '{folder}/*{found[0]}'")
+    return sorted(files, key=natural)
+
+
+def open_series(paths: Sequence[Path], where: str, opener: Callable[[Path], NDArray[Any]]) -> NDArray[Any]:
+    """Stack files of one shape and type.
+
+    Raises:
+        HmkctaError: the first file that differs is named; or what opening one raises.
+    """
+    first = opener(paths[0])
+    layout = Layout((len(paths), *first.shape), first.dtype)
+
+    def read(part: Part) -> NDArray[Any]:
+        number: int = part[0].start
+        path = paths[number]
+        array = opener(path)
+        if (array.shape, array.dtype) != (first.shape, first.dtype):
+            raise invalid("series-mixed", str(path), str(Layout(array.shape, array.dtype)),
+                          f"{Layout(first.shape, first.dtype)}, as {paths[0].name} is",
+                          "choose files of one shape and type by a pattern")
+        values = np.asarray(array)[np.newaxis]
+        drop_pages(array)
+        return values
+
+    return unpacked(where, layout, block_parts(layout.shape, (1, *first.shape), 1), read)

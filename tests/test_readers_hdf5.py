@@ -1,0 +1,192 @@
+"""HDF5, netCDF-4 and MATLAB 7.3: mapped where the numbers lie in one piece, and never what they do not mean."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hmkcta.errors import Kind
+from hmkcta.readers import open_array
+from reader_tools import DTYPES, VALUES, little_memory, needed, refusal, refused_wherever_cut, same, survives_damage
+
+
+@pytest.fixture
+def h5py() -> Any:
+    """The library."""
+    return needed("h5py")
+
+
+@pytest.mark.parametrize("dtype", [*DTYPES, "<f2", ">i8", "?"])
+@pytest.mark.parametrize("block", [0, 512, 2048])
+def test_a_dataset_in_one_piece_is_mapped(h5py: Any, tmp_path: Path, dtype: str, block: int) -> None:
+    with h5py.File(tmp_path / "a.h5", "w", userblock_size=block) as file:
+        file["group/array"] = VALUES.astype(dtype)
+        file["group/text"] = "no numbers"
+    for uri in ("a.h5", "a.h5:/group/array", "a.h5:group/array", "a.h5:/group"):
+        same(f"{tmp_path}/{uri}", VALUES.astype(dtype), dtype, mapped=True)
+
+
+@pytest.mark.parametrize("options", [
+    {"chunks": (2, 2, 5)}, {"chunks": (1, 4, 3), "compression": "gzip", "shuffle": True}, {"compression": "lzf"},
+    {"chunks": (3, 4, 5), "fletcher32": True},
+])
+def test_chunks_are_unpacked(h5py: Any, tmp_path: Path, options: dict[str, Any]) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("array", data=VALUES.astype(">f8"), **options)
+    same(tmp_path / "a.h5", VALUES, ">f8")
+
+
+def test_a_compact_dataset_a_virtual_one_and_numbers_of_12_bits_are_not_mapped(h5py: Any, tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        compact = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        compact.set_layout(h5py.h5d.COMPACT)
+        space = h5py.h5s.create_simple(VALUES.shape)
+        h5py.Dataset(h5py.h5d.create(file.id, b"compact", h5py.h5t.IEEE_F32LE, space, compact))[...] = VALUES
+        narrow = h5py.h5t.STD_I16LE.copy()
+        narrow.set_precision(12)
+        h5py.Dataset(h5py.h5d.create(file.id, b"narrow", narrow, space))[...] = -VALUES
+        file["whole"] = VALUES
+        layout = h5py.VirtualLayout(VALUES.shape, "f4")
+        layout[...] = h5py.VirtualSource(file["whole"])
+        file.create_virtual_dataset("virtual", layout)
+    same(f"{tmp_path}/a.h5:compact", VALUES)
+    same(f"{tmp_path}/a.h5:narrow", -VALUES, "i2")
+    same(f"{tmp_path}/a.h5:virtual", VALUES)
+
+
+def test_a_virtual_dataset_whose_file_is_gone_is_refused(h5py: Any, tmp_path: Path) -> None:
+    layout = h5py.VirtualLayout(VALUES.shape, "f4")
+    layout[...] = h5py.VirtualSource("gone.h5", "a", VALUES.shape)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_virtual_dataset("virtual", layout)
+    error = refusal(tmp_path / "a.h5")
+    assert error.reason == "source-incomplete"
+    assert "gone.h5" in str(error)
+
+
+def test_several_datasets_are_listed_with_their_shapes(h5py: Any, tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["density"] = VALUES
+        file["run/speed"] = VALUES[0].astype("u2")
+    for uri in ("a.h5", "a.h5:/speed", "a.h5:/density/more"):
+        error = refusal(f"{tmp_path}/{uri}")
+        assert (error.kind, error.reason) == (Kind.INVALID_ARGUMENT, "source-member")
+        assert "/density (3 x 4 x 5 of float32), /run/speed (4 x 5 of uint16)" in str(error)
+    same(tmp_path / "a.h5", VALUES[0], "u2", mapped=True, member="/run/speed")
+
+
+def test_very_many_datasets_are_counted(h5py: Any, tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for number in range(25):
+            file[f"{number:02}"] = VALUES
+    assert str(refusal(tmp_path / "a.h5")).count("3 x 4 x 5") == 20
+    assert "and 5 more" in str(refusal(tmp_path / "a.h5"))
+
+
+def test_coordinates_of_netcdf_are_no_default(h5py: Any, tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.nc", "w") as file:
+        file["field"] = VALUES
+        for number, name in enumerate(("time", "y", "x")):
+            file[name] = np.arange(VALUES.shape[number])
+            file[name].make_scale(name)
+            file["field"].dims[number].attach_scale(file[name])
+        file["area"] = VALUES[0]
+        file["field"].attrs["coordinates"] = "area"
+    same(tmp_path / "a.nc", VALUES, mapped=True)
+    same(f"{tmp_path}/a.nc:/area", VALUES[0], mapped=True)
+
+
+@pytest.mark.parametrize(("dtype", "expected"), [("<i2", "f4"), (">u1", "f4"), ("<i4", "f8"), (">f4", "f4")])
+def test_packed_numbers_are_unpacked_and_fill_values_are_none(
+    h5py: Any, tmp_path: Path, dtype: str, expected: str
+) -> None:
+    with h5py.File(tmp_path / "a.nc", "w") as file:
+        field = file.create_dataset("field", data=VALUES.astype(dtype))
+        field.attrs.update({"scale_factor": 0.5, "add_offset": 10.0, "_FillValue": np.array([7], dtype)})
+    array = open_array(tmp_path / "a.nc")
+    assert array.dtype == np.dtype(expected)
+    assert np.array_equal(array, np.where(VALUES == 7, np.nan, VALUES / 2 + 10), equal_nan=True)
+
+
+def test_a_fill_value_that_is_no_number_leaves_the_map(h5py: Any, tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.nc", "w") as file:
+        file.create_dataset("field", data=VALUES).attrs["_FillValue"] = np.float32(np.nan)
+    same(tmp_path / "a.nc", VALUES, mapped=True)
+
+
+@pytest.mark.parametrize("chunks", [None, (2, 2, 2)])
+def test_matlab_has_its_axes_back(h5py: Any, tmp_path: Path, chunks: Any) -> None:
+    with h5py.File(tmp_path / "a.mat", "w", userblock_size=512) as file:
+        file.create_dataset("wood", data=VALUES.T, chunks=chunks).attrs["MATLAB_class"] = np.bytes_("single")
+        file.create_dataset("name", data=VALUES.astype("u2")).attrs["MATLAB_class"] = np.bytes_("char")
+        file["#refs#/a"] = VALUES
+    with open(tmp_path / "a.mat", "r+b") as raw:
+        raw.write(b"MATLAB 7.3 MAT-file")
+    same(tmp_path / "a.mat", VALUES, mapped=chunks is None)
+
+
+def test_older_matlab_and_netcdf_are_named(tmp_path: Path) -> None:
+    for name, start, hint in (("a.mat", b"MATLAB 5.0 MAT-file", "-v7.3"), ("a.nc", b"CDF\x02", "nccopy")):
+        (tmp_path / name).write_bytes(start.ljust(600, b"\0"))
+        error = refusal(tmp_path / name)
+        assert (error.kind, error.reason) == (Kind.IO, "source-format")
+        assert hint in str(error)
+
+
+def test_what_is_no_array_of_real_numbers_is_refused(h5py: Any, tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["text"], file["waves"], file["one"] = "words", VALUES.astype("c8"), 1.0
+        file["empty"] = np.zeros((0, 3))
+    assert refusal(tmp_path / "a.h5").reason == "source-member"
+    for member, reason in (("text", "source-dtype"), ("waves", "source-dtype"), ("one", "source-shape"),
+                           ("empty", "source-shape")):
+        assert refusal(tmp_path / "a.h5", member=member).reason == reason, member
+
+
+def test_a_filter_that_is_not_installed_is_named(h5py: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "hdf5plugin", None)
+    made = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    made.set_chunk((3, 4, 5))
+    made.set_filter(32099, h5py.h5z.FLAG_OPTIONAL, ())
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        space = h5py.h5s.create_simple(VALUES.shape)
+        dataset = h5py.Dataset(h5py.h5d.create(file.id, b"a", h5py.h5t.IEEE_F32LE, space, made))
+        dataset.id.write_direct_chunk((0, 0, 0), VALUES.tobytes(), 0)
+    error = refusal(tmp_path / "a.h5")
+    assert error.reason == "hdf5plugin-missing"
+    assert "32099" in str(error)
+    assert "pip install hdf5plugin" in str(error)
+
+
+def test_cut_files_are_refused(h5py: Any, tmp_path: Path) -> None:
+    for name, options in (("a.h5", {}), ("b.h5", {"chunks": (1, 4, 5), "compression": "gzip"})):
+        with h5py.File(tmp_path / name, "w") as file:
+            file.create_dataset("array", data=VALUES, **options)
+        refused_wherever_cut(tmp_path / name, 37)
+        survives_damage(tmp_path / name)
+
+
+def test_a_damaged_chunk_is_refused(h5py: Any, tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        dataset = file.create_dataset("array", data=VALUES, chunks=(3, 4, 5), fletcher32=True)
+        at = dataset.id.get_chunk_info(0).byte_offset
+    data = bytearray((tmp_path / "a.h5").read_bytes())
+    data[at + 9] ^= 1
+    (tmp_path / "a.h5").write_bytes(data)
+    assert refusal(tmp_path / "a.h5").reason == "source-damaged"
+
+
+def test_what_does_not_fit_is_unpacked_into_a_file(
+    h5py: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    values = np.arange(60 * 70 * 80, dtype=np.int32).reshape(60, 70, 80)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("array", data=values, chunks=(7, 9, 11), compression="gzip")
+    little_memory(monkeypatch, 100_000)
+    same(tmp_path / "a.h5", values, mapped=True)
+    with h5py.File(tmp_path / "b.h5", "w") as file:
+        file.create_dataset("array", data=values, chunks=(60, 70, 80))
+    assert refusal(tmp_path / "b.h5").reason == "memory"
