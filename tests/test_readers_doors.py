@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import shutil
 import subprocess
 import sys
@@ -168,6 +170,49 @@ def test_no_room_for_unpacking_is_a_sentence(tmp_path: Path, monkeypatch: pytest
         with pytest.raises(HmkctaError, match="TMPDIR") as caught:
             unpacked("ones", layout, [(slice(300), slice(400))], lambda _: np.ones(()))
         assert (caught.value.kind, caught.value.reason) == (Kind.IO, "scratch-full")
+
+
+@pytest.mark.parametrize(("number", "works"), [(errno.EOPNOTSUPP, True), (errno.EINVAL, True), (errno.ENOSPC, False)])
+def test_room_is_set_aside_where_the_system_can(monkeypatch: pytest.MonkeyPatch, number: int, works: bool) -> None:
+    def unable(*_: int) -> None:
+        raise OSError(number, "no")
+
+    little_memory(monkeypatch, 1000)
+    monkeypatch.setattr(os, "posix_fallocate", unable, raising=False)
+    layout, parts = Layout((30, 40), np.dtype("u1")), [(slice(30), slice(40))]
+    if works:
+        assert unpacked("ones", layout, parts, lambda _: np.ones(())).sum() == 1200
+    else:
+        with pytest.raises(HmkctaError, match="scratch-full"):
+            unpacked("ones", layout, parts, lambda _: np.ones(()))
+
+
+class Labelled:
+    """What an xarray looks like from outside."""
+
+    def __init__(self, values: Any, dims: Any) -> None:
+        self.values, self.dims = values, dims
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Any:
+        return np.array(self.values, dtype, copy=copy)
+
+
+@pytest.mark.parametrize(("dims", "axes", "names"), [
+    (("t", "y", "x"), None, ["t", "y", "x"]), (("t", "y", "x"), "z,y,x", ["z", "y", "x"]),
+    (("a:b", "y", "x"), None, ["axis0", "axis1", "axis2"]), ([1, 2], None, ["axis0", "axis1", "axis2"]),
+])
+def test_labels_of_an_array_name_its_axes(dims: Any, axes: Any, names: list[str]) -> None:
+    model = hmkcta.compress(Labelled(VALUES, dims), "R=2", axes=axes)
+    assert [axis.name for axis in model.metadata.axes] == names
+
+
+def test_arrays_of_other_libraries(tmp_path: Path) -> None:
+    direct = hmkcta.compress(VALUES, "R=2")
+    with needed("h5py").File(tmp_path / "a.h5", "w") as file:
+        chunked = file.create_dataset("a", data=VALUES, chunks=(1, 4, 5))
+        assert hmkcta.compress(chunked, "R=2").metadata.source == direct.metadata.source
+    zarr = needed("zarr").create_array(tmp_path / "a.zarr", data=VALUES)
+    assert hmkcta.compress(zarr, "R=2").metadata.source == direct.metadata.source
 
 
 def test_from_hdf5_to_a_file_and_back(tmp_path: Path) -> None:

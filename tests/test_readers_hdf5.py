@@ -128,12 +128,15 @@ def test_matlab_has_its_axes_back(h5py: Any, tmp_path: Path, chunks: Any) -> Non
     same(tmp_path / "a.mat", VALUES, mapped=chunks is None)
 
 
-def test_older_matlab_and_netcdf_are_named(tmp_path: Path) -> None:
-    for name, start, hint in (("a.mat", b"MATLAB 5.0 MAT-file", "-v7.3"), ("a.nc", b"CDF\x02", "nccopy")):
-        (tmp_path / name).write_bytes(start.ljust(600, b"\0"))
-        error = refusal(tmp_path / name)
-        assert (error.kind, error.reason) == (Kind.IO, "source-format")
-        assert hint in str(error)
+@pytest.mark.parametrize(("name", "start", "hint"), [
+    ("a.mat", b"MATLAB 5.0 MAT-file", "-v7.3"), ("a.nc", b"CDF\x02", "nccopy"),
+    ("a.hdf", b"\x0e\x03\x13\x01", "h4toh5"), ("IM0001", bytes(128) + b"DICM", "dcm2niix"),
+])
+def test_older_relatives_are_named(tmp_path: Path, name: str, start: bytes, hint: str) -> None:
+    (tmp_path / name).write_bytes(start.ljust(600, b"\0"))
+    error = refusal(tmp_path / name)
+    assert (error.kind, error.reason) == (Kind.IO, "source-format")
+    assert hint in str(error)
 
 
 def test_what_is_no_array_of_real_numbers_is_refused(h5py: Any, tmp_path: Path) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from cli_tools import finish, start
 from hmkcta.errors import Kind
 from hmkcta.readers import open_array
 from reader_tools import DTYPES, VALUES, little_memory, needed, refusal, refused_wherever_cut, same, survives_damage
@@ -70,19 +72,14 @@ def test_series_of_tiff_are_members(tmp_path: Path) -> None:
     same(f"{tmp_path}/a.tif:1", VALUES[1, :2], mapped=True)
 
 
-def test_a_missing_codec_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_codec_of_tiff_is_named(tmp_path: Path) -> None:
     needed("imagecodecs")
     path = tiff(tmp_path / "a.tif", VALUES.astype("u2"), compression="lzw")
-    library = needed("tifffile").tifffile
-    monkeypatch.setattr(library.imagecodecs, "lzw_decode", None, raising=False)
-
-    def missing(*_: Any) -> Any:
-        raise ValueError("<COMPRESSION.LZW: 5> requires the 'imagecodecs' package")
-
-    monkeypatch.setattr(library.TiffPage, "asarray", missing)
-    error = refusal(path)
-    assert error.reason == "imagecodecs-missing"
-    assert 'pip install "hmkcta[tiff]"' in str(error)
+    before = "import sys; sys.modules['imagecodecs'] = None"
+    code, _, err = finish(start("compress", path, "-o", tmp_path / "a.hmk", before=before))
+    assert code == 2
+    assert "imagecodecs-missing" in err
+    assert 'pip install "hmkcta[tiff]"' in err
 
 
 def test_cut_tiff_is_refused(tmp_path: Path) -> None:
@@ -146,10 +143,16 @@ def test_palettes_are_looked_up(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("channels", [2, 3, 4])
-def test_colours_of_16_bits_keep_all_of_them(tmp_path: Path, channels: int) -> None:
+def test_colours_of_16_bits_keep_all_of_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, channels: int
+) -> None:
     values = np.arange(4 * 5 * channels, dtype=np.uint16).reshape(4, 5, channels) * 501 + 7
     (tmp_path / "a.png").write_bytes(needed("imagecodecs").png_encode(values))
     same(tmp_path / "a.png", values)
+    monkeypatch.setitem(sys.modules, "imagecodecs", None)
+    error = refusal(tmp_path / "a.png")
+    assert error.reason == "imagecodecs-missing"
+    assert 'pip install "hmkcta[images]"' in str(error)
 
 
 def test_jpeg_by_its_bytes(tmp_path: Path) -> None:

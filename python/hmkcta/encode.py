@@ -105,7 +105,7 @@ def compress(
         array: real numbers or booleans of any dtype, order and layout, 1 to 8 axes; NumPy array or memory map.
         plan: levels as `parse_plan` reads them, or a `Plan`; None: chosen for the goal on a sample of the data.
         axes: names (``light``, or ``gloss:space`` with a role) or `Axis` objects, in array order; or the names as one
-            text, ``"light, view, y, x"``.
+            text, ``"light, view, y, x"``; None: an xarray's own.
         snr: least SNR in dB of the stored numbers. With explicit levels: no deeper than needed.
         size: most bytes of the whole file. Neither: 1/100 of the float32 bytes or 50 dB, whichever is less.
         decode_cost: most multiply-adds for one scattered element, for a chosen plan.

@@ -145,6 +145,7 @@ def described(array: Any, axes: Sequence[Axis] | Sequence[str] | None = None, tr
         HmkctaError: not an array of 1 to 8 axes of real numbers, empty, masked, names or coordinates that do not
             fit, or no such transform.
     """
+    axes = axes if axes is not None else _dimensions(array)
     array = cast(NDArray[Any], np.asanyarray(array))
     if array.dtype.kind not in "bfiu":
         raise invalid("dtype", "array", f"dtype {array.dtype}", "floating point, integers or booleans")
@@ -186,6 +187,15 @@ def prepare(
         raise invalid("too-small", "largest magnitude of the array", f"{peak:.3g}", allowed, "scale the array")
     unit = 2.0 ** float(np.floor(np.log2(peak))) if peak > 0 else 1.0
     return replace(source, unit=unit, tiny=least < TINY * unit)
+
+
+def _dimensions(array: Any) -> list[str] | None:
+    """Names that the array has for its own axes, as xarray's do; None: it has none, or some that are no words."""
+    names: Any = getattr(array, "dims", None)
+    if not isinstance(names, tuple):
+        return None
+    words = [str(name) for name in cast("tuple[Any, ...]", names)]
+    return words if all(word.isidentifier() for word in words) else None
 
 
 def _named(shape: tuple[int, ...], axes: Sequence[Axis] | Sequence[str] | None) -> tuple[Axis, ...]:

@@ -76,6 +76,8 @@ FORMATS = (
            tuple((at, hdf5.MAGIC) for at in (0, 512, 1024, 2048)), hdf5.open_hdf5),
     _older("netCDF-3", tuple((0, b"CDF" + bytes([version])) for version in (1, 2, 5)), "netCDF-4, which is HDF5",
            "convert it: nccopy -k netCDF-4 IN.nc OUT.nc"),
+    _older("HDF4", ((0, b"\x0e\x03\x13\x01"),), "HDF5", "convert it: h4toh5 IN.hdf OUT.h5"),
+    _older("DICOM", ((128, b"DICM"),), "NIfTI or NRRD", "convert the whole series: dcm2niix FOLDER"),
     # SciPy reads it, but a damaged one ends the process.
     _older("MATLAB before 7.3", ((0, b"MATLAB 5.0"),), "MATLAB 7.3, which is HDF5", "save it with -v7.3"),
     _single("NIfTI", (".nii",), nifti.MAGICS, nifti.open_nifti),

@@ -75,7 +75,7 @@ def source_files(uri: str) -> list[Path]:
     [PosixPath('jet.h5')]
     """
     place, _ = _split(uri)
-    return [Path(match) for match in glob.glob(place)] if _is_pattern(place) else [Path(place)]
+    return _found(place) if _is_pattern(place) else [Path(place)]
 
 
 def _split(uri: str) -> tuple[str, str | None]:
@@ -84,7 +84,7 @@ def _split(uri: str) -> tuple[str, str | None]:
         return uri, None
     ends = [at for at, letter in enumerate(uri) if letter == ":"]
     for end in reversed(ends):
-        if os.path.exists(uri[:end]) or (_is_pattern(uri[:end]) and glob.glob(uri[:end])):
+        if os.path.exists(uri[:end]) or (_is_pattern(uri[:end]) and _found(uri[:end])):
             return uri[:end], uri[end + 1:]
     for end in reversed(ends):
         if uri[:end].lower().endswith(_HOLDERS):
@@ -97,7 +97,11 @@ def _is_pattern(place: str) -> bool:
 
 
 def _matches(pattern: str) -> list[Path]:
-    found = sorted((Path(match) for match in glob.glob(pattern, recursive=True)), key=natural)
+    found = sorted(_found(pattern), key=natural)
     if not found:
         raise io_error("unreadable", pattern, "no file of that pattern", "one or more", "quote it: 'shots/*.exr'")
     return found
+
+
+def _found(pattern: str) -> list[Path]:
+    return [Path(match) for match in glob.glob(pattern, recursive=True)]

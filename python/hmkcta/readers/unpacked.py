@@ -5,6 +5,7 @@ Everything after a reader takes an array or a map of a file, and reads it more t
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import tempfile
@@ -118,7 +119,7 @@ def _limit(dtype: np.dtype[Any]) -> int:
 
 
 def _unnamed_file(where: str, count: int) -> Any:
-    """A file of so many bytes. The system sets them aside where it can, as a map cannot say that the disk is full."""
+    """A file of so many bytes."""
     folder = scratch_folder()
     place, room = f"scratch space in {folder}", f"{format_bytes(count)} for {where}, which is unpacked"
     hint = "set TMPDIR to a folder with room"
@@ -128,13 +129,20 @@ def _unnamed_file(where: str, count: int) -> Any:
             raise io_error("scratch-full", place, f"{format_bytes(free)} free", room, hint)
         file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115 (the caller closes it)
         try:
-            if hasattr(os, "posix_fallocate"):
-                os.posix_fallocate(file.fileno(), 0, count)
-            else:
-                file.truncate(count)
+            _reserve(file, count)
         except BaseException:
             file.close()
             raise
     except OSError as error:
         raise io_error("scratch-full", place, error.strerror or error, room, hint) from error
     return file
+
+
+def _reserve(file: Any, count: int) -> None:
+    """Set bytes aside on the disk where the system can, as a map cannot say that it is full."""
+    try:
+        os.posix_fallocate(file.fileno(), 0, count)
+    except (AttributeError, OSError) as error:
+        if getattr(error, "errno", None) not in (None, errno.EINVAL, errno.EOPNOTSUPP, errno.ENOSYS):
+            raise
+        file.truncate(count)
