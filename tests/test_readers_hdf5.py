@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -111,6 +113,29 @@ def test_packed_numbers_are_unpacked_and_fill_values_are_none(
     assert np.array_equal(array, np.where(VALUES == 7, np.nan, VALUES / 2 + 10), equal_nan=True)
 
 
+def test_attributes_of_another_convention_are_nobodys_business(h5py: Any, tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        dataset = file.create_dataset("field", data=VALUES)
+        dataset.attrs.update({"scale_factor": [1.0, 2.0, 3.0], "add_offset": "none", "_FillValue": h5py.Empty("f4")})
+        file["nothing"] = h5py.Empty("f4")
+    same(tmp_path / "a.h5", VALUES, mapped=True)
+
+
+def test_a_file_that_somebody_writes(h5py: Any, tmp_path: Path) -> None:
+    program = "import h5py, sys; file = h5py.File(sys.argv[1], 'w'); print(flush=True); sys.stdin.read()"
+    writer = subprocess.Popen([sys.executable, "-c", program, tmp_path / "a.h5"], stdin=subprocess.PIPE,
+                              stdout=subprocess.PIPE)
+    try:
+        assert writer.stdout is not None
+        writer.stdout.readline()
+        del h5py
+        error = refusal(tmp_path / "a.h5")
+    finally:
+        writer.communicate()
+    assert (error.kind, error.reason) == (Kind.IO, "unreadable")
+    assert "nobody is writing" in str(error)
+
+
 def test_a_fill_value_that_is_no_number_leaves_the_map(h5py: Any, tmp_path: Path) -> None:
     with h5py.File(tmp_path / "a.nc", "w") as file:
         file.create_dataset("field", data=VALUES).attrs["_FillValue"] = np.float32(np.nan)
@@ -150,7 +175,7 @@ def test_what_is_no_array_of_real_numbers_is_refused(h5py: Any, tmp_path: Path) 
 
 
 def test_a_filter_that_is_not_installed_is_named(h5py: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "hdf5plugin", None)
+    monkeypatch.setitem(sys.modules, "hdf5plugin", None)
     made = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     made.set_chunk((3, 4, 5))
     made.set_filter(32099, h5py.h5z.FLAG_OPTIONAL, ())

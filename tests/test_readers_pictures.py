@@ -112,7 +112,7 @@ def test_exr_channels_come_as_colours(tmp_path: Path) -> None:
     assert "light, light.B, light.R" in str(error)
 
 
-def test_damaged_exr_is_refused(tmp_path: Path) -> None:
+def test_damaged_exr_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     smooth = np.add.outer(np.arange(400), np.arange(50 * 3)).reshape(400, 50, 3).astype(np.float16)
     path = exr(tmp_path / "a.exr", {"RGB": smooth})
     same(path, smooth)
@@ -121,6 +121,7 @@ def test_damaged_exr_is_refused(tmp_path: Path) -> None:
     data[len(data) // 2] ^= 0xFF
     path.write_bytes(data)
     assert refusal(path).reason == "source-damaged"
+    assert capsys.readouterr().out == ""
 
 
 @pytest.mark.parametrize("ending", ["png", "bmp", "ppm", "tga", "gif", "webp"])

@@ -98,6 +98,13 @@ def test_names_of_nrrd_types(tmp_path: Path, name: str) -> None:
 def test_nrrd_as_text(tmp_path: Path) -> None:
     needed("nrrd").write(str(tmp_path / "a.nrrd"), VALUES, {"encoding": "ascii"})
     same(tmp_path / "a.nrrd", VALUES)
+    text = "NRRD0004\ntype: float\ndimension: 3\nsizes: 3 4 5\nencoding: text\nline skip: 2\n"
+    numbers = "7\n8\n" + " ".join(map(str, VALUES.ravel("F").tolist()))
+    (tmp_path / "b.nrrd").write_text(f"{text}\n{numbers}")
+    same(tmp_path / "b.nrrd", VALUES)
+    (tmp_path / "c.nhdr").write_text(f"{text}data file: c.txt\n")
+    (tmp_path / "c.txt").write_text(numbers)
+    same(tmp_path / "c.nhdr", VALUES)
 
 
 @pytest.mark.parametrize(("fields", "before"), [

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import shutil
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +74,17 @@ def test_coordinates_are_no_default_and_packing_is_undone(zarr: Any, tmp_path: P
     array = open_array(tmp_path / "a.zarr")
     assert array.dtype == np.float32
     assert np.array_equal(array, expected, equal_nan=True)
+
+
+def test_fill_values_where_xarray_keeps_them(zarr: Any, tmp_path: Path) -> None:
+    expected = np.where(VALUES == 7, np.float32(np.nan), VALUES)
+    old = zarr.create_array(tmp_path / "a", data=VALUES.astype("i2"), zarr_format=2, fill_value=7)
+    same(tmp_path / "a", VALUES, "i2")
+    old.attrs["_ARRAY_DIMENSIONS"] = ["t", "y", "x"]
+    assert np.array_equal(open_array(tmp_path / "a"), expected, equal_nan=True)
+    new = zarr.create_array(tmp_path / "b", data=VALUES)
+    new.attrs["_FillValue"] = base64.b64encode(struct.pack("<d", 7.0)).decode()
+    assert np.array_equal(open_array(tmp_path / "b"), expected, equal_nan=True)
 
 
 @pytest.mark.parametrize("place", ["filters", "compressor"])

@@ -9,6 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+#: Attributes that hold fill values.
+FILLS = ("_FillValue", "missing_value")
+
 
 @dataclass(frozen=True, eq=False)
 class Packing:
@@ -39,13 +42,21 @@ def packing(attributes: Mapping[str, Any], dtype: np.dtype[Any]) -> Packing | No
     """
     if dtype.kind not in "iuf":
         return None
-    scale, offset = (float(np.ravel(attributes.get(name, default))[0])
-                     for name, default in (("scale_factor", 1.0), ("add_offset", 0.0)))
-    fills = np.concatenate([np.ravel(attributes.get(name, [])) for name in ("_FillValue", "missing_value")])
-    fills = fills[np.isfinite(fills.astype(np.float64))].astype(dtype)
+    held = {name: _numbers(attributes.get(name)) for name in ("scale_factor", "add_offset", *FILLS)}
+    # Several factors are somebody's own convention, for whatever axis.
+    scale, offset = (float(values[0]) if values.size == 1 else otherwise
+                     for values, otherwise in ((held["scale_factor"], 1.0), (held["add_offset"], 0.0)))
+    fills = np.concatenate([held[name] for name in FILLS])
+    fills = fills[np.isfinite(fills)].astype(dtype)
     if (scale, offset) == (1.0, 0.0) and not fills.size:
         return None
     return Packing(scaled_type(dtype), scale, offset, fills)
+
+
+def _numbers(value: Any) -> NDArray[Any]:
+    """An attribute as numbers; none, if it is something else."""
+    values = np.ravel([] if value is None else value)
+    return values if values.dtype.kind in "iuf" else np.empty(0)
 
 
 def scaled_type(stored: np.dtype[Any]) -> np.dtype[Any]:

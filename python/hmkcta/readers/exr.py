@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +24,10 @@ def open_exr(path: Path, member: str | None) -> NDArray[Any]:
         HmkctaError: OpenEXR is missing, the file is damaged, deep, of several parts, or has channels of several sizes.
     """
     exr = library("OpenEXR", "OpenEXR", "exr", "EXR")
-    with guarded(path, "EXR file"), exr.File(str(path), separate_channels=True) as file:
-        if not file.parts:  # the library has said why on stdout
-            raise io_error("source-damaged", str(path), "pixels that cannot be decoded", "a complete EXR file",
-                           "fetch it again")
+    said = StringIO()  # the library prints what it cannot decode, and goes on without
+    with guarded(path, "EXR file"), redirect_stdout(said), exr.File(str(path), separate_channels=True) as file:
+        if not file.parts:
+            raise ValueError(said.getvalue())
         if len(file.parts) != 1:
             raise io_error("source-format", str(path), f"{len(file.parts)} parts", "one part", "write one part a file")
         channels = {str(name): np.asarray(channel.pixels) for name, channel in file.channels().items()}

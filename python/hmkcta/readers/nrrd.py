@@ -55,7 +55,8 @@ def _numbers(nrrd: Any, header: dict[str, Any], layout: Layout, path: Path, file
             return from_stream(str(path), stream.read, layout, np.asarray, layout.dtype)
     hint = "write it with encoding raw: that is mapped"
     check_memory(2 * prod(layout.shape) * layout.dtype.itemsize, f"{path}, which is text", hint)
-    return nrrd.read_data(header, file, str(path))
+    ahead = ("line skip", "lineskip", "data file", "datafile")  # the file is open, and behind those lines
+    return nrrd.read_data({name: field for name, field in header.items() if name not in ahead}, file, str(path))
 
 
 def _number_type(header: dict[str, Any]) -> np.dtype[Any]:

@@ -89,6 +89,9 @@ def guarded(path: Path, what: str) -> Generator[None]:
         yield
     except (HmkctaError, MemoryError):
         raise
+    except BlockingIOError as error:
+        raise io_error("unreadable", str(path), sentence(error), f"a {what} that nobody is writing",
+                       "wait until its writer has closed it") from error
     except Exception as error:  # of a dozen parsers, each of which has its own ways to stumble over a damaged file
         raise io_error("source-damaged", str(path), sentence(error), f"a complete {what}", "fetch it again") from error
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import struct
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -73,11 +75,22 @@ def _is_coordinate(name: str, array: Any) -> bool:
     return list(along or ()) == [name.rpartition("/")[2]]
 
 
+def _attributes(array: Any) -> dict[str, Any]:
+    """Attributes, with the fill value that xarray keeps elsewhere: in version 2 the array's own, in 3 as base64."""
+    attributes = dict(array.attrs)
+    fill = attributes.get("_FillValue")
+    if isinstance(fill, str):
+        attributes["_FillValue"] = struct.unpack("<d", base64.b64decode(fill))[0]
+    elif fill is None and array.metadata.zarr_format == 2 and "_ARRAY_DIMENSIONS" in attributes:
+        attributes["_FillValue"] = array.fill_value
+    return attributes
+
+
 def _array(array: Any, path: str) -> NDArray[Any]:
     where = f"{path}:{array.path}" if array.path else path
     stored = np.dtype(array.dtype)
     check_numbers(stored, where)
-    convert = packing(dict(array.attrs), stored)
+    convert = packing(_attributes(array), stored)
     layout = Layout(tuple(array.shape), stored if convert is None else convert.dtype)
     chunks = array.shards or array.chunks
     return unpacked(where, layout, blocks(where, layout, chunks),
