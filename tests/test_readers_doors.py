@@ -147,7 +147,7 @@ def test_unpacking_stays_within_memory_and_leaves_nothing(tmp_path: Path, monkey
         return block
 
     layout = Layout((300, 400), np.dtype(">i4"))
-    array = unpacked("ones", layout, blocks("ones", layout, (3, 7)), read)
+    array = unpacked("ones", layout, blocks("ones", layout, (3, 7), None), read)
     assert isinstance(array, np.memmap)
     assert not array.flags.writeable
     assert array.sum() == 120_000
@@ -232,6 +232,14 @@ def test_from_hdf5_to_a_file_and_back(tmp_path: Path) -> None:
     resumed = report("compress", source, "-o", output, "--axes", "z,y,x", "--snr", 30, "--quality", "fast", "--resume",
                      "--overwrite")
     assert resumed["bytes"] == made["bytes"]
+
+
+def test_max_memory_is_that_of_unpacking_too(tmp_path: Path) -> None:
+    with needed("h5py").File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("a", data=VALUES, chunks=(1, 2, 5))
+    same(tmp_path / "a.h5", VALUES, max_memory=2 * VALUES.nbytes)
+    same(tmp_path / "a.h5", VALUES, mapped=True, max_memory=2 * VALUES.nbytes - 1)
+    assert refusal(tmp_path / "a.h5", max_memory=79).reason == "memory"
 
 
 def test_from_a_folder_of_pictures(tmp_path: Path) -> None:

@@ -63,7 +63,7 @@ class Goal:
 
     def open(self, path: str) -> NDArray[Any]:
         """The source."""
-        return open_array(path, **self.source)
+        return open_array(path, **self.source, max_memory=self.settings["max_memory"])
 
     def settings_for(self, array: NDArray[Any]) -> dict[str, Any]:
         """The settings, with the coordinates and units of the axes of the source."""

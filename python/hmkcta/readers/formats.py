@@ -13,7 +13,7 @@ from ..errors import invalid
 from . import exr, hdf5, nifti, npy, nrrd, picture, tiff, zarr_store
 from .source import io_error, opened
 
-Opener = Callable[[Path, str | None], NDArray[Any]]
+Opener = Callable[[Path, str | None, int | None], NDArray[Any]]
 #: Bytes at the start of a file that are looked at: HDF5 may begin behind a block of the user's.
 START = 4096
 
@@ -26,7 +26,7 @@ class Format:
         name: as errors have it.
         endings: of file names. They tell formats without magic bytes, and what a damaged file was meant to be.
         magics: bytes that tell the format, each with its place in the file.
-        opener: makes an array of a file, or of a member of it.
+        opener: makes an array of a file, or of a member of it, in so many bytes of memory.
         pages: whether a folder of such files is a stack.
         members: whether a file may hold several arrays.
     """
@@ -38,7 +38,7 @@ class Format:
     pages: bool = False
     members: bool = True
 
-    def open(self, path: Path, member: str | None) -> NDArray[Any]:
+    def open(self, path: Path, member: str | None, limit: int | None) -> NDArray[Any]:
         """Open a file.
 
         Raises:
@@ -46,31 +46,36 @@ class Format:
         """
         if member is not None and not self.members:
             raise invalid("source-member", f"member of {path}", repr(member), f"none, as {self.name} holds one array")
-        return self.opener(path, member)
+        return self.opener(path, member, limit)
 
 
 def _single(name: str, endings: tuple[str, ...], magics: tuple[tuple[int, bytes], ...],
-            opener: Callable[[Path], NDArray[Any]], pages: bool = False) -> Format:
+            opener: Callable[[Path, int | None], NDArray[Any]], pages: bool = False) -> Format:
     """A format of one array a file."""
-    return Format(name, endings, magics, lambda path, _: opener(path), pages, members=False)
+    return Format(name, endings, magics, lambda path, _, limit: opener(path, limit), pages, members=False)
 
 
-def _open_zip(path: Path, member: str | None) -> NDArray[Any]:
+def _at_once(opener: Callable[[Path], NDArray[Any]]) -> Callable[[Path, int | None], NDArray[Any]]:
+    """An opener that maps, or reads a single picture."""
+    return lambda path, _: opener(path)
+
+
+def _open_zip(path: Path, member: str | None, limit: int | None) -> NDArray[Any]:
     """Both `.npz` and zipped Zarr begin like any zip archive."""
     packed = path.suffix.lower() != ".npz" and zarr_store.is_zarr(path)
-    return zarr_store.open_zarr(path, member) if packed else npy.open_npz(path, member)
+    return zarr_store.open_zarr(path, member, limit) if packed else npy.open_npz(path, member)
 
 
 def _older(name: str, magics: tuple[tuple[int, bytes], ...], allowed: str, hint: str) -> Format:
     """A format that is known, but not read."""
-    def refuse(path: Path, _: str | None) -> NDArray[Any]:
+    def refuse(path: Path, *_: object) -> NDArray[Any]:
         raise io_error("source-format", str(path), name, allowed, hint)
 
     return Format(name, (), magics, refuse)
 
 
 FORMATS = (
-    _single(".npy", (".npy",), ((0, npy.MAGIC),), npy.open_npy, pages=True),
+    _single(".npy", (".npy",), ((0, npy.MAGIC),), _at_once(npy.open_npy), pages=True),
     Format("a zip archive", (".npz", ".zip"), tuple((0, magic) for magic in npy.ZIP_MAGICS), _open_zip),
     Format("HDF5", (".h5", ".hdf5", ".hdf", ".he5", ".nc", ".nc4", ".mat"),
            tuple((at, hdf5.MAGIC) for at in (0, 512, 1024, 2048)), hdf5.open_hdf5),
@@ -84,9 +89,9 @@ FORMATS = (
     _single("NIfTI", (".nii.gz",), ((0, nifti.GZIP),), nifti.open_gzip),
     _single("NRRD", (".nrrd", ".nhdr"), ((0, nrrd.MAGIC),), nrrd.open_nrrd),
     Format("TIFF", (".tif", ".tiff"), tiff.MAGICS, tiff.open_tiff, pages=True),
-    Format("EXR", (".exr",), ((0, exr.MAGIC),), exr.open_exr, pages=True),
-    _single("a picture", picture.ENDINGS, picture.MAGICS, picture.open_picture, pages=True),
-    _single("a picture", picture.OTHER_ENDINGS, (), picture.open_picture, pages=True),
+    Format("EXR", (".exr",), ((0, exr.MAGIC),), lambda path, member, _: exr.open_exr(path, member), pages=True),
+    _single("a picture", picture.ENDINGS, picture.MAGICS, _at_once(picture.open_picture), pages=True),
+    _single("a picture", picture.OTHER_ENDINGS, (), _at_once(picture.open_picture), pages=True),
 )
 #: Endings of the files of which a folder is a stack.
 PAGES = tuple(ending for each in FORMATS if each.pages for ending in each.endings)

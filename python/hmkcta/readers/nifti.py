@@ -18,7 +18,7 @@ GZIP = b"\x1f\x8b"
 MAGICS = ((344, b"n+1\0"), (344, b"ni1\0"), (4, b"n+2\0"), (4, b"ni2\0"))
 
 
-def open_nifti(path: Path) -> NDArray[Any]:
+def open_nifti(path: Path, limit: int | None) -> NDArray[Any]:
     """Open a NIfTI image; axes as in its header (x, y, z, time, ..), numbers scaled by its slope and intercept.
 
     Raises:
@@ -40,10 +40,10 @@ def open_nifti(path: Path) -> NDArray[Any]:
         convert = Packing(dtype, float(proxy.slope), float(proxy.inter), np.empty(0))
         with (gzip.open if packed else open)(numbers, "rb") as stream:
             stream.seek(int(proxy.offset))
-            return from_stream(where, stream.read, stored, np.asarray if plain else convert, dtype)
+            return from_stream(where, stream.read, stored, np.asarray if plain else convert, dtype, limit)
 
 
-def open_gzip(path: Path) -> NDArray[Any]:
+def open_gzip(path: Path, limit: int | None) -> NDArray[Any]:
     """Open what is told by gzip's magic bytes: a NIfTI image, no other format is packed so.
 
     Raises:
@@ -51,4 +51,4 @@ def open_gzip(path: Path) -> NDArray[Any]:
     """
     if not path.name.lower().endswith((".nii.gz", ".img.gz", ".hdr.gz")):
         raise io_error("source-format", str(path), "gzip", "a format in itself, or .nii.gz", "unpack it: gunzip")
-    return open_nifti(path)
+    return open_nifti(path, limit)

@@ -20,7 +20,7 @@ MAGIC = b"NRRD00"
 _BYTES = {"char": 1, "int8": 1, "short": 2, "int16": 2, "int": 4, "int32": 4, "longlong": 8, "long long": 8, "int64": 8}
 
 
-def open_nrrd(path: Path) -> NDArray[Any]:
+def open_nrrd(path: Path, limit: int | None) -> NDArray[Any]:
     """Open a NRRD file, or the data file that a detached header names; the first axis lies fastest.
 
     Raises:
@@ -40,10 +40,12 @@ def open_nrrd(path: Path) -> NDArray[Any]:
             file = stack.enter_context(opened(numbers))
         for _ in range(int(header.get("line skip", header.get("lineskip", 0)))):
             file.readline()
-        return _numbers(nrrd, header, layout, path, file)
+        return _numbers(nrrd, header, layout, path, file, limit)
 
 
-def _numbers(nrrd: Any, header: dict[str, Any], layout: Layout, path: Path, file: BinaryIO) -> NDArray[Any]:
+def _numbers(
+    nrrd: Any, header: dict[str, Any], layout: Layout, path: Path, file: BinaryIO, limit: int | None
+) -> NDArray[Any]:
     skip, encoding = int(header.get("byte skip", header.get("byteskip", 0))), str(header["encoding"]).lower()
     if encoding == "raw":
         start = file.seek(0, 2) - layout.nbytes if skip == -1 else file.tell() + skip
@@ -52,9 +54,9 @@ def _numbers(nrrd: Any, header: dict[str, Any], layout: Layout, path: Path, file
         packed = gzip.GzipFile(fileobj=file) if encoding[0] == "g" else bz2.BZ2File(file)
         with packed as stream:
             stream.seek(max(0, skip))
-            return from_stream(str(path), stream.read, layout, np.asarray, layout.dtype)
+            return from_stream(str(path), stream.read, layout, np.asarray, layout.dtype, limit)
     hint = "write it with encoding raw: that is mapped"
-    check_memory(2 * prod(layout.shape) * layout.dtype.itemsize, f"{path}, which is text", hint)
+    check_memory(2 * prod(layout.shape) * layout.dtype.itemsize, f"{path}, which is text", hint, limit)
     ahead = ("line skip", "lineskip", "data file", "datafile")  # the file is open, and behind those lines
     return nrrd.read_data({name: field for name, field in header.items() if name not in ahead}, file, str(path))
 

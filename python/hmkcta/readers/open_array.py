@@ -23,7 +23,7 @@ _HOLDERS = tuple(ending for each in FORMATS if each.members for ending in each.e
 
 def open_array(
     uri: str | Path, *, member: str | None = None, shape: Sequence[int] | None = None, dtype: DTypeLike | None = None,
-    order: str = "C", offset: int = 0,
+    order: str = "C", offset: int = 0, max_memory: int | None = None,
 ) -> NDArray[Any]:
     """Open a file as an array, memory-mapped where possible, else read or unpacked into a temporary file.
 
@@ -35,6 +35,7 @@ def open_array(
         dtype: of raw binary, as NumPy writes it; ``>f4`` is big-endian float32.
         order: of raw binary: "C" (last axis fastest) or "F".
         offset: bytes to skip at the start of raw binary.
+        max_memory: bytes to unpack in, half of them for the array itself; None: half of what is free.
 
     Raises:
         HmkctaError: the file cannot be read, is damaged or shorter than it says, or holds no real numbers; the library
@@ -55,17 +56,18 @@ def open_array(
     place, inner = _split(str(uri))
     member = member if member is not None else inner
     if _is_pattern(place):
-        return open_series(_matches(place), place, lambda path: _open(path, member))
-    return _open(Path(place), member)
+        return open_series(_matches(place), place, lambda path: _open(path, member, max_memory),
+                           max_memory)
+    return _open(Path(place), member, max_memory)
 
 
-def _open(path: Path, member: str | None) -> NDArray[Any]:
+def _open(path: Path, member: str | None, limit: int | None) -> NDArray[Any]:
     """A file, a store, or the pictures of a folder."""
     if not os.path.isdir(path):
-        return format_of(path).open(path, member)
+        return format_of(path).open(path, member, limit)
     if is_zarr(path):
-        return open_zarr(path, member)
-    return open_series(pictures_of(path, PAGES), str(path), lambda page: _open(page, member))
+        return open_zarr(path, member, limit)
+    return open_series(pictures_of(path, PAGES), str(path), lambda page: _open(page, member, limit), limit)
 
 
 def source_files(uri: str) -> list[Path]:

@@ -45,7 +45,9 @@ def pictures_of(folder: Path, endings: Sequence[str]) -> list[Path]:
     return sorted(files, key=natural)
 
 
-def open_series(paths: Sequence[Path], where: str, opener: Callable[[Path], NDArray[Any]]) -> NDArray[Any]:
+def open_series(
+    paths: Sequence[Path], where: str, opener: Callable[[Path], NDArray[Any]], limit: int | None
+) -> NDArray[Any]:
     """Stack files of one shape and type.
 
     Raises:
@@ -66,4 +68,4 @@ def open_series(paths: Sequence[Path], where: str, opener: Callable[[Path], NDAr
         drop_pages(array)
         return values
 
-    return unpacked(where, layout, block_parts(layout.shape, (1, *first.shape), 1), read)
+    return unpacked(where, layout, block_parts(layout.shape, (1, *first.shape), 1), read, limit)

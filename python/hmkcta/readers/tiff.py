@@ -20,7 +20,7 @@ from .unpacked import Part, block_parts, unpacked
 MAGICS = ((0, b"II*\0"), (0, b"MM\0*"), (0, b"II+\0"), (0, b"MM\0+"))
 
 
-def open_tiff(path: Path, member: str | None) -> NDArray[Any]:
+def open_tiff(path: Path, member: str | None, limit: int | None) -> NDArray[Any]:
     """Open a TIFF file: page (of several), y, x, channel (of several), or the axes that its series says.
 
     Pages of another shape or type are a series of their own, counted from 0: ``file.tif:1``.
@@ -37,7 +37,7 @@ def open_tiff(path: Path, member: str | None) -> NDArray[Any]:
         if chosen.dataoffset is not None:
             ordered = layout.dtype.newbyteorder(file.byteorder)
             return map_part(path, Layout(layout.shape, ordered), int(chosen.dataoffset), str(path))
-        return _pages(chosen, layout, str(path))
+        return _pages(chosen, layout, str(path), limit)
 
 
 @contextmanager
@@ -57,13 +57,14 @@ def _strictly() -> Generator[None]:
             raise ValueError(message)
 
 
-def _pages(series: Any, layout: Layout, where: str) -> NDArray[Any]:
+def _pages(series: Any, layout: Layout, where: str, limit: int | None) -> NDArray[Any]:
     """The pages of a series, of which each is decoded at once."""
     pages, page = list(series.pages), tuple(series.pages[0].shape)
     lead = layout.shape[:len(layout.shape) - len(page)]
     paged = layout.shape[len(lead):] == page and prod(lead) == len(pages) and None not in pages
     size = prod(page) if paged else prod(layout.shape)
-    check_memory(2 * size * layout.dtype.itemsize, f"a page of {where}", "write it uncompressed: that is mapped")
+    check_memory(2 * size * layout.dtype.itemsize, f"a page of {where}", "write it uncompressed: that is mapped",
+                 limit)
 
     def read(part: Part) -> NDArray[Any]:
         if not paged:
@@ -73,7 +74,7 @@ def _pages(series: Any, layout: Layout, where: str) -> NDArray[Any]:
 
     chunks = [1] * len(lead) + [*page] if paged else layout.shape
     try:
-        return unpacked(where, layout, block_parts(layout.shape, chunks, 1), read)
+        return unpacked(where, layout, block_parts(layout.shape, chunks, 1), read, limit)
     except ValueError as error:
         raise _coded(error, where) from error
 

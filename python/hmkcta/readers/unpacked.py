@@ -27,12 +27,12 @@ BLOCK, BLOCK_SHARE, WHOLE_SHARE = 1 << 24, 8, 2
 
 
 def unpacked(
-    where: str, layout: Layout, parts: Iterable[Part], read: Callable[[Part], NDArray[Any]]
+    where: str, layout: Layout, parts: Iterable[Part], read: Callable[[Part], NDArray[Any]], limit: int | None = None
 ) -> NDArray[Any]:
     """An array in C order whose parts a library reads.
 
-    Where it takes more than a quarter of the free memory it is unpacked into the folder for temporary files
-    (``TMPDIR``), and the file is gone when nobody looks at the array any more.
+    Where it takes more than half of `limit` bytes (None: a quarter of the free memory) it is unpacked into the folder
+    for temporary files (``TMPDIR``), and the file is gone when nobody looks at the array any more.
 
     Raises:
         HmkctaError: no real numbers, no element, or no room for the file.
@@ -42,7 +42,7 @@ def unpacked(
     """
     check_numbers(layout.dtype, where)
     check_shape(layout, where)
-    if layout.nbytes <= memory_budget() // WHOLE_SHARE:
+    if layout.nbytes <= memory_budget(limit) // WHOLE_SHARE:
         whole = np.empty(layout.shape, layout.dtype)
         for part in parts:
             whole[part] = read(part)
@@ -55,7 +55,7 @@ def unpacked(
 
 def from_stream(
     where: str, source: Callable[[int], bytes], stored: Layout, convert: Callable[[NDArray[Any]], NDArray[Any]],
-    dtype: np.dtype[Any],
+    dtype: np.dtype[Any], limit: int | None,
 ) -> NDArray[Any]:
     """An array from bytes that come one after another, such as a decompressor's.
 
@@ -65,6 +65,7 @@ def from_stream(
         stored: how the bytes are to be understood.
         convert: what is made of the numbers.
         dtype: the type of that.
+        limit: bytes of memory to work in, as of `unpacked`.
 
     Raises:
         HmkctaError: what `unpacked` raises; the bytes end before.
@@ -80,13 +81,13 @@ def from_stream(
             raise io_error("source-truncated", where, "the end of the file within it", f"{stored}", "fetch it again")
         return convert(np.frombuffer(data, stored.dtype).reshape(lengths))
 
-    parts = block_parts(shape, [1] * len(shape), _limit(dtype))
-    array = unpacked(where, Layout(shape, dtype), parts, read)
+    parts = block_parts(shape, [1] * len(shape), _elements(dtype, limit))
+    array = unpacked(where, Layout(shape, dtype), parts, read, limit)
     source(1)  # behind the last number is the checksum, which is compared when it is read
     return array.T if stored.fortran else array
 
 
-def blocks(where: str, layout: Layout, chunks: Sequence[int] | None) -> Iterator[Part]:
+def blocks(where: str, layout: Layout, chunks: Sequence[int] | None, limit: int | None) -> Iterator[Part]:
     """Parts to unpack an array by that lies in chunks of this shape; None: row by row.
 
     Raises:
@@ -94,8 +95,8 @@ def blocks(where: str, layout: Layout, chunks: Sequence[int] | None) -> Iterator
     """
     chunks = chunks or [1] * len(layout.shape)
     hint = "write it with smaller chunks, or as .npy: that is mapped, not read"
-    check_memory(2 * prod(map(min, chunks, layout.shape)) * layout.dtype.itemsize, f"a chunk of {where}", hint)
-    return block_parts(layout.shape, chunks, _limit(layout.dtype))
+    check_memory(2 * prod(map(min, chunks, layout.shape)) * layout.dtype.itemsize, f"a chunk of {where}", hint, limit)
+    return block_parts(layout.shape, chunks, _elements(layout.dtype, limit))
 
 
 def block_parts(shape: Sequence[int], chunks: Sequence[int], limit: int = BLOCK) -> Iterator[Part]:
@@ -114,8 +115,9 @@ def block_parts(shape: Sequence[int], chunks: Sequence[int], limit: int = BLOCK)
         yield tuple(slice(at, min(at + step, size)) for at, step, size in zip(corner, block, shape, strict=True))
 
 
-def _limit(dtype: np.dtype[Any]) -> int:
-    return max(1, min(BLOCK, memory_budget() // BLOCK_SHARE // dtype.itemsize))
+def _elements(dtype: np.dtype[Any], limit: int | None) -> int:
+    """How many are unpacked at once."""
+    return max(1, min(BLOCK, memory_budget(limit) // BLOCK_SHARE // dtype.itemsize))
 
 
 def _unnamed_file(where: str, count: int) -> Any:
