@@ -52,7 +52,7 @@ SNR_SLACK = 0.005
 @together(device_option, resume_option, overwrite_option, json_option, quiet_option, verbose_option)
 def compress_command(source: str, output: str, plan: str | None, device: str, resume: bool, overwrite: bool,
                      as_json: bool, quiet: bool, verbose: bool, **options: Any) -> None:
-    """Compress the array SRC (formats: docs/inputs.md).
+    """Compress the array SRC: .npy, HDF5, Zarr, NIfTI, NRRD, TIFF, pictures, raw.
     Exit code 7: the goal was not reached, the file is the best found.
     """
     goal = goal_from(options)

@@ -45,7 +45,7 @@ class Format:
             HmkctaError: a member of a format that has none; whatever the opener raises.
         """
         if member is not None and not self.members:
-            raise invalid("source-member", f"member of {path}", repr(member), f"none, as {self.name} holds one array")
+            raise invalid("source-member", f"member of {path}", repr(member), f"none: there is one array in it")
         return self.opener(path, member, limit)
 
 
@@ -76,7 +76,7 @@ def _older(name: str, magics: tuple[tuple[int, bytes], ...], allowed: str, hint:
 
 FORMATS = (
     _single(".npy", (".npy",), ((0, npy.MAGIC),), _at_once(npy.open_npy), pages=True),
-    Format("a zip archive", (".npz", ".zip"), tuple((0, magic) for magic in npy.ZIP_MAGICS), _open_zip),
+    Format(".npz or zipped Zarr", (".npz", ".zip"), tuple((0, magic) for magic in npy.ZIP_MAGICS), _open_zip),
     Format("HDF5", (".h5", ".hdf5", ".hdf", ".he5", ".nc", ".nc4", ".mat"),
            tuple((at, hdf5.MAGIC) for at in (0, 512, 1024, 2048)), hdf5.open_hdf5),
     _older("netCDF-3", tuple((0, b"CDF" + bytes([version])) for version in (1, 2, 5)), "netCDF-4, which is HDF5",
@@ -90,8 +90,8 @@ FORMATS = (
     _single("NRRD", (".nrrd", ".nhdr"), ((0, nrrd.MAGIC),), nrrd.open_nrrd),
     Format("TIFF", (".tif", ".tiff"), tiff.MAGICS, tiff.open_tiff, pages=True),
     Format("EXR", (".exr",), ((0, exr.MAGIC),), lambda path, member, _: exr.open_exr(path, member), pages=True),
-    _single("a picture", picture.ENDINGS, picture.MAGICS, _at_once(picture.open_picture), pages=True),
-    _single("a picture", picture.OTHER_ENDINGS, (), _at_once(picture.open_picture), pages=True),
+    _single("pictures", picture.ENDINGS, picture.MAGICS, _at_once(picture.open_picture), pages=True),
+    _single("pictures", picture.OTHER_ENDINGS, (), _at_once(picture.open_picture), pages=True),
 )
 #: Endings of the files of which a folder is a stack.
 PAGES = tuple(ending for each in FORMATS if each.pages for ending in each.endings)
@@ -114,5 +114,6 @@ def format_of(path: Path) -> Format:
                 return each
             found = "an empty file" if not start else f"{len(start)} bytes that begin another format"
             raise io_error("source-damaged", str(path), found, f"a complete {path.suffix} file", "fetch it again")
-    raise io_error("source-format", str(path), "no format that is known", "what docs/inputs.md lists, or raw binary",
+    known = ", ".join(dict.fromkeys(each.name for each in FORMATS if each.endings))
+    raise io_error("source-format", str(path), "no format that is known", f"{known}; or raw binary that is described",
                    "say shape and dtype of raw binary, e.g. --shape 64,64,3 --dtype float32")
