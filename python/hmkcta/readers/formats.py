@@ -45,7 +45,7 @@ class Format:
             HmkctaError: a member of a format that has none; whatever the opener raises.
         """
         if member is not None and not self.members:
-            raise invalid("source-member", f"member of {path}", repr(member), f"none: there is one array in it")
+            raise invalid("source-member", f"member of {path}", repr(member), "none: there is one array in it")
         return self.opener(path, member, limit)
 
 
