@@ -18,7 +18,7 @@ from hmkcta import fit as fitting
 from hmkcta.cells import Cells, dense_basis, empty_cells
 from hmkcta.fit import EFFORTS, fit_level, left_by
 from hmkcta.plan import GRAM_CELLS, OPTIMAL_SUBSETS, LevelSpec, parse_level
-from hmkcta.search import OVER_RELAXED, choose_rows, extend, orthonormalise, right_sides
+from hmkcta.search import OVER_RELAXED, choose_rows, extend, orthonormalise, refit_cores, right_sides
 from hmkcta.subdivision import CAP, subdivide
 from test_special_cases import MODES, shuffled, smooth
 
@@ -94,6 +94,21 @@ def test_the_optimal_search_is_brute_force(shape: Sequence[int], text: str) -> N
         for i, members in enumerate(cells.members[n]):
             chosen = errors[i, subsets.index(tuple(int(k) for k in members))]
             assert chosen <= errors[i].min() + slack
+
+
+@pytest.mark.parametrize(("shape", "text"), TENSORS)
+def test_cores_are_fitted_together(shape: Sequence[int], text: str) -> None:
+    tensor = shuffled(smooth(*shape, noise=0.3))
+    cells = fit(tensor, text, "fast")
+    n = next(n for n, rank in enumerate(cells.spec.ranks) if rank is not None)
+    before = energy(left_by(cells, tensor))
+    rng = np.random.default_rng(1)
+    cells.cores *= rng.uniform(0.5, 1.5, cells.cores.shape).astype(np.float32)
+    spoiled = energy(left_by(cells, tensor))
+    for _ in range(60):
+        refit_cores(cells, kernels.project_cells(cells, tensor, n), n)
+    assert spoiled > 1.05 * before
+    assert energy(left_by(cells, tensor)) <= before * 1.0001
 
 
 @pytest.mark.parametrize(("shape", "text"), TENSORS)

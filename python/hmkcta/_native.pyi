@@ -24,6 +24,9 @@ def scatter(tensor: _F32, sizes: list[int], rows: list[NDArray[np.uint32]], bloc
 def dictionary_gram(
     shape: _Shape, members: _Members, bases: list[_F32], cores: _F32, mode: int
 ) -> NDArray[np.float64]: ...
+def solve_cores(
+    shape: _Shape, members: _Members, bases: list[_F32], cores: _F32, b: NDArray[np.float64], steps: int
+) -> None: ...
 def code_rows(
     h: NDArray[np.float64],
     b: NDArray[np.float64],

@@ -45,8 +45,9 @@ EFFORTS = {"fast": Effort(2, 3, 2, 0), "medium": Effort(3, 5, 4, 1), "thorough":
 
 #: Elements that starts are judged on: by what disjoint blocks capture, and by a joint sweep.
 SAMPLE, JUDGED = 2_000_000, 1 << 19
-#: What a joint sweep costs in visits to an element: each number of H, and each element.
-GRAM_VISITS, PASS_VISITS = 12, 4
+#: What a joint sweep costs in visits to an element: each number of H, and each element; and how many Gauss-Seidel
+#: sweeps take the place of one where it costs more.
+GRAM_VISITS, PASS_VISITS, IN_PLACE = 20, 4, 2
 
 #: Subspace iterations of a cell's mode update: at a random start, and when it is warm.
 COLD, WARM = 4, 2
@@ -83,22 +84,12 @@ def fit_level(
     if spec.search == "fast" or max(spec.mixture) == 1:
         return _sequential(tensor if own else tensor.copy(), spec, effort, labels, rng)
     cells = _start(tensor, spec, effort, labels, rng)
-    if None in spec.ranks:
-        _alternate(cells, tensor, effort)
-        return cells
     joint = effort.sweeps if _joint_pays(cells) else (effort.sweeps + 1) // 2
     for number in range(2, joint + 1):
         sweep(cells, tensor, spec.mixture, spec.search, OVER_RELAXED if number < effort.sweeps else 1.0)
     if joint < effort.sweeps:
-        kernels.fit_cells(cells, left_by(cells, tensor), effort.sweeps - joint, WARM)
+        kernels.fit_cells(cells, left_by(cells, tensor), IN_PLACE * (effort.sweeps - joint), WARM)
     return cells
-
-
-def _alternate(cells: Cells, tensor: F32, effort: Effort) -> None:
-    """Joint rows and HOOI by turns: along an undecomposed mode cores have rows too, which only HOOI finds."""
-    for _ in range((effort.sweeps + 1) // 2):
-        sweep(cells, tensor, cells.spec.mixture, cells.spec.search, OVER_RELAXED)
-        kernels.fit_cells(cells, left_by(cells, tensor), 1, WARM)
 
 
 def _sequential(
@@ -117,25 +108,26 @@ def _sequential(
 
 def refit_level(cells: Cells, residual: F32) -> None:
     """Sweeps over fitted cells with the memberships they have; they and the residual they leave change in place."""
-    if max(cells.spec.mixture) == 1 or cells.spec.search == "fast" or not _joint_pays(cells):
+    if max(cells.spec.mixture) == 1 or cells.spec.search == "fast":
         kernels.fit_cells(cells, residual, 1, WARM)
+        return
+    if not _joint_pays(cells):
+        kernels.fit_cells(cells, residual, IN_PLACE, WARM)
         return
     kernels.accumulate(cells, residual, 1.0)
     for omega in (OVER_RELAXED, 1.0):
         sweep(cells, residual, cells.spec.mixture, "fixed", omega)
     kernels.accumulate(cells, residual, -1.0)
-    if None in cells.spec.ranks:
-        kernels.fit_cells(cells, residual, 1, WARM)
 
 
 def _joint_pays(cells: Cells) -> bool:
-    """Whether a sweep of joint rows costs no more than one of Gauss-Seidel, which is slower where elements are many.
+    """Whether a sweep of joint rows and cores costs no more than the Gauss-Seidel sweeps that get as far.
 
     It makes two passes over the tensor and factors H of every mode; Gauss-Seidel visits each element prod K_n times.
     """
     decomposed = [n for n, skip in enumerate(cells.undecomposed) if not skip]
     numbers = sum((cells.spec.cells * cells.ranks[n]) ** 2 for n in decomposed)
-    visits = prod(cells.spec.mixture)
+    visits = IN_PLACE * prod(cells.spec.mixture)
     return prod(cells.sizes) * (visits - PASS_VISITS) > GRAM_VISITS * numbers
 
 

@@ -20,15 +20,21 @@ F64 = NDArray[np.float64]
 
 #: omega of sweeps that others follow: a third of the sweeps for the same error.
 OVER_RELAXED = 1.75
+#: Steps of conjugate gradients for the cores.
+CORE_STEPS = 2
 
 
 def sweep(cells: Cells, tensor: F32, mixture: Sequence[int], search: str, omega: float = 1.0) -> None:
-    """`choose_rows` for one mode after another, and their columns orthonormal again: never raises the error."""
+    """`choose_rows` for one mode after another, their columns orthonormal again, then cores: never raises the error."""
+    y, n = None, 0
     for kept in passes(cells):
         seen = project(cells, tensor, kept)
         for n in kept:
-            choose_rows(cells, right_sides(cells, seen.onto(cells, n), n), n, mixture[n], search, omega)
+            y = seen.onto(cells, n)
+            choose_rows(cells, right_sides(cells, y, n), n, mixture[n], search, omega)
             orthonormalise(cells, n)
+    if y is not None:
+        refit_cores(cells, y, n)
 
 
 def choose_rows(cells: Cells, b: F64, n: int, mixture: int, search: str, omega: float = 1.0) -> None:
@@ -55,6 +61,16 @@ def right_sides(cells: Cells, y: NDArray[np.floating], n: int) -> F64:
     """b of mode n `[PC, R_n, I_n]` from the projections `y` `[PC, I_n, prod_{m != n} R_m]`."""
     cores = np.moveaxis(cells.cores, n + 1, 1).reshape(cells.spec.cells, cells.ranks[n], -1)
     return np.matmul(cores.astype(np.float64), y.transpose(0, 2, 1))
+
+
+def refit_cores(cells: Cells, y: NDArray[np.floating], n: int) -> None:
+    """Cores of all cells by joint least squares, the bases given, from the projections `y` of mode n.
+
+    What rows make of a core are its products with one matrix a mode; this finds all others.
+    """
+    b = np.matmul(dense_basis(cells, n).transpose(0, 2, 1).astype(np.float64), y)
+    others = [rank for m, rank in enumerate(cells.ranks) if m != n]
+    kernels.solve_cores(cells, np.moveaxis(b.reshape(*b.shape[:2], *others), 1, n + 1), CORE_STEPS)
 
 
 def project_model(cells: Cells, other: Cells, n: int) -> F64:

@@ -1,5 +1,6 @@
-//! Levels of a model as Python hands them over.
+//! Nodes, their arrays and levels of a model as Python hands them over, checked.
 
+use crate::cells::{Node, Shape};
 use crate::packed::{Level, MOST_MODES, Ragged};
 use numpy::{Element, PyReadonlyArray1};
 use pyo3::exceptions::PyValueError;
@@ -7,6 +8,8 @@ use pyo3::prelude::*;
 
 type Array<'py, T> = PyReadonlyArray1<'py, T>;
 type OfModes<'py, T> = Vec<Option<Array<'py, T>>>;
+pub type Members<'py> = Vec<PyReadonlyArray1<'py, u16>>;
+pub type Floats<'py> = PyReadonlyArray1<'py, f32>;
 
 /// The arrays of one level as a dictionary, named as in `hmkcta.packed.PackedLevel`, all flat; float16 as its bits.
 #[derive(FromPyObject)]
@@ -73,4 +76,58 @@ fn ragged<'a>(data: &'a OfModes<u16>, offset: &'a OfModes<u32>) -> PyResult<Vec<
         _ => Ok(None),
     };
     data.iter().zip(offset).map(of_mode).collect()
+}
+
+pub fn node<'a>(shape: Shape, members: &'a Members) -> PyResult<Node<'a>> {
+    let members = members.iter().map(|m| m.as_slice()).collect::<Result<_, _>>()?;
+    Node::new(shape, members).map_err(PyValueError::new_err)
+}
+
+/// Refuse arrays that do not hold what the node's shape says.
+pub fn check_length(what: &str, length: usize, expected: usize) -> PyResult<()> {
+    if length == expected {
+        return Ok(());
+    }
+    Err(PyValueError::new_err(format!("{what} must hold {expected} numbers, got {length}")))
+}
+
+pub fn check_bases<B: AsRef<[f32]>>(node: &Node, bases: &[B]) -> PyResult<()> {
+    check_length("the list of bases", bases.len(), node.order())?;
+    bases
+        .iter()
+        .enumerate()
+        .try_for_each(|(n, basis)| check_length(&format!("basis {}", n + 1), basis.as_ref().len(), node.basis_size(n)))
+}
+
+pub fn check_tensor(node: &Node, length: usize) -> PyResult<()> {
+    check_length("the tensor", length, node.sizes.iter().product())
+}
+
+pub fn check_cores(node: &Node, length: usize) -> PyResult<()> {
+    check_length("the cores", length, node.cells() * node.core_size())
+}
+
+pub fn check_mode(node: &Node, mode: usize) -> PyResult<()> {
+    if mode < node.order() {
+        return Ok(());
+    }
+    Err(PyValueError::new_err(format!("mode must be below {}, got {mode}", node.order())))
+}
+
+pub fn tensor_of<'a>(node: &Node, tensor: &'a Floats) -> PyResult<&'a [f32]> {
+    let tensor = tensor.as_slice()?;
+    check_tensor(node, tensor.len())?;
+    Ok(tensor)
+}
+
+pub fn bases_of<'a>(node: &Node, bases: &'a [Floats]) -> PyResult<Vec<&'a [f32]>> {
+    let bases = bases.iter().map(|b| b.as_slice()).collect::<Result<Vec<_>, _>>()?;
+    check_bases(node, &bases)?;
+    Ok(bases)
+}
+
+pub fn cores_of<'a>(node: &Node, cores: &'a Floats) -> PyResult<&'a [f32]> {
+    let cores = cores.as_slice()?;
+    check_cores(node, cores.len())?;
+    Ok(cores)
 }

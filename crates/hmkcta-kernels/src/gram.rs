@@ -2,13 +2,9 @@
 
 use crate::cells::Node;
 use crate::machine::dispatch;
+use crate::pairs::{PARALLEL_PAIRS, SLACK, SideBySide, mode_product, read};
 use crate::threads::for_each;
 use pulp::{Simd, WithSimd};
-
-/// Pairs of cells from which on several threads pay.
-const PARALLEL_PAIRS: usize = 4096;
-/// More numbers than any vector has.
-const SLACK: usize = 16;
 
 /// `H_n[c,c'] = unf_n(Z_c) (kron_{m != n} M_m(c,c')) unf_n(Z_c')^T` for all pairs: `[PC R_n, PC R_n]`, symmetric.
 ///
@@ -27,15 +23,11 @@ pub fn dictionary_gram(node: &Node, bases: &[&[f32]], cores: &[f32], n: usize) -
     h
 }
 
-/// All cells side by side, so that the lanes of a vector are cells.
+/// The dictionaries of mode n, all cells side by side.
 struct Dictionaries<'a> {
-    node: &'a Node<'a>,
+    bases: SideBySide<'a>,
     n: usize,
     cells: usize,
-    /// Modes whose bases count.
-    modes: Vec<usize>,
-    /// For each of those, `[I_m, R_m, PC]`, zero where a row is not the cell's.
-    bases: Vec<Vec<f64>>,
     /// `[PC, R_1, .., R_N]`
     cores: Vec<f64>,
     /// `[R_1, .., R_N, PC]`
@@ -45,26 +37,13 @@ struct Dictionaries<'a> {
 impl<'a> Dictionaries<'a> {
     fn new(node: &'a Node, stored: &[&[f32]], cores: &[f32], n: usize) -> Self {
         let (cells, size) = (node.cells(), node.core_size());
-        let modes: Vec<usize> = (0..node.order()).filter(|&m| m != n && !node.undecomposed[m]).collect();
-        let room = |m: usize| vec![0.0; node.sizes[m] * node.ranks[m] * cells + SLACK];
-        let mut bases: Vec<Vec<f64>> = modes.iter().map(|&m| room(m)).collect();
+        let modes = (0..node.order()).filter(|&m| m != n && !node.undecomposed[m]).collect();
         let mut cores_last = vec![0.0; size * cells + SLACK];
-        for c in 0..cells {
-            let cell = node.cell(c);
-            for (&m, dense) in modes.iter().zip(&mut bases) {
-                let basis = node.load_basis(&cell, m, stored[m]);
-                let rows = node.rows(m, cell.subset[m]);
-                for (at, &value) in basis.iter().enumerate() {
-                    let (r, i) = (at / rows.len(), rows[at % rows.len()] as usize);
-                    dense[(i * node.ranks[m] + r) * cells + c] = f64::from(value);
-                }
-            }
-            for (z, &value) in cores[c * size..(c + 1) * size].iter().enumerate() {
-                cores_last[z * cells + c] = f64::from(value);
-            }
+        for (at, &value) in cores.iter().enumerate() {
+            cores_last[at % size * cells + at / size] = f64::from(value);
         }
         let cores = cores.iter().map(|&z| f64::from(z)).collect();
-        Dictionaries { node, n, cells, modes, bases, cores, cores_last }
+        Dictionaries { bases: SideBySide::new(node, stored, modes), n, cells, cores, cores_last }
     }
 }
 
@@ -81,107 +60,17 @@ impl WithSimd for Row<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Row { dictionaries: d, cell, rows } = self;
-        let ranks = &d.node.ranks;
-        let size = d.node.core_size();
+        let ranks = &d.bases.node.ranks;
+        let size = d.bases.node.core_size();
         let (mut x, mut y) = (vec![simd.splat_f64s(0.0); size], vec![simd.splat_f64s(0.0); size]);
-        let largest = ranks.iter().max().map_or(0, |r| r * r);
-        let mut gram = vec![simd.splat_f64s(0.0); largest];
-        let subset = d.node.cell(cell).subset;
+        let mut gram = vec![simd.splat_f64s(0.0); d.bases.largest()];
         for other in (cell..d.cells).step_by(S::F64_LANES) {
             x.iter_mut().zip(&d.cores[cell * size..]).for_each(|(x, &z)| *x = simd.splat_f64s(z));
-            for (&m, basis) in d.modes.iter().zip(&d.bases) {
-                let shared = d.node.rows(m, subset[m]);
-                basis_gram(simd, basis, shared, (ranks[m], d.cells), (cell, other), &mut gram);
-                mode_product(simd, &x, ranks[m], ranks[m + 1..].iter().product(), &gram, &mut y);
+            d.bases.grams(simd, (cell, other), &mut gram, |m, gram| {
+                mode_product(simd, &x, ranks[m], ranks[m + 1..].iter().product(), gram, &mut y);
                 std::mem::swap(&mut x, &mut y);
-            }
+            });
             contract(simd, &x, d, other, rows);
-        }
-    }
-}
-
-/// `M_m(c, c')`, `[R_m, R_m]`, for as many cells c' as there are lanes, from `other` on.
-#[inline(always)]
-fn basis_gram<S: Simd>(
-    simd: S,
-    basis: &[f64],
-    rows: &[u32],
-    (rank, cells): (usize, usize),
-    (cell, other): (usize, usize),
-    gram: &mut [S::f64s],
-) {
-    // Sums of small ranks stay in registers.
-    match rank {
-        1 => small_gram::<S, 1>(simd, basis, rows, cells, (cell, other), gram),
-        2 => small_gram::<S, 2>(simd, basis, rows, cells, (cell, other), gram),
-        3 => small_gram::<S, 3>(simd, basis, rows, cells, (cell, other), gram),
-        4 => small_gram::<S, 4>(simd, basis, rows, cells, (cell, other), gram),
-        _ => {
-            for (at, sum) in gram[..rank * rank].iter_mut().enumerate() {
-                let (r, q) = (at / rank, at % rank);
-                *sum = simd.splat_f64s(0.0);
-                for &i in rows {
-                    let row = &basis[i as usize * rank * cells..];
-                    let value = simd.splat_f64s(row[r * cells + cell]);
-                    *sum = simd.mul_add_e_f64s(value, read(simd, row, q * cells + other), *sum);
-                }
-            }
-        }
-    }
-}
-
-#[inline(always)]
-fn small_gram<S: Simd, const R: usize>(
-    simd: S,
-    basis: &[f64],
-    rows: &[u32],
-    cells: usize,
-    (cell, other): (usize, usize),
-    gram: &mut [S::f64s],
-) {
-    let mut sums = [[simd.splat_f64s(0.0); R]; R];
-    for &i in rows {
-        let row = &basis[i as usize * R * cells..];
-        let others: [S::f64s; R] = std::array::from_fn(|q| read(simd, row, q * cells + other));
-        for (r, sums) in sums.iter_mut().enumerate() {
-            let value = simd.splat_f64s(row[r * cells + cell]);
-            sums.iter_mut().zip(others).for_each(|(sum, other)| *sum = simd.mul_add_e_f64s(value, other, *sum));
-        }
-    }
-    gram.iter_mut().zip(sums.into_iter().flatten()).for_each(|(to, sum)| *to = sum);
-}
-
-/// `y = x x_m M` for `x` `[before, R_m, after]`.
-#[inline(always)]
-fn mode_product<S: Simd>(simd: S, x: &[S::f64s], rank: usize, after: usize, gram: &[S::f64s], y: &mut [S::f64s]) {
-    match rank {
-        1 => small_product::<S, 1>(simd, x, after, gram, y),
-        2 => small_product::<S, 2>(simd, x, after, gram, y),
-        3 => small_product::<S, 3>(simd, x, after, gram, y),
-        4 => small_product::<S, 4>(simd, x, after, gram, y),
-        _ => {
-            for (x, y) in x.chunks_exact(rank * after).zip(y.chunks_exact_mut(rank * after)) {
-                for (at, y) in y.iter_mut().enumerate() {
-                    let (q, a) = (at / after, at % after);
-                    let products = (0..rank).map(|r| (x[r * after + a], gram[r * rank + q]));
-                    *y = products.fold(simd.splat_f64s(0.0), |sum, (x, m)| simd.mul_add_e_f64s(x, m, sum));
-                }
-            }
-        }
-    }
-}
-
-#[inline(always)]
-fn small_product<S: Simd, const R: usize>(simd: S, x: &[S::f64s], after: usize, gram: &[S::f64s], y: &mut [S::f64s]) {
-    let gram: [[S::f64s; R]; R] = std::array::from_fn(|r| std::array::from_fn(|q| gram[r * R + q]));
-    for (x, y) in x.chunks_exact(R * after).zip(y.chunks_exact_mut(R * after)) {
-        for a in 0..after {
-            let mut sums = [simd.splat_f64s(0.0); R];
-            for (r, gram) in gram.iter().enumerate() {
-                let value = x[r * after + a];
-                sums.iter_mut().zip(gram).for_each(|(sum, &m)| *sum = simd.mul_add_e_f64s(value, m, *sum));
-            }
-            sums.into_iter().enumerate().for_each(|(q, sum)| y[q * after + a] = sum);
         }
     }
 }
@@ -189,8 +78,8 @@ fn small_product<S: Simd, const R: usize>(simd: S, x: &[S::f64s], after: usize, 
 /// `unf_n(x) unf_n(Z_c')^T` for the cells c' from `other` on into rows `[R_n, PC, R_n]`.
 #[inline(always)]
 fn contract<S: Simd>(simd: S, x: &[S::f64s], d: &Dictionaries, other: usize, rows: &mut [f64]) {
-    let rank = d.node.ranks[d.n];
-    let after: usize = d.node.ranks[d.n + 1..].iter().product();
+    let rank = d.bases.node.ranks[d.n];
+    let after: usize = d.bases.node.ranks[d.n + 1..].iter().product();
     let lanes = S::F64_LANES.min(d.cells - other);
     for r in 0..rank {
         for q in 0..rank {
@@ -208,12 +97,6 @@ fn contract<S: Simd>(simd: S, x: &[S::f64s], d: &Dictionaries, other: usize, row
             }
         }
     }
-}
-
-/// The vector that starts at `at`.
-#[inline(always)]
-fn read<S: Simd>(_: S, x: &[f64], at: usize) -> S::f64s {
-    S::as_simd_f64s(&x[at..at + S::F64_LANES]).0[0]
 }
 
 /// Copy the upper triangle to the lower one, tile by tile.

@@ -6,6 +6,7 @@ mod cells;
 mod chain;
 mod coding;
 mod contract;
+mod cores;
 mod dense;
 mod dictionary;
 mod dots;
@@ -20,6 +21,7 @@ mod layout;
 mod machine;
 mod packed;
 mod pair;
+mod pairs;
 mod part;
 mod pick;
 mod places;
@@ -38,8 +40,11 @@ mod tree;
 mod tucker;
 mod widened;
 
-use binding::Arrays;
-use cells::{Node, Shape};
+use binding::{
+    Arrays, Floats, Members, bases_of, check_bases, check_cores, check_length, check_mode, check_tensor, cores_of,
+    node, tensor_of,
+};
+use cells::Shape;
 use coding::Search;
 use dictionary::Given;
 use element::Decode;
@@ -51,64 +56,8 @@ use pick::Pick;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-type Members<'py> = Vec<PyReadonlyArray1<'py, u16>>;
-type Floats<'py> = PyReadonlyArray1<'py, f32>;
 /// Cluster subsets and coefficients.
 type Coded<'py> = (Bound<'py, PyArray1<u16>>, Bound<'py, PyArray1<f32>>);
-
-fn node<'a>(shape: Shape, members: &'a Members) -> PyResult<Node<'a>> {
-    let members = members.iter().map(|m| m.as_slice()).collect::<Result<_, _>>()?;
-    Node::new(shape, members).map_err(PyValueError::new_err)
-}
-
-/// Refuse arrays that do not hold what the node's shape says.
-fn check_length(what: &str, length: usize, expected: usize) -> PyResult<()> {
-    if length == expected {
-        return Ok(());
-    }
-    Err(PyValueError::new_err(format!("{what} must hold {expected} numbers, got {length}")))
-}
-
-fn check_bases<B: AsRef<[f32]>>(node: &Node, bases: &[B]) -> PyResult<()> {
-    check_length("the list of bases", bases.len(), node.order())?;
-    bases
-        .iter()
-        .enumerate()
-        .try_for_each(|(n, basis)| check_length(&format!("basis {}", n + 1), basis.as_ref().len(), node.basis_size(n)))
-}
-
-fn check_tensor(node: &Node, length: usize) -> PyResult<()> {
-    check_length("the tensor", length, node.sizes.iter().product())
-}
-
-fn check_cores(node: &Node, length: usize) -> PyResult<()> {
-    check_length("the cores", length, node.cells() * node.core_size())
-}
-
-fn check_mode(node: &Node, mode: usize) -> PyResult<()> {
-    if mode < node.order() {
-        return Ok(());
-    }
-    Err(PyValueError::new_err(format!("mode must be below {}, got {mode}", node.order())))
-}
-
-fn tensor_of<'a>(node: &Node, tensor: &'a Floats) -> PyResult<&'a [f32]> {
-    let tensor = tensor.as_slice()?;
-    check_tensor(node, tensor.len())?;
-    Ok(tensor)
-}
-
-fn bases_of<'a>(node: &Node, bases: &'a [Floats]) -> PyResult<Vec<&'a [f32]>> {
-    let bases = bases.iter().map(|b| b.as_slice()).collect::<Result<Vec<_>, _>>()?;
-    check_bases(node, &bases)?;
-    Ok(bases)
-}
-
-fn cores_of<'a>(node: &Node, cores: &'a Floats) -> PyResult<&'a [f32]> {
-    let cores = cores.as_slice()?;
-    check_cores(node, cores.len())?;
-    Ok(cores)
-}
 
 /// Fit all cells by Gauss-Seidel sweeps in place; `residual` is data minus model on entry and on return.
 #[pyfunction]
@@ -219,6 +168,25 @@ fn dictionary_gram<'py>(
     let (bases, cores) = (bases_of(&node, &bases)?, cores_of(&node, &cores)?);
     check_mode(&node, mode)?;
     Ok(py.detach(|| gram::dictionary_gram(&node, &bases, cores, mode)).into_pyarray(py))
+}
+
+/// Cores that leave less, in place, by so many steps of conjugate gradients; `b` are projections on all bases.
+#[pyfunction]
+fn solve_cores(
+    py: Python,
+    shape: Shape,
+    members: Members,
+    bases: Vec<Floats>,
+    mut cores: PyReadwriteArray1<f32>,
+    b: PyReadonlyArray1<f64>,
+    steps: usize,
+) -> PyResult<()> {
+    let node = node(shape, &members)?;
+    let (bases, cores, b) = (bases_of(&node, &bases)?, cores.as_slice_mut()?, b.as_slice()?);
+    check_cores(&node, cores.len())?;
+    check_length("b", b.len(), cores.len())?;
+    py.detach(|| cores::solve_cores(&node, &bases, cores, b, steps));
+    Ok(())
 }
 
 /// A sub-tensor of a contiguous array of the given sizes, and where that array starts.
@@ -373,6 +341,7 @@ fn _native(module: &Bound<PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(project_pair, module)?)?;
     module.add_function(wrap_pyfunction!(contract_lanes, module)?)?;
     module.add_function(wrap_pyfunction!(dictionary_gram, module)?)?;
+    module.add_function(wrap_pyfunction!(solve_cores, module)?)?;
     module.add_function(wrap_pyfunction!(gather, module)?)?;
     module.add_function(wrap_pyfunction!(scatter, module)?)?;
     module.add_function(wrap_pyfunction!(code_rows, module)?)?;

@@ -22,8 +22,8 @@ from .device import Device, Kernels
 from .reference import F64, Rows
 
 __all__ = ["Device", "Kernels", "accumulate", "code_rows", "contract_lanes", "dictionary_gram", "find_device",
-           "fit_cells", "gather", "name", "project_cells", "project_pair", "scatter", "set_threads", "threads",
-           "use"]  # fmt: skip
+           "fit_cells", "gather", "name", "project_cells", "project_pair", "scatter", "set_threads", "solve_cores",
+           "threads", "use"]  # fmt: skip
 
 #: Where the kernels of the work at hand run; None: on the CPU.
 _device: ContextVar[Kernels | None] = ContextVar("device", default=None)
@@ -150,6 +150,11 @@ def scatter(tensor: F32, rows: Rows, block: F32) -> None:
 def dictionary_gram(cells: Cells, n: int) -> F64:
     """Inner products of all dictionary columns of mode n; see `reference.dictionary_gram`."""
     return _kernels().dictionary_gram(cells, n)
+
+
+def solve_cores(cells: Cells, b: F64, steps: int) -> None:
+    """Cores of all cells that leave less of a tensor together, in place; see `reference.solve_cores`."""
+    _kernels().solve_cores(cells, b, steps)
 
 
 def code_rows(

@@ -108,6 +108,10 @@ class Cuda:
             return self._run(cells, lambda on: batched.dictionary_gram(on, cells, n))
         return self._cpu.dictionary_gram(cells, n)
 
+    def solve_cores(self, cells: Cells, b: F64, steps: int) -> None:
+        """Cores of all cells that leave less together, in place, on the CPU."""
+        self._cpu.solve_cores(cells, b, steps)
+
     def code_rows(
         self, h: F64, b: F64, clusters: Sequence[int], n: int, kept: U16 | None, mixture: int, search: str
     ) -> tuple[U16, F32]:

@@ -51,6 +51,10 @@ class Kernels(Protocol):
         """Inner products of all dictionary columns of mode n."""
         ...
 
+    def solve_cores(self, cells: Cells, b: F64, steps: int) -> None:
+        """Cores of all cells that leave less together, in place."""
+        ...
+
     def code_rows(
         self, h: F64, b: F64, clusters: Sequence[int], n: int, kept: U16 | None, mixture: int, search: str
     ) -> tuple[U16, F32]:

@@ -94,6 +94,13 @@ def dictionary_gram(cells: Cells, n: int) -> F64:
     return _native.dictionary_gram(*_node(cells), _bases(cells), _flat(cells.cores), n).reshape(side, side)
 
 
+def solve_cores(cells: Cells, b: F64, steps: int) -> None:
+    """Cores of all cells that leave less of a tensor together, the bases given, in place."""
+    cells.cores = np.require(cells.cores, np.float32, ["C", "W"])
+    right = np.ascontiguousarray(b, np.float64).reshape(-1)
+    _native.solve_cores(*_node(cells), _bases(cells), cells.cores.reshape(-1), right, steps)
+
+
 def code_rows(
     h: F64, b: F64, clusters: Sequence[int], n: int, kept: U16 | None, mixture: int, search: str
 ) -> tuple[U16, F32]:

@@ -23,6 +23,8 @@ name = "reference"
 
 #: What is left of a column once its parts along earlier ones are taken out is rounding noise below this share of it.
 DEPENDENT = 1e-5
+#: Where what is left of the right sides, squared, is a smaller share of them, cores are exact.
+EXACT = 1e-14
 
 
 def set_threads(count: int) -> None:
@@ -144,6 +146,44 @@ def dictionary_gram(cells: Cells, n: int) -> F64:
         left, right = (np.moveaxis(z, n + 1, 1).reshape(count, rank, -1) for z in (x, cores))
         h[c] = np.einsum("drq,dsq->rds", left, right, optimize=True)
     return h.reshape(count * rank, count * rank)
+
+
+def solve_cores(cells: Cells, b: F64, steps: int) -> None:
+    """Cores of all cells that leave less of a tensor together, the bases given, in place.
+
+    `G Z = b` by conjugate gradients from the present cores, with `(G Z)_c = sum_c' Z_c' x_m M_m` over all decomposed
+    modes m, `M_m = U_{m,c}^T U_{m,c'}`: what is left falls with every step.
+
+    Args:
+        cells: their cores are replaced.
+        b: the tensor projected on the bases of every cell, `[PC, R_1, .., R_N]`.
+        steps: of conjugate gradients, at the most.
+    """
+    bases = [None if skip else dense_basis(cells, m).astype(np.float64) for m, skip in enumerate(cells.undecomposed)]
+
+    def applied(z: F64) -> F64:
+        g = np.empty_like(z)
+        for c in range(len(z)):
+            x = z
+            for m, basis in enumerate(bases):
+                if basis is not None:
+                    gram = np.einsum("ir,dis->drs", basis[c], basis, optimize=True)  # M_m of c and all c'
+                    x = np.moveaxis(np.einsum("d...s,drs->d...r", np.moveaxis(x, m + 1, -1), gram), -1, m + 1)
+            g[c] = x.sum(axis=0)
+        return g
+
+    z = cells.cores.astype(np.float64)
+    r = b - applied(z)
+    p, left = r, float(np.vdot(r, r))
+    for _ in range(steps):
+        q = applied(p)
+        curvature = float(np.vdot(p, q))
+        if left <= EXACT * float(np.vdot(b, b)) or curvature <= 0:
+            break
+        z, r = z + left / curvature * p, r - left / curvature * q
+        before, left = left, float(np.vdot(r, r))
+        p = r + left / before * p
+    cells.cores = z.astype(np.float32)
 
 
 def _each_cell(cells: Cells, whole: Sequence[int] = ()) -> Iterator[Cell]:
