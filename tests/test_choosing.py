@@ -255,7 +255,7 @@ def test_cuts_that_make_no_sense_are_refused(plan: str, reason: str) -> None:
 
 def test_judging_cuts_takes_the_best_way_of_each_block() -> None:
     source = prepare(half_noise(), None, "identity", None)
-    trial = trial_of(source, None, 11500, None, 4096, 0)
+    trial = trial_of(source, 11500, None, 4096, 0)
     whole = Candidate((("axis0",), ("axis1",), ("axis2",)), (2, 1, 1), cuts=(1, 1, 1))
     worths = [trial.worth(replace(whole, cuts=cuts), 1 << 20, (2, 1, 1)) for cuts in ((1, 1, 1), (1, 1, 2), (1, 2, 2))]
     assert worths[1] > worths[0] + 3
@@ -331,9 +331,9 @@ def test_a_goal_in_db_is_that_of_the_source_not_of_transformed_values(transform:
     rng = np.random.default_rng(0)
     values = 90 + 40 * rng.random((20, 30, 40))
     source = prepare(values, None, transform, None)
-    trial = trial_of(source, 30.0, None, None, 4096, 0)
-    assert trial.error is not None
-    allowed = trial.error * energy(source.values())
+    trial = trial_of(source, None, 30.0, 4096, 0)
+    assert trial.ceiling is not None
+    allowed = 10 ** (-trial.ceiling / 10) * energy(source.values())
     noise = rng.standard_normal(values.shape) * np.sqrt(allowed / values.size)
     noisy = source.value_transform.inverse(source.unit * (source.values() + noise))
     assert snr(values, energy(values - noisy)) == pytest.approx(30.0, abs=0.3)
@@ -356,7 +356,7 @@ def test_thinned_blocks_tell_what_whole_ones_reach(elements: int) -> None:
     lights = np.exp(-np.array([1.0, 3.0, 9.0, 27.0])[:, None] * place)
     textures = rng.standard_normal((4, 64, 64, 3)) * np.array([1, 0.3, 0.1, 0.03])[:, None, None, None]
     source = prepare(np.einsum("kl,kyxc->lyxc", lights, textures).astype(np.float32), None, "identity", None)
-    trial = trial_of(source, None, 20000, None, 4096, 0)
+    trial = trial_of(source, 20000, None, 4096, 0)
     modes = (("axis0",), ("axis1", "axis3"), ("axis2",))
 
     def judged(sample: int) -> dict[tuple[int, ...], float]:

@@ -227,10 +227,11 @@ def test_a_size_for_a_plan_of_fixed_shape_is_not_ignored() -> None:
     assert refused(plan="R=2", size=2000).where == "size"
 
 
-def test_own_ranks_with_clusters_need_a_grid() -> None:
-    """Ranks are judged on the blocks of a grid; memberships found by trial have none beforehand."""
+@pytest.mark.parametrize("plan", ["R<=10 C=2,3,2 K=2", "R=1 / R<=10 C=2,3,2"])
+def test_own_ranks_with_clusters_of_the_data_are_those_of_one_level(plan: str) -> None:
+    """Cells are disjoint then, and ranks are judged on them; overlapping ones, or those of many nodes, are not."""
     with pytest.raises(HmkctaError, match="own-ranks-clusters"):
-        compress(np.random.default_rng(0).random((8, 9, 10)), "R<=10 C=2,3,2 K=2", snr=20.0, threads=1)
+        compress(np.random.default_rng(0).random((8, 9, 10)), plan, snr=20.0, threads=1)
 
 
 @pytest.mark.parametrize("plan", [None, "R<=8", "R=1 grid=y:2,x:2 / R<=8"])

@@ -19,7 +19,7 @@ PACKAGE = ROOT / "python" / "hmkcta"
 LAYERS = (
     ("_version", "errors", "executors", "metrics", "recordlog", "slabs", "spectra", "temporaries", "tucker", "_native"),
     ("axes", "grids", "growth", "memory", "transform", "indexing"),
-    ("plan", "packed", "scratch"),
+    ("plan", "organisations", "packed", "scratch"),
     ("cells", "coding", "pieces", "predict", "storage", "hmkfile", "source", "_example"),
     ("backends", "memberships", "decode_scattered"),
     ("projection", "decode_cells", "journal", "streamed"),
@@ -30,6 +30,7 @@ LAYERS = (
     ("pack", "allocation", "blocks", "filesize", "model", "verbatim"),
     ("adaptive", "measure"),
     ("trial", "measure_streamed"),
+    ("clustered", "judging"),
     ("tuning", "follow", "forecast"),
     ("encode",),
     ("", "pictures", "readers", "synthetic"),

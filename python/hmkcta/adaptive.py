@@ -15,8 +15,9 @@ from .cells import zero_cells
 from .errors import invalid
 from .fit import Labels
 from .hierarchy import Hierarchy, LabelsOf, Node, Run, backfit, fit_nodes, gather, in_parallel, restore, sampled, saved
+from .memberships import start_candidates
 from .plan import MOST_RANKS, LevelSpec
-from .streamed import squared_norm
+from .streamed import Streamed, squared_norm
 from .tucker import core_energies
 
 F32 = NDArray[np.float32]
@@ -123,6 +124,7 @@ Way = tuple[LevelSpec, LabelsOf]
 def fit_to_goal(tree: Hierarchy, ways: Sequence[Way], goal: Goal, decode_cost: int, run: Run) -> None:
     """Fit the deepest level with node shapes of its own, again with corrected ranks until the goal is met."""
     nodes = tree.levels[-1]
+    ways = [each for spec, labels in ways for each in _starts(tree, spec, labels, run)]
     spectra: list[Spectrum | None] = [None] * len(nodes)
 
     def examine(s: int) -> None:
@@ -144,6 +146,21 @@ def fit_to_goal(tree: Hierarchy, ways: Sequence[Way], goal: Goal, decode_cost: i
     if found:
         level = _LastLevel(tree, found, ways, goal, run)
         level.to_size(goal.size) if goal.size is not None else level.to_snr(goal.snr or 0.0)
+
+
+def _starts(tree: Hierarchy, spec: LevelSpec, labels: LabelsOf, run: Run) -> list[Way]:
+    """The way itself, or where its cells are clusters of the data one for each start that the effort allows.
+
+    Raises:
+        HmkctaError: clusters of a tensor that memory does not hold.
+    """
+    if spec.cells == 1 or spec.grid:
+        return [(spec, labels)]
+    if isinstance(tree.residual, Streamed):
+        allowed = "R=.. with the clusters of an array that is not worked on in one piece"
+        raise invalid("own-ranks-clusters", "level 1", str(spec), allowed, "give ranks, or raise --max-memory")
+    starts = start_candidates(tree.residual, spec.clusters, run.effort.candidates, np.random.default_rng(run.seed))
+    return [(spec, lambda _, found=found: found) for found in starts]
 
 
 #: Numbers of the nodes that have something to store, with their choices.

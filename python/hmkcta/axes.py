@@ -22,10 +22,11 @@ MOST_COORDS = 16
 
 _ROLE_OF_NAME = {
     **dict.fromkeys(("x", "y", "z", "u", "v", "texel", "pixel", "space"), "space"),
+    **dict.fromkeys(("lat", "latitude", "lon", "longitude", "depth"), "space"),
     **dict.fromkeys(("view", "camera", "row", "column", "s"), "view"),
     **dict.fromkeys(("light", "illumination"), "light"),
     **dict.fromkeys(("time", "t", "frame"), "time"),
-    **dict.fromkeys(("rgb", "channel", "colour", "color", "c"), "channel"),
+    **dict.fromkeys(("rgb", "channel", "colour", "color", "c", "band", "wavelength", "spectral"), "channel"),
 }
 
 Organisation = tuple[tuple[str, ...], ...]

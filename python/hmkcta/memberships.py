@@ -15,6 +15,8 @@ F64 = NDArray[np.float64]
 
 #: Columns of the row features, and elements looked at to find them; more of either changed nothing (algorithm notes).
 FEATURES, SAMPLE = 12, 2_000_000
+#: Differences of features that are held at once.
+PAIRS = 1 << 20
 #: Row normalisations f <- f |f|^(p-1) with size caps (times I/C), the most often best ones first.
 CANDIDATES: tuple[tuple[float, float | None], ...] = (
     (0.2, 1.2),
@@ -64,7 +66,7 @@ def balanced_clusters(
     for _ in range(restarts):
         centres = _spread_centres(features, clusters, rng)
         for _ in range(8):
-            distance = ((features[:, None] - centres[None]) ** 2).sum(-1)
+            distance = _distances(features, centres)
             labels = nearest_with_room(distance, cap)
             for c in range(clusters):
                 if (labels == c).any():
@@ -73,6 +75,13 @@ def balanced_clusters(
         if cost < best_cost and len(np.unique(labels)) == clusters:
             best, best_cost = labels, cost
     return best
+
+
+def _distances(features: F64, centres: F64) -> F64:
+    """Squared distance of every row to every centre, `[I, C]`; so many rows at a time that differences stay small."""
+    some = max(1, PAIRS // centres.size)
+    parts = (features[at : at + some, None] - centres[None] for at in range(0, len(features), some))
+    return np.concatenate([np.square(part, out=part).sum(-1) for part in parts])
 
 
 def _spread_centres(features: F64, clusters: int, rng: np.random.Generator) -> F64:

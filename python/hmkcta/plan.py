@@ -282,8 +282,8 @@ def check_plan(plan: Plan, sizes: Sequence[int]) -> None:
         if level.own and (number < len(plan.levels) or (plan.snr is None and plan.size is None)):
             allowed = "R<= in the last level only, together with a goal"
             raise invalid("own-ranks-place", f"level {number}", str(level), allowed, "add --snr or --size")
-        if level.own and level.cells > 1 and not level.grid:
-            allowed = "R<= with blocks, grid=AXIS:COUNT, or below a level that has the clusters"
+        if level.own and level.cells > 1 and not level.grid and (len(plan.levels) > 1 or max(level.mixture) > 1):
+            allowed = "R<= with blocks, grid=AXIS:COUNT, with C where it is the only level and K=1, or below clusters"
             raise invalid("own-ranks-clusters", f"level {number}", str(level), allowed)
         if len(level.ways(plan.organisation)) > MOST_WAYS:
             allowed = f"at most {MOST_WAYS} ways to cut a node: products of divisors of the counts"

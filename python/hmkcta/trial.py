@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import combinations, product
-from math import inf, log2, log10, prod
+from math import log2, log10, prod
 from typing import Any
 
 import numpy as np
@@ -39,6 +39,10 @@ TOGETHER = 3
 HIGHEST = (MOST_RANKS, 64)
 #: What float16 leaves, as a share of the energy, at the most; errors below it are not told apart.
 VERBATIM = 1e-7
+#: Beyond so many dB Gram matrices are summed in float64.
+PRECISE = 50.0
+#: Bytes besides two float16 for each element, that no candidate worth a look takes.
+ENOUGH = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -52,6 +56,7 @@ class Candidate:
         carried: the blocks are nodes with ranks of their own below a first level of rank one; else they are the
             cells of a single level, all of the same ranks.
         cuts: carried blocks may each be cut into so many, or a divisor of it, along each source axis; (): they are not.
+        clusters: of the data along each mode, in the place of blocks, the cells of a single level; (): none.
     """
 
     organisation: Organisation
@@ -59,6 +64,7 @@ class Candidate:
     undecomposed: tuple[int, ...] = ()
     carried: bool = True
     cuts: tuple[int, ...] = ()
+    clusters: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,15 +111,15 @@ class _Cut:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """The data and the goal: bytes (`size`) or a squared `error` as a share of the energy, within a decode cost.
+    """The data and the goal: as many dB as `size` bytes and a decode cost allow.
 
-    Bytes are not spent beyond a `ceiling` in dB: what reaches it is worth the more, the fewer bytes it takes. Error and
-    ceiling are of the transformed values.
+    Bytes are not spent beyond a `ceiling` in dB of the transformed values, which is how an SNR is a goal: what reaches
+    it is worth the more, the fewer bytes it takes, an octave as much as a dB. `values` are the source's, if held.
     """
 
     source: Source
-    error: float | None
-    size: int | None
+    values: F32 | None
+    size: int
     ceiling: float | None
     decode_cost: int
     seed: int
@@ -123,15 +129,10 @@ class Trial:
         """What `_way` found before."""
         return {}
 
-    @cached_property
-    def values(self) -> F32 | None:
-        """The source's values, if they are few enough to be held."""
-        return self.source.values() if prod(self.source.shape) <= HELD else None
-
     def worths(
         self, organisation: Organisation, grid: tuple[int, ...], sample: int, kinds: Kinds = ()
     ) -> list[tuple[float, Candidate]]:
-        """Every candidate with this organisation and grid: dB at the goal's bytes, or minus octaves of bytes.
+        """Every candidate with this organisation and grid: dB, and octaves of bytes beyond the ceiling.
 
         Of `kinds`, if any, only those that leave one of these sets of modes undecomposed.
         """
@@ -154,9 +155,6 @@ class Trial:
         every = tuple(range(len(organisation)))
         candidate = Candidate(organisation, (1,) * len(self.source.shape), every, carried=False)
         nbytes = planned_bytes(plan_of(self.source, candidate, None, None, 1), self.source, seed=self.seed)
-        if self.size is None:
-            short = 10 * log10(VERBATIM / self.error) if self.error else inf
-            return (-log2(nbytes) if short <= 0 else -OUT_OF_REACH - short), candidate
         if nbytes > self.size:
             return -OUT_OF_REACH - log2(nbytes), candidate
         reached = -10 * log10(VERBATIM)
@@ -184,7 +182,7 @@ class Trial:
         order = np.argsort(nbytes, kind="stable")
         path = partial(ration, errors[:, order], nbytes[order])
         least = float(nbytes.min()) * len(errors)
-        return self._worth(path, cut, cut.blocks.elements, self._beside(candidate, cut), least)[0]
+        return self._worth(path, cut, cut.blocks.elements, candidate, least)[0]
 
     def _way(self, cut: _Cut, flags: tuple[bool, ...], way: Sequence[int]) -> tuple[F64, F64]:
         """Error that each block is left with and bytes, at every choice of ranks, if all are cut in the same way."""
@@ -225,17 +223,17 @@ class Trial:
 
     def _limits(self, have: Sequence[int], edges: Sequence[int]) -> tuple[int, ...]:
         """Highest rank of each mode: what there is, what the bytes can store, what may be decoded."""
-        size, elements = self.size or inf, prod(float(rows) for rows in have)
+        elements = prod(float(rows) for rows in have)
         most = min(self.decode_cost, HIGHEST[len(have) > 2])
         return tuple(
-            int(max(1, min(rows, elements // rows, most, size // (2 * edge) + 1)))
+            int(max(1, min(rows, elements // rows, most, self.size // (2 * edge) + 1)))
             for rows, edge in zip(have, edges, strict=True)
         )
 
     @property
     def _precision(self) -> Any:
         """What Gram matrices are summed in: a high SNR asks small singular values to be told apart."""
-        return np.float64 if self.error is not None and self.error < 1e-5 else np.float32
+        return np.float64 if self.ceiling is not None and self.ceiling > PRECISE else np.float32
 
     def _judged(self, cut: _Cut, choice: tuple[int, ...]) -> tuple[list[tuple[float, Candidate]], list[int]]:
         """Candidates that leave the chosen modes undecomposed, and the ranks of the one without blocks."""
@@ -252,7 +250,7 @@ class Trial:
         nbytes = whole.nbytes * cut.blocks.share
         best = pareto(nbytes, left)
         path = partial(best_of_one, nbytes[best], left[best])
-        worth, spent = self._worth(path, cut, cut.blocks.share, self._beside(one, cut), float(nbytes[1]))
+        worth, spent = self._worth(path, cut, cut.blocks.share, one, float(nbytes[1]))
         ranks = whole.ranks[best][max(1, int(np.searchsorted(nbytes[best], spent, side="right")) - 1)]
         found = [(worth, one)]
         if prod(cut.clusters) > 1 and self.decode_cost > 1:
@@ -260,7 +258,7 @@ class Trial:
             nodes = choices_of(meant, cut.edges, flags, self.decode_cost - 1, (1,) * order)
             path = partial(ration, _left(cut.energy, table, nodes), nodes.nbytes)
             least = float(nodes.nbytes[0]) * len(table)
-            found.append((self._worth(path, cut, cut.blocks.elements, self._beside(many, cut), least)[0], many))
+            found.append((self._worth(path, cut, cut.blocks.elements, many, least)[0], many))
         return found, [int(rank) for rank in ranks]
 
     def _core(self, cut: _Cut, flags: Sequence[bool]) -> F32:
@@ -272,50 +270,49 @@ class Trial:
         return cores(cut.batch, limits, self._precision)
 
     def _worth(
-        self, spend: Callable[..., tuple[float, float]], cut: _Cut, share: float, fixed: float, least: float
+        self, spend: Callable[..., tuple[float, float]], cut: _Cut, share: float, candidate: Candidate, least: float
     ) -> tuple[float, float]:
-        """What bytes and error make the candidate worth, and the bytes spent on the blocks of the sample.
+        fixed = self.beside(candidate, cut.sizes, cut.clusters)
+        return self.worth_of(spend, float(cut.energy.sum()), share, fixed, least)
+
+    def worth_of(
+        self, spend: Callable[..., tuple[float, float]], energy: float, share: float, fixed: float, least: float
+    ) -> tuple[float, float]:
+        """What bytes and error make a candidate worth, and the bytes spent on the blocks of the sample.
 
         Args:
             spend: bytes and error of these blocks, for a `limit` of bytes or an `error`.
-            cut: the sample.
+            energy: their squared norm.
             share: what part of the whole they stand for.
             fixed: bytes of the whole beside the blocks.
             least: bytes of the sample's blocks at the least.
         """
-        energy = float(cut.energy.sum())
-        if self.size is not None:
-            if (needed := fixed + least / share) > self.size:  # after all that fit, the smallest first
-                return -OUT_OF_REACH - log2(needed), least
-            spent, error = spend(limit=(self.size - fixed) * share)
-            worth = decibels(energy, error)
-            if self.ceiling is None or worth <= self.ceiling:
-                return worth, spent
-            spent, _ = spend(error=energy * 10 ** (-self.ceiling / 10))
-            return self.ceiling + log2(self.size / (spent / share + fixed)), spent
-        assert self.error is not None
-        spent, error = spend(error=self.error * energy)
-        short = max(0.0, decibels(error, self.error * energy))
-        # Candidates that cannot reach the goal come after all that can, the nearest first.
-        return (-OUT_OF_REACH - short if short > 0.01 else -log2(spent / share + fixed)), spent
+        if (needed := fixed + least / share) > self.size:  # after all that fit, the smallest first
+            return -OUT_OF_REACH - log2(needed), least
+        spent, error = spend(limit=(self.size - fixed) * share)
+        worth = decibels(energy, error)
+        if self.ceiling is None or worth <= self.ceiling:
+            return worth, spent
+        spent, _ = spend(error=energy * 10 ** (-self.ceiling / 10))
+        return self.ceiling + log2(self.size / (spent / share + fixed)), spent
 
-    def _beside(self, candidate: Candidate, cut: _Cut) -> float:
+    def beside(self, candidate: Candidate, sizes: Sequence[int], clusters: Sequence[int]) -> float:
         """Bytes of the candidate's file besides what `choices_of` counts of its nodes: exactly, but for digits."""
         whole = planned_bytes(plan_of(self.source, candidate, None, None, 1), self.source, seed=self.seed)
-        flags = [n in candidate.undecomposed for n in range(len(cut.sizes))]
-        ranks = np.where(flags, cut.sizes, 1).astype(np.int32)
+        flags = [n in candidate.undecomposed for n in range(len(sizes))]
+        ranks = np.where(flags, sizes, 1).astype(np.int32)
         if not candidate.carried:
-            return whole - float(node_bytes(cut.sizes, ranks, flags, cut.clusters))
-        nodes, stored = prod(cut.clusters), [n for n, flag in enumerate(flags) if not flag]
-        rows = sum(cut.sizes[n] * nodes // cut.clusters[n] for n in stored)
+            return whole - float(node_bytes(sizes, ranks, flags, clusters))
+        nodes, stored = prod(clusters), [n for n, flag in enumerate(flags) if not flag]
+        rows = sum(sizes[n] * nodes // clusters[n] for n in stored)
         each = 2.0 * float(np.prod(ranks, dtype=np.float64)) + 4 + empty_node_bytes(len(ranks), len(stored))
         return whole - nodes * each - 4 * rows
 
 
 def trial_of(
-    source: Source, snr: float | None, size: int | None, ceiling: float | None, decode_cost: int, seed: int
+    source: Source, size: int | None, ceiling: float | None, decode_cost: int, seed: int
 ) -> Trial:
-    """The trial of a goal whose dB are those of the source's values.
+    """The trial of a goal whose dB are those of the source's values; without a `size` all that anything may need.
 
     A value transform stretches errors by its inverse's slope, so that as many dB of transformed values are others.
     """
@@ -332,9 +329,10 @@ def trial_of(
     # Squared errors of transformed values, times this, are those of the source's values.
     stretch = 1.0 if transform.name == "identity" else max(slopes / prod(source.shape), 1e-300)
     signal = energy if transform.name == "identity" else signal
-    error = None if snr is None else signal / stretch * 10 ** (-snr / 10) / max(energy, 1e-300)
     higher_by = decibels(energy, signal / stretch) if energy else 0.0
-    return Trial(source, error, size, None if ceiling is None else ceiling + higher_by, decode_cost, seed)
+    ceiling = None if ceiling is None else ceiling + higher_by
+    held = source.values() if prod(source.shape) <= HELD else None
+    return Trial(source, held, size or 4 * prod(source.shape) + ENOUGH, ceiling, decode_cost, seed)
 
 
 def decibels(signal: float, error: float) -> float:
@@ -386,7 +384,7 @@ def plan_of(source: Source, best: Candidate, snr: float | None, size: int | None
     clusters = _clusters(source.axes, best.grid, best.organisation)
     most = tuple(None if n in best.undecomposed else min(i, decode_cost, MOST_RANKS) for n, i in enumerate(sizes))
     if not grid:
-        return Plan(best.organisation, (LevelSpec(most, ones, ones, own=True),), snr, size)
+        return Plan(best.organisation, (LevelSpec(most, best.clusters or ones, ones, own=True),), snr, size)
     if not best.carried:
         return Plan(best.organisation, (LevelSpec(most, clusters, ones, "most", grid, own=True),), snr, size)
     carrier = LevelSpec(tuple(None if rank is None else 1 for rank in most), clusters, ones, "most", grid)

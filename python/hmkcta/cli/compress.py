@@ -71,7 +71,8 @@ def compress_command(source: str, output: str, plan: str | None, device: str, re
                          progress=progress, journal=journal, **goal.settings_for(array))
         model.save(output, overwrite=overwrite)
     report = {**describe(model, array, progress), "device": asdict(where), "nodes_resumed": journal.found}
-    missed, said = missed_goal(model, goal), [*(str(each.message) for each in warned), *notes(model, array)]
+    missed, said = missed_goal(model, goal), [str(each.message) for each in warned]
+    said += notes(model, array, planned=plan is not None)
     if as_json:
         emit({"output": output, **report, "reached": missed is None, "notes": said})
     elif not quiet:

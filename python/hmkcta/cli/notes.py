@@ -23,8 +23,8 @@ LOUD, FEW = 20.0, 3.0
 OFFSET, HIDDEN = 3.0, 0.5
 
 
-def notes(model: Model, array: NDArray[Any]) -> list[str]:
-    """Sentences about a model of an array, each with what to do next; mostly none.
+def notes(model: Model, array: NDArray[Any], *, planned: bool = True) -> list[str]:
+    """Sentences about a model of an array, each with what to do next; mostly none. `planned`: the plan was given.
 
     >>> import hmkcta
     >>> signal = np.sin(np.arange(3000) / 9)
@@ -39,7 +39,8 @@ def notes(model: Model, array: NDArray[Any]) -> list[str]:
         numbers = sum(2 * level.numbers() for level in model.levels)
         why = ("header and tables alone take some KiB. Next: compress more data as one array"
                if 2 * numbers < array.nbytes else
-               f"{numbers} are for cores and bases. Next: give the plan smaller R or K, or a goal in its place")
+               f"{numbers} are for cores and bases. Next: " + ("give the plan smaller R or K, or a goal in its place"
+               if planned else "ask for less --snr, or leave noise as it is: it takes two bytes a number"))
         found.append(f"the file is no smaller than its source of {array.nbytes} bytes; {why}")
     mean, deviation = _moments(array)
     rmse = model.quality[-1].rmse if model.quality else 0.0

@@ -1,0 +1,145 @@
+"""What a search has judged so far: candidates, each on a sample and by bytes of its own, side by side in threads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from math import inf, prod
+
+from .axes import Organisation
+from .fit import EFFORTS
+from .trial import Candidate, Kinds, Trial
+
+#: Modes are left undecomposed on trial again if that came so near before, in dB or octaves of bytes.
+FAR = 3.0
+#: Of so many candidates the bytes for an SNR are those of the best; where none reaches it, so many dB take an octave.
+FIRSTS, AN_OCTAVE = 6, 3.0
+
+
+@dataclass(frozen=True)
+class Care:
+    """How much is looked at.
+
+    Attributes:
+        survey: elements looked at of each candidate to rank organisations, twice; the best `organisations` go on.
+        compare: elements to rank grids; the best `finalists` go on, and as many `matrices`.
+        refine: elements to settle the blocks, from the best; and from a second start that lies no more than `far`, in
+            dB or octaves of bytes, behind it, or one of another kind. No climb begins another round after so
+            many `steps`.
+        cuts: elements to find axes along which blocks are cut further, each as pays; 0: none.
+    """
+
+    survey: tuple[int, int]
+    organisations: tuple[int, int]
+    compare: int
+    finalists: int
+    matrices: int
+    refine: int
+    far: float
+    steps: int
+    cuts: int
+
+
+CARES = {
+    EFFORTS["fast"]: Care((1 << 17, 1 << 19), (3, 1), 1 << 18, 1, 0, 1 << 22, 0.0, 4, 0),
+    EFFORTS["medium"]: Care((1 << 16, 1 << 20), (6, 3), 1 << 18, 4, 2, 1 << 23, 0.3, 16, 1 << 20),
+    EFFORTS["thorough"]: Care((1 << 17, 1 << 19), (12, 4), 1 << 20, 4, 3, 1 << 23, 1.0, 1000, 1 << 23),
+}
+
+Ranked = list[tuple[float, Candidate]]
+Choice = tuple[Organisation, tuple[int, ...]]
+#: What was judged: organisation, grid, elements of the sample, bytes.
+Judged = tuple[Organisation, tuple[int, ...], int, int]
+
+
+def _silent(fraction: float) -> None:
+    """Progress for nobody."""
+
+
+@dataclass
+class Search:
+    """Everything judged so far, each at the sample and the bytes it was judged on; `plain` merges least."""
+
+    goal: Trial
+    trial: Trial
+    plain: Organisation
+    threads: int
+    care: Care
+    together: int
+    clustered: int
+    highest: float = -inf
+    seen: dict[Judged, Ranked] = field(default_factory=dict["Judged", Ranked])
+
+    def best(
+        self, choices: Sequence[Choice], sample: int, told: Callable[[float], None] = _silent, kinds: Kinds = ()
+    ) -> Ranked:
+        """The best candidate with each organisation and grid; `told` hears which share of them is judged.
+
+        `kinds` are the sets of undecomposed modes to look at; none: those that came near the best of their organisation
+        so far, or, at first and at last, all that promise something.
+        """
+        sample, size = min(sample, self.most), self.trial.size
+        new = list(dict.fromkeys(choice for choice in choices if (*choice, sample, size) not in self.seen))
+        workers = max(1, min(self.threads, len(new), self.together // sample))  # side by side as far as memory goes
+
+        again = sample < min(self.care.refine, self.most)
+        known = {modes: kinds or (self.kinds(modes) if again else ()) for modes, _ in new}
+
+        def judge(choice: Choice) -> Ranked:
+            return self.trial.worths(*choice, sample, known[choice[0]])
+
+        with ThreadPoolExecutor(workers) as pool:
+            try:
+                for number, (choice, ranked) in enumerate(zip(new, pool.map(judge, new), strict=True), start=1):
+                    self.seen[(*choice, sample, size)] = ranked
+                    told(number / len(new))
+            except BaseException:
+                pool.shutdown(wait=True, cancel_futures=True)
+                raise
+        nothing = {choice: (0.0, Candidate(*choice)) for choice in choices}
+        return [max(self.seen[(*each, sample, size)], key=worth_of, default=nothing[each]) for each in choices]
+
+    def kinds(self, modes: Organisation) -> Kinds:
+        """Sets of undecomposed modes that came near the best with some grid and sample."""
+        found = dict[tuple[int, ...], None]()
+        for key in [key for key in self.seen if key[0] == modes and self.seen[key]]:
+            ranked = self.seen[key]
+            found |= {each.undecomposed: None for worth, each in ranked if worth > max(map(worth_of, ranked)) - FAR}
+        return tuple(found)
+
+    @property
+    def most(self) -> int:
+        """Most elements of a sample."""
+        return min(prod(self.trial.source.shape), self.together)
+
+    def narrow(self, judged: Ranked, sample: int) -> None:
+        """From now on judge by the bytes that the best candidate takes to reach the ceiling of the goal.
+
+        With bytes to spare only what reaches it counts, which coarse grids seldom do for want of decode cost; with
+        none, whatever is nearest to it goes on.
+        """
+        ceiling, size, nearest = self.goal.ceiling, self.trial.size, max(map(worth_of, judged))
+        if ceiling is None:
+            return
+        self.trial = self.goal
+        firsts = [(each.organisation, each.grid) for _, each in sorted(judged, key=worth_of)[: -1 - FIRSTS : -1]]
+        worth = max(map(worth_of, self.best(list(dict.fromkeys(firsts)), sample)))
+        if worth > ceiling:
+            size = int(self.goal.size * 2 ** (ceiling - worth))
+        elif size < self.goal.size:
+            size = int(min(self.goal.size, size * 2 ** min(64, (ceiling - nearest) / AN_OCTAVE)))
+        self.trial = replace(self.goal, size=size)
+
+    def matrices(self) -> list[Organisation]:
+        """The best organisations in two modes, those of matrix PCA, by the survey."""
+        found = {
+            modes: max(worth for worth, _ in ranked)
+            for (modes, grid, _, size), ranked in self.seen.items()
+            if len(modes) == 2 and set(grid) == {1} and ranked and size == self.trial.size
+        }
+        return sorted(found, key=lambda modes: -found[modes])[: self.care.matrices]
+
+
+def worth_of(item: tuple[float, Candidate]) -> float:
+    return item[0]

@@ -1,0 +1,43 @@
+"""Ways to merge axes into modes, for a search among them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+
+from .axes import Axis, Organisation
+
+
+def organisations(axes: Sequence[Axis]) -> Iterator[Organisation]:
+    """Every way to merge axes into modes, that which merges none first; axes of size 1 ride with the first mode."""
+    names = [axis.name for axis in axes if axis.size > 1]
+    for partition in _partitions(names):
+        if len(partition) > 1 or len(names) < 2:
+            yield _arranged(partition, axes)
+
+
+def _arranged(partition: Sequence[Sequence[str]], axes: Sequence[Axis]) -> Organisation:
+    """Axes in their order within a mode, and modes in the order of their first axes."""
+    names = [axis.name for axis in axes if axis.size > 1]
+    single = tuple(axis.name for axis in axes if axis.size == 1)
+    modes = sorted((sorted(mode, key=names.index) for mode in partition), key=lambda mode: names.index(mode[0]))
+    first, *others = [tuple(mode) for mode in modes] or [()]
+    return (single + first, *others)
+
+
+def merges(organisation: Organisation, axes: Sequence[Axis]) -> Iterator[Organisation]:
+    """The organisation with two of its modes made one."""
+    single = {axis.name for axis in axes if axis.size == 1}
+    modes = [[name for name in mode if name not in single] for mode in organisation]
+    for a, b in combinations(range(len(modes)), 2):
+        yield _arranged([modes[a] + modes[b], *(mode for n, mode in enumerate(modes) if n not in (a, b))], axes)
+
+
+def _partitions(names: list[str]) -> Iterator[list[list[str]]]:
+    if not names:
+        yield []
+        return
+    for rest in _partitions(names[1:]):
+        yield [[names[0]], *rest]
+        for n, mode in enumerate(rest):
+            yield [*rest[:n], [names[0], *mode], *rest[n + 1 :]]

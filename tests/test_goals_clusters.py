@@ -1,0 +1,85 @@
+"""Goals met by clusters of the data: materials whose pixels lie scattered, which no block brings together."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from dense_reference import energy, snr
+from hmkcta import compress
+from hmkcta.axes import name_axes
+from hmkcta.cli.notes import notes
+from hmkcta.clustered import clustered
+from hmkcta.memberships import balanced_clusters
+from hmkcta.source import prepare
+from hmkcta.trial import trial_of
+
+PIXELS = "y+x, band"
+
+
+@cache
+def scattered() -> NDArray[np.float32]:
+    """48 x 48 pixels of 16 materials at random places, the spectra of each in a plane of its own, and some noise."""
+    rng = np.random.default_rng(0)
+    planes = rng.standard_normal((16, 3, 40))
+    weights = np.concatenate([4 + rng.random((48, 48, 1)), rng.standard_normal((48, 48, 2))], axis=2)
+    pixels: NDArray[np.float64] = np.einsum("yxk,yxkb->yxb", weights, planes[rng.integers(16, size=(48, 48))])
+    return (pixels + 0.02 * rng.standard_normal(pixels.shape)).astype(np.float32)
+
+
+def test_scattered_materials_get_clusters_of_the_data() -> None:
+    """16 times three columns, where matrices take more ranks than there are materials."""
+    model = compress(scattered(), axes="y, x, band", snr=30.0, threads=1)
+    matrix = compress(scattered(), "R<=40,*", axes="y, x, band", organisation=PIXELS, snr=30.0, threads=1)
+    assert model.snr >= 30
+    assert model.bounds[0].clusters[0] > 1
+    assert model.metadata.organisation[0] != ("y",)
+    assert model.nbytes < 0.5 * matrix.nbytes
+
+
+@pytest.mark.parametrize("goal", [{"snr": 30.0}, {"size": 30_000}], ids=["snr", "size"])
+def test_one_level_of_clusters_is_cut_to_a_goal(goal: dict[str, Any]) -> None:
+    """Of equal ranks, and what is measured is what was stored."""
+    values = scattered()
+    model = compress(values, "R<=12,* C=16,1", axes="y, x, band", organisation=PIXELS, threads=1, **goal)
+    assert model.bounds[0].clusters == (16, 1)
+    assert model.snr == pytest.approx(snr(values, energy(values - np.asarray(model, np.float64))), abs=1e-3)
+    if "snr" in goal:
+        fixed = compress(values, "R=3,* C=16,1", axes="y, x, band", organisation=PIXELS, threads=1)
+        assert model.snr >= 30
+        assert model.nbytes <= fixed.nbytes
+    else:
+        assert 0.8 * goal["size"] < model.nbytes <= goal["size"]
+
+
+def test_clusters_are_judged_near_what_they_reach() -> None:
+    source = prepare(scattered(), ["y", "x", "band"], "identity", None)
+    trial = trial_of(source, 30_000, None, 4096, 0)
+    worths = {each.clusters: worth for worth, each in clustered(trial, (("y", "x"), ("band",)))}
+    model = compress(scattered(), "R<=12,* C=16,1", axes="y, x, band", organisation=PIXELS, size=30_000, threads=1)
+    assert worths[16, 1] == pytest.approx(model.snr, abs=2.5)
+    assert worths[16, 1] > worths[4, 1] + 2
+
+
+def test_labels_do_not_depend_on_how_many_rows_are_compared_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    features = np.random.default_rng(1).standard_normal((500, 12))
+    whole = balanced_clusters(features, 8, 1.2, np.random.default_rng(2))
+    monkeypatch.setattr("hmkcta.memberships.PAIRS", 8 * 12 * 7)
+    np.testing.assert_array_equal(whole, balanced_clusters(features, 8, 1.2, np.random.default_rng(2)))
+
+
+def test_a_file_larger_than_its_source_is_told_what_helps() -> None:
+    """Whoever gave a goal, and no plan, has no R to make smaller."""
+    noise = np.random.default_rng(0).integers(0, 255, (40, 50, 60)).astype(np.uint8)
+    model = compress(noise, snr=60.0, threads=1, quality="fast")
+    assert "less --snr" in notes(model, noise, planned=False)[0]
+    assert "smaller R" in notes(model, noise)[0]
+
+
+@pytest.mark.parametrize(("name", "role"), [("lat", "space"), ("longitude", "space"), ("band", "channel")])
+def test_names_of_maps_and_spectra_have_roles(name: str, role: str) -> None:
+    assert name_axes((4,), [name])[0].role == role
