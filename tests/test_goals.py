@@ -278,6 +278,16 @@ def test_where_a_plan_misses_its_snr_another_is_tried(monkeypatch: pytest.Monkey
     assert [len(plan.levels) for plan in followed] == [1, 2]
 
 
+@pytest.mark.parametrize(("db", "most"), [(25.0, 28_400), (35.0, 58_000)])
+def test_an_snr_takes_no_more_bytes_than_a_size_that_reaches_it(db: float, most: int) -> None:
+    data = light_field(views=7, size=48, frames=1)
+    model = compress(data.values, axes=data.names, snr=db, threads=1)
+    assert model.snr >= db
+    assert model.nbytes <= most
+    by_size = compress(data.values, axes=data.names, size=model.nbytes, threads=1)
+    assert by_size.snr <= model.snr + 0.1
+
+
 def test_an_snr_of_nothing_stores_next_to_nothing() -> None:
     tensor = light_field(views=2, size=16, frames=2).values
     model = compress(tensor, snr=0.0, threads=1, quality="fast")

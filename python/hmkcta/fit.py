@@ -1,7 +1,8 @@
 """One level on one node: MK-CTA (paper, section 3.2; equation 2).
 
-A disjoint start, then over-relaxed sweeps over the modes: cluster subsets and rows by joint least squares in the Gram
-domain; on small nodes half of them Gauss-Seidel HOOI over the cells. Each step lowers the error or leaves it.
+A disjoint start, then over-relaxed sweeps: cluster subsets and rows of one mode after another, then all cores, by joint
+least squares in the Gram domain; on small nodes Gauss-Seidel HOOI over the cells takes the place of half of them. Each
+step lowers the error or leaves it.
 """
 
 from __future__ import annotations

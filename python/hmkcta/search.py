@@ -1,4 +1,5 @@
-"""Cluster subsets and rows of one mode, jointly optimal given all else, by coding in the dictionary of the others.
+"""Cluster subsets and rows of one mode, jointly optimal given all else, by coding in the dictionary of the others; and
+the cores of all cells, jointly optimal given all bases.
 
 `extend` adds clusters by the residual's energy where even H does not fit.
 """
@@ -26,15 +27,15 @@ CORE_STEPS = 2
 
 def sweep(cells: Cells, tensor: F32, mixture: Sequence[int], search: str, omega: float = 1.0) -> None:
     """`choose_rows` for one mode after another, their columns orthonormal again, then cores: never raises the error."""
-    y, n = None, 0
-    for kept in passes(cells):
+    order = passes(cells)
+    for kept in order:
         seen = project(cells, tensor, kept)
         for n in kept:
             y = seen.onto(cells, n)
             choose_rows(cells, right_sides(cells, y, n), n, mixture[n], search, omega)
             orthonormalise(cells, n)
-    if y is not None:
-        refit_cores(cells, y, n)
+            if n == order[-1][-1]:
+                refit_cores(cells, y, n)
 
 
 def choose_rows(cells: Cells, b: F64, n: int, mixture: int, search: str, omega: float = 1.0) -> None:
@@ -66,7 +67,7 @@ def right_sides(cells: Cells, y: NDArray[np.floating], n: int) -> F64:
 def refit_cores(cells: Cells, y: NDArray[np.floating], n: int) -> None:
     """Cores of all cells by joint least squares, the bases given, from the projections `y` of mode n.
 
-    What rows make of a core are its products with one matrix a mode; this finds all others.
+    New rows change a core by one matrix a mode; this finds what else would help.
     """
     b = np.matmul(dense_basis(cells, n).transpose(0, 2, 1).astype(np.float64), y)
     others = [rank for m, rank in enumerate(cells.ranks) if m != n]
