@@ -20,6 +20,7 @@ from cli_tools import finish, report, run, saved, smooth, start
 from hmkcta import synthetic
 from hmkcta.cli import main
 from hmkcta.cli import progress as progress_module
+from hmkcta.cli.app import SUMMARIES
 from hmkcta.cli.progress import Progress
 
 PLAN = "R=2,2,3 / R=1,1,2 C=2 K=2"
@@ -321,6 +322,26 @@ def test_nothing_heavy_is_imported() -> None:
     heavy = "{'rich', 'PIL', 'click', 'hmkcta.cli'}"
     program = f"import hmkcta\nsys.stdout.write(str({heavy} & set(sys.modules)))\nraise SystemExit"
     assert finish(start(before=program)) == (0, "set()", "")
+
+
+@pytest.mark.parametrize(("words", "heavy"), [
+    (("--help",), {"numpy"}), (("--version",), {"scipy", "hmkcta.model"}),
+    (("info",), {"rich", "hmkcta.fit", "hmkcta.readers"}),
+])
+def test_a_command_loads_what_it_needs(words: tuple[str, ...], heavy: set[str], packed: Path) -> None:
+    before = f"import atexit\natexit.register(lambda: sys.stderr.write(str({heavy} & set(sys.modules))))"
+    code, _, err = finish(start(*words, *([packed] if words == ("info",) else []), before=before))
+    assert (code, err) == (0, "set()")
+
+
+def test_the_summary_of_commands_is_whole() -> None:
+    text = run("--help").stdout
+    assert all(f"\n  {name:10}  {summary}\n" in text for name, summary in SUMMARIES.items())
+
+
+def test_a_plan_larger_than_its_source_says_so(tmp_path: Path) -> None:
+    path = saved(tmp_path / "a.npy", smooth(6, 8, 10))
+    assert "times the values in float32" in run("plan", path, "--plan", "R=2 C=2 K=2").stdout
 
 
 def test_module_is_the_command(packed: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -78,6 +79,32 @@ def test_memory_is_what_was_said(waves: Path, plan: str, memory: int) -> None:
     assert said.memory / 1.25 < median(peaks) < 1.25 * said.memory
     if memory:
         assert max(peaks) < memory
+
+
+COMMAND = """
+import sys
+from benchmarks.machine import peak_memory
+from hmkcta.cli import main
+main(sys.argv[1:], standalone_mode=False)
+print(peak_memory())
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there is no getrusage")
+@pytest.mark.parametrize("words", [
+    "a.npy --size 20KB --quality fast", "a.npy --snr 12 --quality fast", "a.npz --size 20KB --quality fast",
+    "a.npy --quality fast --plan 'R=2 C=2 K=2 / R=1'",
+])
+def test_memory_of_a_command_is_what_was_said(waves: Path, words: str, tmp_path: Path) -> None:
+    """Choosing the plan takes more than following it; unpacked sources stay in memory."""
+    values = np.load(waves, mmap_mode="r")[:40, :40, :40, :40]
+    np.save(tmp_path / "a.npy", values)
+    np.savez_compressed(tmp_path / "a.npz", values)
+    source, *options = shlex.split(words)
+    given = [tmp_path / source, "--threads", 2, *options]
+    said = int(json.loads(printed(COMMAND, "plan", *given, "--json").rpartition("}")[0] + "}")["memory"])
+    took = int(printed(COMMAND, "compress", *given, "-o", tmp_path / "a.hmk", "--quiet"))
+    assert said / 1.25 < took < 1.25 * said
 
 
 def test_scratch_space_is_that_of_the_tensor_where_it_is_subdivided() -> None:

@@ -17,12 +17,13 @@ import numpy as np
 import pytest
 
 import hmkcta
-from cli_tools import refused, report, run, smooth
+from cli_tools import finish, refused, report, run, smooth, start
+from hmkcta.cli.progress import Progress
 from hmkcta.errors import HmkctaError, Kind
 from hmkcta.readers import open_array, source_files
 from hmkcta.readers.formats import FORMATS
 from hmkcta.readers.source import Layout
-from hmkcta.readers.unpacked import block_parts, blocks, unpacked
+from hmkcta.readers.unpacked import Unpacker, block_parts
 from reader_tools import VALUES, little_memory, needed, refusal, same
 
 #: The start of a file of each format, its library, the reason that this is missing, and what brings it.
@@ -140,14 +141,16 @@ def test_unpacking_stays_within_memory_and_leaves_nothing(tmp_path: Path, monkey
     little_memory(monkeypatch, 64_000)
     largest = 0
 
-    def read(part: tuple[slice, ...]) -> Any:
-        nonlocal largest
-        block = np.ones([span.stop - span.start for span in part], ">i4")
-        largest = max(largest, block.nbytes)
-        return block
+    class Ones:
+        shape, dtype = (300, 400), np.dtype(">i4")
 
-    layout = Layout((300, 400), np.dtype(">i4"))
-    array = unpacked("ones", layout, blocks("ones", layout, (3, 7), None), read)
+        def __getitem__(self, part: tuple[slice, ...]) -> Any:
+            nonlocal largest
+            block = np.ones([span.stop - span.start for span in part], ">i4")
+            largest = max(largest, block.nbytes)
+            return block
+
+    array = Unpacker().chunks("ones", Ones(), (3, 7))
     assert isinstance(array, np.memmap)
     assert not array.flags.writeable
     assert array.sum() == 120_000
@@ -159,17 +162,16 @@ def test_no_room_for_unpacking_is_a_sentence(tmp_path: Path, monkeypatch: pytest
     little_memory(monkeypatch, 1000)
     layout = Layout((300, 400), np.dtype("u1"))
 
-
     def full(folder: object) -> SimpleNamespace:
         del folder
         return SimpleNamespace(free=100_000)
 
-    for folder, usage in ((tmp_path / "gone", shutil.disk_usage), (tmp_path, full)):
+    for folder, usage, reason in ((tmp_path / "gone", shutil.disk_usage, "scratch"), (tmp_path, full, "scratch-full")):
         monkeypatch.setattr(tempfile, "tempdir", str(folder))
         monkeypatch.setattr(shutil, "disk_usage", usage)
         with pytest.raises(HmkctaError, match="TMPDIR") as caught:
-            unpacked("ones", layout, [(slice(300), slice(400))], lambda _: np.ones(()))
-        assert (caught.value.kind, caught.value.reason) == (Kind.IO, "scratch-full")
+            Unpacker().array("ones", layout, [(slice(0, 300), slice(0, 400))], lambda _: np.ones(()))
+        assert (caught.value.kind, caught.value.reason) == (Kind.IO, reason)
 
 
 @pytest.mark.parametrize(("number", "works"), [(errno.EOPNOTSUPP, True), (errno.EINVAL, True), (errno.ENOSPC, False)])
@@ -179,12 +181,97 @@ def test_room_is_set_aside_where_the_system_can(monkeypatch: pytest.MonkeyPatch,
 
     little_memory(monkeypatch, 1000)
     monkeypatch.setattr(os, "posix_fallocate", unable, raising=False)
-    layout, parts = Layout((30, 40), np.dtype("u1")), [(slice(30), slice(40))]
+    layout, parts = Layout((30, 40), np.dtype("u1")), [(slice(0, 30), slice(0, 40))]
     if works:
-        assert unpacked("ones", layout, parts, lambda _: np.ones(())).sum() == 1200
+        assert Unpacker().array("ones", layout, parts, lambda _: np.ones(())).sum() == 1200
     else:
         with pytest.raises(HmkctaError, match="scratch-full"):
-            unpacked("ones", layout, parts, lambda _: np.ones(()))
+            Unpacker().array("ones", layout, parts, lambda _: np.ones(()))
+
+
+def test_unpacking_tells_how_far_it_is(tmp_path: Path) -> None:
+    for number in range(4):
+        with needed("h5py").File(tmp_path / f"{number}.h5", "w") as file:
+            file.create_dataset("a", data=np.full((6, 20), number, ">i4"), chunks=(1, 20))
+    told: list[tuple[str, float]] = []
+
+    def note(stage: str, fraction: float) -> None:
+        told.append((stage, fraction))
+
+    for uri, steps in ((f"{tmp_path}/1.h5", 3), (f"{tmp_path}/*.h5", 4)):  # two rows fit, of files each counts as one
+        hmkcta.open_array(uri, max_memory=8 * 40 * 4, progress=note)
+        assert told == [("unpacking", (n + 1) / steps) for n in range(steps)]
+        told.clear()
+
+
+def test_commands_show_that_they_unpack(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with needed("h5py").File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("a", data=smooth(8, 9, 10), chunks=(1, 9, 10))
+    stages: list[str] = []
+
+    def note(_: Progress, stage: str, fraction: float) -> None:
+        stages.append(f"{stage} {fraction:g}")
+
+    monkeypatch.setattr(Progress, "__call__", note)
+    source, output = tmp_path / "a.h5", tmp_path / "a.hmk"
+    for words in (("compress", source, "-o", output), ("plan", source), ("verify", output, "--against", source),
+                  ("render", output, "--against", source, "--split", 0, "-o", tmp_path / "a.png")):
+        run(*words)
+        assert stages[0] == "unpacking 1", words
+        stages.clear()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs signals")
+def test_unpacking_can_be_interrupted(tmp_path: Path) -> None:
+    for number in range(2):
+        np.save(tmp_path / f"{number}.npy", VALUES)
+    before = """
+import signal, time
+import hmkcta.readers.series as s
+def slow(array):
+    signal.raise_signal(signal.SIGINT)
+    time.sleep(60)
+s.drop_pages = slow
+"""
+    code, out, err = finish(start("compress", f"{tmp_path}/*.npy", "-o", tmp_path / "a.hmk", before=before))
+    assert (code, out) == (130, "")
+    assert err.startswith("hmkcta: interrupted")
+    assert not (tmp_path / "a.hmk").exists()
+
+
+@pytest.mark.parametrize("fortran", [False, True])
+def test_packed_archives_go_to_a_file_where_memory_is_scarce(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fortran: bool
+) -> None:
+    values = np.array(VALUES, order="F" if fortran else "C")
+    np.savez_compressed(tmp_path / "a.npz", a=values)
+    same(tmp_path / "a.npz", values)
+    little_memory(monkeypatch, 2 * values.nbytes)
+    same(tmp_path / "a.npz", values, mapped=True)
+
+
+@pytest.mark.parametrize(("words", "reason"), [
+    ({"order": "F"}, "raw-description"), ({"offset": 8}, "raw-description"),
+    ({"offset": 8, "shape": (3, 4, 5)}, "raw-description"),
+    ({"shape": (3, 4, 5), "dtype": "f4", "member": "a"}, "source-member"),
+])
+def test_a_description_of_raw_binary_is_never_passed_over(
+    tmp_path: Path, words: dict[str, Any], reason: str
+) -> None:
+    np.save(tmp_path / "a.npy", VALUES)
+    assert refusal(tmp_path / "a.npy", **words).reason == reason
+
+
+def test_nor_is_one_of_an_array_that_is_not_named(tmp_path: Path) -> None:
+    hmkcta.compress(VALUES, "R=2").save(tmp_path / "a.hmk")
+    for words in (("verify", tmp_path / "a.hmk"), ("render", tmp_path / "a.hmk", "-o", tmp_path / "a.png"),
+                  ("view", tmp_path / "a.hmk"), ("view", tmp_path / "a.hmk", "--original", tmp_path / "a.hmk")):
+        for options in (("--shape", "3,4,5"), ("--order", "F"), ("--offset", 8), ("--member", "a")):
+            assert f"{options[0]} says how an array is read" in run(*words, *options, code=2).stderr
+    np.save(tmp_path / "a.npy", VALUES)
+    for words in (("view", tmp_path / "a.hmk", "--original"), ("verify", tmp_path / "a.hmk", "--against"),
+                  ("plan",)):
+        assert "raw-description" in refused(*words, tmp_path / "a.npy", "--order", "F", code=2)
 
 
 class Labelled:

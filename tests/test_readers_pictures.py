@@ -257,3 +257,11 @@ def test_a_stack_that_does_not_fit_is_unpacked_into_a_file(tmp_path: Path, monke
     little_memory(monkeypatch, 200_000)
     same(f"{tmp_path}/?.tif", values, mapped=True)
     same(tmp_path / "all.tif", values, mapped=True)
+
+
+def test_exr_files_of_several_parts_are_refused(tmp_path: Path) -> None:
+    exr = needed("OpenEXR")
+    parts = [exr.Part({"compression": exr.ZIP_COMPRESSION}, {"Y": exr.Channel(VALUES[0].copy())}, name)
+             for name in ("left", "right")]
+    exr.File(parts).write(str(tmp_path / "a.exr"))
+    assert "2 parts" in str(refusal(tmp_path / "a.exr"))

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from .journal import Journal
     from .model import Model, open
     from .plan import LevelSpec, Plan, parse_plan
+    from .readers import open_array
 
 __all__ = [
     "Axis",
@@ -24,9 +25,9 @@ __all__ = [
     "choose_plan",
     "compress",
     "open",
+    "open_array",
     "parse_plan",
 ]
-
 
 #: Public names by their modules, loaded when they are first used: whoever decodes does not wait for what fits, and the
 #: command line is ready for Ctrl-C before NumPy is loaded.
@@ -40,6 +41,7 @@ _MODULES = {
     "choose_plan": "encode",
     "compress": "encode",
     "open": "model",
+    "open_array": "readers",
     "parse_plan": "plan",
 }
 

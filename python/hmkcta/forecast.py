@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from math import prod
+from pathlib import Path
 
 from .fit import Effort
 from .measure import SLAB as MEASURED
@@ -18,8 +21,8 @@ from .workset import check_worksets, workset
 _RESIDUAL, _SAVED = 4, 4
 #: Bytes for each element of a slab that quality is measured on.
 _MEASURING = 36
-#: Bytes of the interpreter with everything loaded.
-_BASE = 56 * 2**20
+#: Bytes of the interpreter with everything loaded; the share of what a stage took that its heaps keep from the next.
+_BASE, _KEPT = 56 * 2**20, 0.3
 #: Copies of a slab that are made while it is read and worked on.
 _SLAB_COPIES = 4
 #: How much larger than the average the largest sub-tensors get for each mode of two, or of more clusters, where rows
@@ -50,25 +53,50 @@ class Forecast:
     seconds: float
 
 
-def forecast(plan: Plan, sizes: Sequence[int], effort: Effort, threads: int, memory: int | None) -> Forecast:
-    """The cost of a plan for a tensor of the given mode sizes, `memory` bytes allowed (None: half of what is free)."""
+def forecast(
+    plan: Plan, sizes: Sequence[int], effort: Effort, threads: int, memory: int | None, *, held: int = 0,
+    choosing: int = 0,
+) -> Forecast:
+    """The cost of a plan for a tensor of the given mode sizes, `memory` bytes allowed (None: half of what is free).
+
+    `held` are the bytes of the source if it is in memory as a whole; `choosing` the most that the process took while it
+    chose the plan, 0 if it is given.
+    """
     limit, elements = memory_limit(plan, sizes, memory), prod(sizes)
-    own = plan.levels[-1].own
+    own, chosen = plan.levels[-1].own, max(0, choosing - held - _BASE)
     if not is_streamed(elements, limit):
         working = WORKING + (_SAVED if own else 0)
         measuring = _RESIDUAL * elements + _MEASURING * min(elements, MEASURED)
-        return Forecast(_BASE + max(working * elements, measuring), 0, _seconds(plan, sizes, effort, threads))
+        most = held + _peak(chosen, working * elements, measuring)
+        return Forecast(most, 0, _seconds(plan, sizes, effort, threads))
     cut = next((n for n, level in enumerate(plan.levels[:-1]) if level.cells > 1), None)
     wholes = plan.levels if cut is None else plan.levels[: cut + 1]
-    held = max(workset(sizes, level, limit) for level in wholes)
+    fitted = max(workset(sizes, level, limit) for level in wholes)
     check_worksets(plan, sizes, limit, memory)
     if limit == elements:  # fitted in place
-        return Forecast(_BASE + FLAT * elements, 0, _seconds(plan, sizes, effort, threads))
+        return Forecast(held + _peak(chosen, FLAT * elements), 0, _seconds(plan, sizes, effort, threads))
     pieces = 0 if cut is None else min(limit, threads * _largest(elements, plan.levels[cut]))
     slabs = _SLAB_COPIES * 4 * SLAB * max(1, min(threads, limit // SLAB))
     scratch = 0 if cut is None else 4 * elements * (2 if own else 1)
-    working = max(WORKING * held, slabs, 0 if cut is None else WORKING * pieces + _HEAPS)
-    return Forecast(_BASE + working, scratch, _seconds(plan, sizes, effort, threads, cut=cut))
+    working = max(WORKING * fitted, slabs, 0 if cut is None else WORKING * pieces + _HEAPS)
+    return Forecast(held + _peak(chosen, working), scratch, _seconds(plan, sizes, effort, threads, cut=cut))
+
+
+def peak_memory() -> int:
+    """Most resident bytes of this process so far; 0 where the system does not say."""
+    with suppress(OSError, StopIteration):
+        lines = Path("/proc/self/status").read_text().splitlines()
+        return 1024 * int(next(line.split()[1] for line in lines if line.startswith("VmHWM")))
+    with suppress(ImportError):
+        import resource  # not on Windows
+
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+    return 0
+
+
+def _peak(*stages: int) -> int:
+    """Most bytes of a process that needs so many in one stage after another."""
+    return _BASE + int(max(need + _KEPT * sum(stages[:number]) for number, need in enumerate(stages)))
 
 
 def _largest(elements: int, level: LevelSpec) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import tempfile
@@ -23,6 +24,44 @@ def scratch_folder(folder: str | os.PathLike[str] | None = None) -> Path:
     return Path(tempfile.gettempdir() if folder is None else folder)
 
 
+def unnamed_file(count: int, folder: Path, purpose: str = "", *, mapped: bool = False) -> Any:
+    """A file of so many bytes. Where it will be `mapped` they are set aside, as a map cannot say that the disk is full.
+
+    Raises:
+        HmkctaError: the folder is not there, cannot be written to, or has no room; it says what the room is for.
+    """
+    room = f"{format_bytes(count)}{purpose and f' for {purpose}'}"
+    try:
+        free = shutil.disk_usage(folder).free
+        if free < count:
+            raise _io("scratch-full", folder, f"{format_bytes(free)} free", room)
+        file = tempfile.TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115 (the caller closes it)
+        try:
+            if not (mapped and _set_aside(file.fileno(), count)):
+                file.truncate(count)
+        except BaseException:
+            file.close()
+            raise
+    except OSError as error:
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+        reason, allowed = ("scratch-full", room) if full else ("scratch", "a folder to write to")
+        raise _io(reason, folder, error.strerror or error, allowed) from error
+    return file
+
+
+def _set_aside(file: int, count: int) -> bool:
+    """Set bytes aside on the disk; whether the system can."""
+    try:
+        os.posix_fallocate(file, 0, count)
+    except AttributeError:
+        return False
+    except OSError as error:
+        if error.errno in (errno.EINVAL, errno.EOPNOTSUPP, errno.ENOSYS):
+            return False
+        raise
+    return True
+
+
 class Scratch:
     """Float32 numbers in a temporary file, read and written by position; any number of threads may do so at once.
 
@@ -42,16 +81,9 @@ class Scratch:
     def __init__(self, count: int, folder: str | os.PathLike[str] | None = None) -> None:
         self.folder = scratch_folder(folder)
         self.count = count
-        try:
-            free = shutil.disk_usage(self.folder).free
-            if free < self.nbytes:
-                raise _io("scratch-full", self.folder, f"{format_bytes(free)} free", format_bytes(self.nbytes))
-            self._file = tempfile.TemporaryFile(dir=self.folder, buffering=0)  # noqa: SIM115 (open until `close`)
-            # Whoever forgets to close it, or is interrupted, gives the space back as well.
-            self._closing = weakref.finalize(self, self._file.close)
-            self._file.truncate(self.nbytes)
-        except OSError as error:
-            raise _io("scratch", self.folder, error.strerror or error, "a folder to write to") from error
+        self._file = unnamed_file(self.nbytes, self.folder)
+        # Whoever forgets to close it, or is interrupted, gives the space back as well.
+        self._closing = weakref.finalize(self, self._file.close)
 
     @property
     def nbytes(self) -> int:

@@ -1,36 +1,25 @@
 /** The page: finds the file, shows how far it has come, and everything that goes wrong as a sentence. */
 
 import { App, type Statistics } from "./app";
-import { decodeElement } from "./decode/element";
 import { type Gpu, openGpu } from "./gpu/device";
 import { load } from "./load";
 import { Problem, asProblem } from "./problem";
-import type { Metadata } from "./reader/metadata";
 import type { Reading } from "./reader/read";
-import { readGltf } from "./render/gltf";
-import { type Mesh, meshOf, parseObj } from "./render/mesh";
 import { Screen } from "./render/screen";
-import { colourAxis, fitted, sliceSize } from "./render/slices";
 import { BlobSource, type ByteSource, fileUrl, openUrl } from "./stream";
-import { plain } from "./ui/controls";
+import { byId } from "./ui/controls";
+import { facts, mebibytes } from "./ui/facts";
+import { isMesh, listenForFiles, meshIn } from "./ui/files";
 import type { Player } from "./ui/groups";
 import { Panel } from "./ui/panel";
 import { Pointer } from "./ui/pointer";
+import { readout } from "./ui/readout";
 
 const DEFAULT_FILE = "model.hmk";
 const FRAMES_A_SECOND = 8;
 const FIRST_FRAME = 600; // milliseconds that reading waits for it
 const QUIET = 1000; // milliseconds without progress on the page: each change of it is painted, by the adapter that decodes
 const PARAMETERS = new URLSearchParams(location.search);
-const KIND_NAMES = { svbrdf: "Material", lightfield: "Light field", volume: "Volume", generic: "Array" };
-
-function byId<Type extends HTMLElement = HTMLElement>(id: string): Type {
-  return document.getElementById(id) as Type;
-}
-
-function mebibytes(bytes: number): string {
-  return bytes < 2 ** 20 ? `${Math.ceil(bytes / 1024)} KiB` : `${(bytes / 2 ** 20).toFixed(1)} MiB`;
-}
 
 /** For tests and for programs that embed the page: what has happened so far. */
 function mark(state: string): void {
@@ -254,31 +243,11 @@ class Page {
         this.gpu?.name ?? ""].join("  ·  ");
   }
 
-  /** The value under the pointer, of slices. */
+  /** The value under the pointer. */
   private read(place: [number, number] | null): void {
-    const { app } = this;
-    const readout = byId("readout");
-    readout.hidden = true;
-    if (app === null || place === null || app.kind !== "generic" || app.arrived === 0) {
-      return;
-    }
-    const { state, metadata } = app;
-    const { x, y } = state.slice;
-    const [rows, columns] = sliceSize(metadata, state);
-    const [width, height] = [this.canvas.width, this.canvas.height];
-    const { scale, offsetX, offsetY } = fitted(rows, columns, width, height, state);
-    const column = Math.round(offsetX + scale * (place[0] * width - 0.5));
-    const row = Math.round(offsetY + scale * (place[1] * height - 0.5));
-    if (row < 0 || row >= rows || column < 0 || column >= columns) {
-      return;
-    }
-    const index = state.position.map((at, n) => (n === x ? column : n === y ? row : at));
-    const channel = colourAxis(metadata, state);
-    const shown = channel === null ? [index] : [0, 1, 2].map((c) => index.map((at, n) => (n === channel ? c : at)));
-    const values = shown.map((at) => plain4(decodeElement(metadata, app.reading.levels, at, Math.min(state.level, app.arrived))));
-    const where = metadata.axes.map((axis, n) => (n === channel ? "" : `${axis.name} ${index[n]}`)).filter((part) => part !== "");
-    readout.textContent = `${where.join(", ")}: ${values.join(" ")}`;
-    readout.hidden = false;
+    const text = this.app === null || place === null ? null : readout(this.app, place, this.canvas);
+    byId("readout").textContent = text ?? "";
+    byId("readout").hidden = text === null;
   }
 
   private play(player: Player): void {
@@ -312,25 +281,10 @@ class Page {
   }
 
   private listen(): void {
-    const chooser = byId<HTMLInputElement>("chooser");
-    byId("choose").addEventListener("click", () => chooser.click());
-    chooser.addEventListener("change", () => void this.take(chooser.files?.[0]));
+    listenForFiles((file) => void this.take(file));
     byId("toggle").addEventListener("click", () => {
       const wide = document.body.classList.toggle("wide");
       byId("toggle").setAttribute("aria-expanded", String(!wide));
-    });
-    const drop = byId("drop");
-    window.addEventListener("dragover", (event) => {
-      event.preventDefault();
-      drop.hidden = false;
-    });
-    window.addEventListener("dragleave", (event) => {
-      drop.hidden = event.relatedTarget === null;
-    });
-    window.addEventListener("drop", (event) => {
-      event.preventDefault();
-      drop.hidden = true;
-      void this.take(event.dataTransfer?.files[0]);
     });
     this.listenToDivider();
   }
@@ -349,12 +303,9 @@ class Page {
   }
 
   /** A file that was dropped or chosen: a model, or a mesh to put the material on. */
-  private async take(file: File | undefined): Promise<void> {
-    if (file === undefined) {
-      return;
-    }
+  private async take(file: File): Promise<void> {
     try {
-      if (/\.(obj|glb|gltf)$/i.test(file.name)) {
+      if (isMesh(file)) {
         await this.takeMesh(file);
       } else {
         if (this.gpu === null) {
@@ -377,29 +328,6 @@ class Page {
     this.app.setMesh(make);
     this.panel?.refresh();
   }
-}
-
-/** What makes the mesh in a file, for a number of repeats. */
-async function meshIn(file: File): Promise<(repeat: number) => Mesh> {
-  if (/\.obj$/i.test(file.name)) {
-    const text = await file.text();
-    return (repeat) => parseObj(text, repeat);
-  }
-  const corners = readGltf(new Uint8Array(await file.arrayBuffer()));
-  return (repeat) => meshOf(corners, repeat);
-}
-
-function plain4(value: number): string {
-  return Math.abs(value) >= 1e5 || (value !== 0 && Math.abs(value) < 1e-4) ? value.toExponential(3) : plain(Number(value.toPrecision(4)));
-}
-
-/** One line on a model: its kind, its axes, and how much smaller it is. */
-function facts(metadata: Metadata, bytes: number): string {
-  const itemSize: Record<string, number> = { bool: 1, int8: 1, uint8: 1, int16: 2, uint16: 2, float16: 2, int64: 8, uint64: 8, float64: 8 };
-  const source = metadata.axes.reduce((all, axis) => all * axis.size, itemSize[metadata.sourceDtype] ?? 4);
-  const axes = metadata.axes.map((axis) => `${axis.name} ${axis.size}`).join(" × ");
-  const ratio = source > bytes ? `, 1/${plain(Number((source / bytes).toPrecision(3)))} of the source` : "";
-  return `${KIND_NAMES[metadata.kind]}: ${axes}. ${mebibytes(bytes)}${ratio}.`;
 }
 
 void new Page().start();

@@ -1,4 +1,4 @@
-"""The command line: `hmkcta compress | plan | info | verify | decompress | demo`. A file for each command."""
+"""The command line. A file for each command, loaded when the command is called."""
 
 import sys
 from importlib import import_module
@@ -11,7 +11,7 @@ __all__ = ["main"]
 
 
 def __getattr__(name: str) -> Any:
-    """`main`, loaded when it is asked for. That takes half a second, in which Ctrl-C ends the program quietly too."""
+    """`main`, loaded when it is asked for. That takes a moment, in which Ctrl-C ends the program quietly too."""
     if name != "main":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     try:

@@ -7,38 +7,73 @@ import os
 import signal
 import sys
 import traceback
+from collections.abc import Iterator, Mapping
 from functools import partial
-from typing import Any
+from importlib import import_module
+from typing import Any, cast
 
 import click
 
 from ..errors import HmkctaError, Kind
 from ..temporaries import remove_all
-from .bench import bench_command
-from .compress import compress_command
-from .decompress import decompress_command
-from .demo import demo_command
 from .failure import EXIT_CODES, Exit, Failure
-from .info import info_command
 from .interrupt import Interrupted, interruptible
 from .options import CONTEXT, VERBOSE, WORDS, examples_first
 from .output import emit
-from .plan import plan_command
-from .render import render_command
 from .resume import abandon, going_on
-from .verify import verify_command
 from .versions import version_option
-from .view import view_command
 
 EXAMPLES = (
     "hmkcta plan wood.npy --snr 27",
     "hmkcta compress wood.npy -o wood.hmk --snr 27",
     "hmkcta info wood.hmk",
 )
+#: What each command does, in the order in which they are used.
+SUMMARIES = {
+    "compress": "Compress an array, volume or stack of pictures into a file.",
+    "plan": "Show what compress would do, and what it would take.",
+    "info": "Show axes, levels, quality and sizes of a file.",
+    "verify": "Check a file, also against its source.",
+    "decompress": "Decode a file into an array.",
+    "view": "Show a file in the browser.",
+    "render": "Make pictures and films of a file.",
+    "bench": "Measure how fast this machine is.",
+    "demo": "Compress synthetic data, with pictures.",
+}
+
+
+class Commands(Mapping[str, click.Command]):
+    """The commands by name, each loaded when it is asked for: not every one has to wait for what the others need."""
+
+    def __getitem__(self, name: str) -> click.Command:
+        if name not in SUMMARIES:
+            raise KeyError(name)
+        return getattr(import_module(f".{name}", __package__), f"{name}_command")
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(SUMMARIES)
+
+    def __len__(self) -> int:
+        return len(SUMMARIES)
 
 
 class Hmkcta(click.Group):
     """The group of all commands; turns exceptions into sentences and exit codes."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.commands = cast("dict[str, click.Command]", Commands())  # click only reads it
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Their names, in the order in which they are used."""
+        del ctx
+        return list(self.commands)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """What each does, without loading it."""
+        del ctx
+        with formatter.section("Commands"):
+            formatter.write_dl(list(SUMMARIES.items()))
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command that was asked for."""
@@ -78,11 +113,6 @@ class Hmkcta(click.Group):
 @version_option
 def main() -> None:
     """Compress visual data so that any element can be decoded on its own."""
-
-
-for _command in (compress_command, plan_command, info_command, verify_command, decompress_command, view_command,
-                 render_command, bench_command, demo_command):
-    main.add_command(_command)
 
 
 def may_go_on(ctx: click.Context, error: HmkctaError) -> bool:

@@ -53,7 +53,7 @@ SNR_SLACK = 0.005
 def compress_command(source: str, output: str, plan: str | None, device: str, resume: bool, overwrite: bool,
                      as_json: bool, quiet: bool, verbose: bool, **options: Any) -> None:
     """Compress the array SRC: .npy, HDF5, Zarr, NIfTI, NRRD, TIFF, pictures, raw.
-    Exit code 7: the goal was not reached, the file is the best found.
+    No goal: 1/100 of its bytes, or 50 dB. Exit code 7: FILE misses the goal.
     """
     goal = goal_from(options)
     check_output(output, overwrite)
@@ -66,7 +66,7 @@ def compress_command(source: str, output: str, plan: str | None, device: str, re
         simplefilter("always")
         if resume and not journal.holds_work:
             click.echo(f"hmkcta: there is nothing in {journal.folder} to go on with: it begins anew.", err=True)
-        array = goal.open(source)
+        array = goal.open(source, progress)
         model = compress(array, plan, snr=goal.snr, size=goal.size, kind=goal.kind, device=where,
                          progress=progress, journal=journal, **goal.settings_for(array))
         model.save(output, overwrite=overwrite)

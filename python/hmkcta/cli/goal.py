@@ -17,6 +17,7 @@ from ..hmkfile import KINDS
 from ..plan import SCHEMES, Plan
 from ..readers import open_array, read_coordinates
 from .options import Assignment, ByteSize, Count, Names, memory_option, nan_option, source_options, together
+from .progress import Progress
 
 goal_options = together(
     click.option("--snr", type=float, metavar="DB", help="Goal: this signal-to-noise ratio, few bytes."),
@@ -61,9 +62,9 @@ class Goal:
     source: dict[str, Any]  # arguments of `open_array`
     along: dict[str, tuple[tuple[str, str], ...]]  # --coords and --unit
 
-    def open(self, path: str) -> NDArray[Any]:
+    def open(self, path: str, progress: Progress) -> NDArray[Any]:
         """The source."""
-        return open_array(path, **self.source, max_memory=self.settings["max_memory"])
+        return open_array(path, **self.source, max_memory=self.settings["max_memory"], progress=progress)
 
     def settings_for(self, array: NDArray[Any]) -> dict[str, Any]:
         """The settings, with the coordinates and units of the axes of the source."""

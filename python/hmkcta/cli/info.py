@@ -16,7 +16,7 @@ from ..model import open as open_model
 from ..packed import PackedLevel
 from ..plan import multiply_adds
 from .options import Command, file_argument, json_option, verbose_option
-from .output import decibels, emit, table
+from .output import decibels, emit, share, table
 
 EXAMPLES = ("hmkcta info wood.hmk", "hmkcta info wood.hmk --json", "hmkcta info wood.hmk -v")
 
@@ -117,7 +117,7 @@ def as_text(report: dict[str, Any], verbose: bool) -> str:
         f"  organisation  {report['organisation']}",
         f"  transform     {transform}",
         f"  decode cost   {multiply_adds(report['decode_cost'])} an element",
-        f"  size          {format_bytes(parts['file'])}, {_share(report['ratio'])} the source: numbers "
+        f"  size          {format_bytes(parts['file'])}, {share(report['ratio'])} the source: numbers "
         f"{format_bytes(parts['numbers'])}, tables {format_bytes(parts['tables'])}, "
         f"header {format_bytes(parts['header'])}",
         "", levels,
@@ -125,10 +125,6 @@ def as_text(report: dict[str, Any], verbose: bool) -> str:
     if verbose:
         lines += ["", *(f"  source {key}: {value}" for key, value in report["source"].items())]
     return "\n".join(lines)
-
-
-def _share(ratio: float) -> str:
-    return f"1/{ratio:.1f} of" if ratio >= 1 else f"{1 / ratio:.1f} times"
 
 
 def decibels_or_unknown(snr: float | None) -> str:

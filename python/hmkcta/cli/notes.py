@@ -36,11 +36,7 @@ def notes(model: Model, array: NDArray[Any], *, planned: bool = True) -> list[st
         found.append("one axis has nothing to share: every number takes two bytes. "
                      "Next: make windows of a signal, array.reshape(-1, 256)")
     elif model.nbytes >= array.nbytes:
-        numbers = sum(2 * level.numbers() for level in model.levels)
-        why = ("header and tables alone take some KiB. Next: compress more data as one array"
-               if 2 * numbers < array.nbytes else
-               f"{numbers} are for cores and bases. Next: " + ("give the plan smaller R or K, or a goal in its place"
-               if planned else "ask for less --snr, or leave noise as it is: it takes two bytes a number"))
+        why = _why_large(model, array, planned)
         found.append(f"the file is no smaller than its source of {array.nbytes} bytes; {why}")
     mean, deviation = _moments(array)
     rmse = model.quality[-1].rmse if model.quality else 0.0
@@ -50,6 +46,16 @@ def notes(model: Model, array: NDArray[Any], *, planned: bool = True) -> list[st
     else:
         found += _few_loud(model, array)
     return found
+
+
+def _why_large(model: Model, array: NDArray[Any], planned: bool) -> str:
+    """What takes the bytes of a model that is no smaller than its source, and what to do."""
+    numbers = sum(2 * level.numbers() for level in model.levels)
+    if 2 * numbers < array.nbytes:
+        return "header and tables alone take some KiB. Next: compress more data as one array"
+    fewer = ("give the plan smaller R or K, or a goal in its place" if planned else
+             "ask for less --snr, or leave noise as it is: it takes two bytes a number")
+    return f"{numbers} are for cores and bases. Next: {fewer}"
 
 
 def _few_loud(model: Model, array: NDArray[Any]) -> list[str]:

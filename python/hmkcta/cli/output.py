@@ -73,6 +73,15 @@ def ratio(times: float) -> str:
     return f"{times:.1f}" if times >= 1 else f"{times:.2g}"
 
 
+def share(times: float) -> str:
+    """How large something is that is so many times smaller than another.
+
+    >>> share(16.04), share(0.4)
+    ('1/16.0 of', '2.5 times')
+    """
+    return f"1/{times:.1f} of" if times >= 1 else f"{1 / times:.1f} times"
+
+
 def seconds(time: float) -> str:
     """A duration for people.
 

@@ -8,12 +8,13 @@ from math import prod
 from typing import Any
 
 import click
+import numpy as np
 
 from ..axes import format_organisation, mode_sizes
 from ..encode import choose_plan
 from ..filesize import predicted_bytes
 from ..fit import EFFORTS
-from ..forecast import Forecast, forecast
+from ..forecast import Forecast, forecast, peak_memory
 from ..memory import format_bytes
 from ..plan import Plan, check_plan, multiply_adds, parse_plan
 from ..scratch import scratch_folder
@@ -21,7 +22,7 @@ from ..source import Source
 from ..source import described as describe_source
 from .goal import Goal, command_for, goal_from, goal_options
 from .options import Command, File, json_option, quiet_option, together, verbose_option
-from .output import emit, seconds, table
+from .output import emit, seconds, share, table
 from .progress import Progress
 
 EXAMPLES = (
@@ -39,15 +40,16 @@ def plan_command(source: str, plan: str | None, as_json: bool, quiet: bool, verb
     """Show a plan for the array SRC and its cost, and the command that follows it."""
     del verbose
     goal = goal_from(options)
-    array = goal.open(source)
-    settings = goal.settings_for(array)
-    described = describe_source(array, settings["axes"], settings["transform"])
     with Progress(quiet or as_json) as progress:
+        array = goal.open(source, progress)
+        settings = goal.settings_for(array)
+        described = describe_source(array, settings["axes"], settings["transform"])
         if plan is not None:
-            chosen = given_plan(plan, described, goal)
+            chosen, choosing = given_plan(plan, described, goal), 0
         else:
             chosen = choose_plan(array, snr=goal.snr, size=goal.size, progress=progress, **settings)
-    report = describe(chosen, described, goal)
+            choosing = peak_memory()  # `compress` does the same
+    report = describe(chosen, described, goal, choosing)
     report["command"] = command_for(source, "OUT.hmk", chosen, goal)
     report["seconds"] = round(progress.elapsed, 3)
     if as_json:
@@ -65,17 +67,19 @@ def given_plan(text: str, source: Source, goal: Goal) -> Plan:
     return plan
 
 
-def expected(plan: Plan, source: Source, goal: Goal) -> Forecast:
-    """What following the plan will take, with the options given."""
+def expected(plan: Plan, source: Source, goal: Goal, choosing: int = 0) -> Forecast:
+    """What `compress` will take with the options given, `choosing` the plan included."""
     options = goal.settings
     threads = options["threads"] or os.cpu_count() or 1
     effort = EFFORTS[options["quality"]]
-    return forecast(plan, mode_sizes(source.axes, plan.organisation), effort, threads, options["max_memory"])
+    held = 0 if isinstance(source.array, np.memmap) else source.array.nbytes
+    return forecast(plan, mode_sizes(source.axes, plan.organisation), effort, threads, options["max_memory"], held=held,
+                    choosing=choosing)
 
 
-def describe(plan: Plan, source: Source, goal: Goal) -> dict[str, Any]:
+def describe(plan: Plan, source: Source, goal: Goal, choosing: int = 0) -> dict[str, Any]:
     """What the plan does and costs; --decode-cost bounds the levels whose nodes choose their ranks."""
-    sizes, cost = mode_sizes(source.axes, plan.organisation), expected(plan, source, goal)
+    sizes, cost = mode_sizes(source.axes, plan.organisation), expected(plan, source, goal, choosing)
     allowed_cost, costs = goal.settings["decode_cost"], list[int]()
     for level in plan.levels:
         costs.append(min(level.decode_cost(), max(1, allowed_cost - sum(costs))) if level.own else level.decode_cost())
@@ -94,7 +98,7 @@ def as_text(report: dict[str, Any]) -> str:
     """The plan for people."""
     count = report["predicted_bytes"]
     size = f"as many as {report['snr']:g} dB need" if count is None else (
-        f"{format_bytes(count)}, 1/{report['source_bytes_float32'] / count:.0f} of the values in float32")
+        f"{format_bytes(count)}, {share(report['source_bytes_float32'] / count)} the values in float32")
     modes = " x ".join(map(str, report["mode_sizes"]))
     rows = [[str(level["level"]), str(level["decode_cost"]), level["text"]] for level in report["levels"]]
     goals = [f"at least {report['snr']:g} dB"] if report["snr"] is not None else []

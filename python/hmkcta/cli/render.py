@@ -11,7 +11,7 @@ import click
 from ..errors import invalid
 from ..hmkfile import check_output
 from ..model import open as open_model
-from ..readers import open_array
+from .compared import opened
 from .options import (
     Command,
     Count,
@@ -73,8 +73,8 @@ def render_command(file: str, output: str, scene: str | None, against: str | Non
     check_output(output, overwrite)
     described = _scene(scene, given)
     model = open_model(file)
-    original = None if against is None else open_array(against, member=member, shape=shape, dtype=dtype, order=order,
-                                                       offset=offset)
+    source = {"member": member, "shape": shape, "dtype": dtype, "order": order, "offset": offset}
+    original = opened("--against", against, source, quiet or as_json)
     from ..render import Renderer
 
     renderer = Renderer(model, original=original, backend=backend, kind=described.kind, position=described.position)

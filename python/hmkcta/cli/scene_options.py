@@ -74,7 +74,7 @@ _OPTIONS: tuple[tuple[str, str, Mapping[str, Any]], ...] = (
     ("--zoom", "viewpoint.zoom", {"type": float, "metavar": "Z", "help": "Light field: enlarge."}),
     ("--mode", "volume.mode", {**_choice("emission", "shaded", "iso", "maximum"), "help": "Volume: how to show it."}),
     ("--colours", "volume.colours", {"metavar": "MAP", "help": "Volume: grey, inferno, viridis, ice, coolwarm."}),
-    ("--window", "volume.window", {"type": Numbers("LOW,HIGH"), "metavar": "LOW,HIGH", "help": "Volume: values shown"}),
+    ("--window", "volume.window", {"type": Numbers("LOW,HIGH"), "metavar": "LOW,HIGH", "help": "Volume: range shown."}),
     ("--iso", "volume.iso", {"type": float, "metavar": "SHARE", "help": "Volume: surface, as a share of the window."}),
     ("--clip-low", "volume.clip_low", {"type": Numbers("X,Y,Z"), "metavar": "X,Y,Z", "help": "Volume: cut below."}),
     ("--clip-high", "volume.clip_high", {"type": Numbers("X,Y,Z"), "metavar": "X,Y,Z", "help": "Volume: cut above."}),

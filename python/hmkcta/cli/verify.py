@@ -12,7 +12,7 @@ from ..measure import measure
 from ..model import Model
 from ..model import open as open_model
 from ..packed import LevelQuality
-from ..readers import open_array
+from .compared import opened
 from .options import (
     Command,
     file_argument,
@@ -50,8 +50,8 @@ def verify_command(file: str, against: str | None, nan: float | None, as_json: b
     model = open_model(file)
     report: dict[str, Any] = {"file": file, "digests": "ok", "structure": "ok"}
     measured: tuple[LevelQuality, ...] = ()
-    if against is not None:
-        array = open_array(against, **source)
+    array = opened("--against", against, source, quiet or as_json)
+    if array is not None:
         with Progress(quiet or as_json) as progress:
             measured = measure(model, array, nan=nan, progress=progress)
         report["levels"] = _report(model, measured)

@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import platform
-from importlib.metadata import PackageNotFoundError, version
 
 import click
 
 from .._version import __version__
-from ..hmkfile import VERSION
 
 LIBRARIES = ("numpy", "safetensors", "click", "rich", "pillow", "wgpu", "cupy-cuda12x")
 
 
 def versions() -> str:
     """Versions of hmkcta, Python and the libraries, and the machine."""
+    from ..hmkfile import VERSION
+
     lines = [f"hmkcta {__version__}", f"python {platform.python_version()} ({platform.python_implementation()})"]
     lines += [f"{name} {_version(name)}" for name in LIBRARIES]
     return "\n".join([*lines, f"file format {VERSION}", f"native kernels {_native()}", platform.platform()])
 
 
 def _version(name: str) -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
     try:
         return version(name)
     except PackageNotFoundError:

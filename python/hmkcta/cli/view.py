@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
-from ..readers import open_array
 from ..serve import serve
+from .compared import opened
 from .interrupt import Interrupted
 from .options import Command, file_argument, source_options, verbose_option
 
@@ -31,9 +31,9 @@ def view_command(file: str, original: str | None, port: int, no_browser: bool, v
     The page and FILE are served on this computer only. It streams: level 1 first.
     """
     del verbose
-    described = any(source.get(key) is not None for key in ("shape", "dtype", "member"))
-    array: Any = open_array(original, **source) if original is not None and described else original
-    with serve(file, original=array, port=port) as server:
+    model = original if original is not None and original.endswith(".hmk") else None
+    array = opened("--original", None if model else original, source)
+    with serve(file, original=model or array, port=port) as server:
         try:
             click.echo(f"{server.url}\nCtrl-C ends it.")
             if not no_browser and not _opened(server.url):

@@ -29,7 +29,7 @@ def check_output(path: str | os.PathLike[str], overwrite: bool = False) -> Path:
         if exists and not (overwrite and regular):
             allowed = "a new file" if not overwrite else "a file, or nothing"
             raise fault("output-exists", str(target), "a file" if regular else "no regular file", allowed,
-                        "choose another name or overwrite it" if regular else "choose another name")
+                        "choose another name, or replace it by --overwrite" if regular else "choose another name")
         if not target.parent.is_dir():
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(target.parent))
         if not os.access(target.parent, os.W_OK | os.X_OK):

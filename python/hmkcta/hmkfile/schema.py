@@ -18,8 +18,6 @@ from .reasons import fault
 
 NUMPY_TYPES = {"F16": "<f2", "F32": "<f4", "F64": "<f8", "U16": "<u2", "U32": "<u4"}
 TYPE_NAMES = {np.dtype(code): name for name, code in NUMPY_TYPES.items()}
-
-
 _RAGGED = -1  # a length that the tables decide
 
 

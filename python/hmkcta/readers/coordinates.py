@@ -19,8 +19,7 @@ def read_coordinates(uri: str) -> NDArray[Any]:
     """Numbers for each index of an axis, such as light directions.
 
     Args:
-        uri: a `.npy` file or `.npz` archive as `open_array` takes it; or a `.csv` or `.txt` table with a line for each
-            index, `#` before comments.
+        uri: what `open_array` takes; or a `.csv` or `.txt` table with a line for each index, `#` before comments.
 
     Raises:
         HmkctaError: the file cannot be read, or is no table of numbers.

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .source import Layout, check_numbers, check_shape, choose, guarded, io_error, library
+from .source import Layout, check_layout, choose, guarded, io_error, library
 
 MAGIC = b"\x76\x2f\x31\x01"
 #: Channels of a layer come in this order, any others by name behind.
@@ -36,8 +36,7 @@ def open_exr(path: Path, member: str | None) -> NDArray[Any]:
         if len(sizes) != 1:
             raise io_error("source-format", str(path), "channels of several sizes", "one size", "resample them first")
         picture = np.stack([channels[name] for name in names], axis=-1)
-        check_numbers(picture.dtype, str(path))
-        check_shape(Layout(picture.shape, picture.dtype), str(path))
+        check_layout(Layout(picture.shape, picture.dtype), str(path))
         return picture if len(names) > 1 else picture[..., 0]
 
 

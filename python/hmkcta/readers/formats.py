@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from ..errors import invalid
 from . import exr, hdf5, nifti, npy, nrrd, picture, tiff, zarr_store
 from .source import io_error, opened
+from .unpacked import Unpacker
 
-Opener = Callable[[Path, str | None, int | None], NDArray[Any]]
+Opener = Callable[[Path, str | None, Unpacker], NDArray[Any]]
 #: Bytes at the start of a file that are looked at: HDF5 may begin behind a block of the user's.
 START = 4096
 
@@ -26,7 +27,7 @@ class Format:
         name: as errors have it.
         endings: of file names. They tell formats without magic bytes, and what a damaged file was meant to be.
         magics: bytes that tell the format, each with its place in the file.
-        opener: makes an array of a file, or of a member of it, in so many bytes of memory.
+        opener: makes an array of a file, or of a member of it.
         pages: whether a folder of such files is a stack.
         members: whether a file may hold several arrays.
     """
@@ -38,7 +39,7 @@ class Format:
     pages: bool = False
     members: bool = True
 
-    def open(self, path: Path, member: str | None, limit: int | None) -> NDArray[Any]:
+    def open(self, path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any]:
         """Open a file.
 
         Raises:
@@ -46,24 +47,25 @@ class Format:
         """
         if member is not None and not self.members:
             raise invalid("source-member", f"member of {path}", repr(member), "none: there is one array in it")
-        return self.opener(path, member, limit)
+        return self.opener(path, member, unpacker)
 
 
 def _single(name: str, endings: tuple[str, ...], magics: tuple[tuple[int, bytes], ...],
-            opener: Callable[[Path, int | None], NDArray[Any]], pages: bool = False) -> Format:
+            opener: Callable[[Path, Unpacker], NDArray[Any]], pages: bool = False) -> Format:
     """A format of one array a file."""
-    return Format(name, endings, magics, lambda path, _, limit: opener(path, limit), pages, members=False)
+    return Format(name, endings, magics, lambda path, _, unpacker: opener(path, unpacker), pages,
+                  members=False)
 
 
-def _at_once(opener: Callable[[Path], NDArray[Any]]) -> Callable[[Path, int | None], NDArray[Any]]:
+def _at_once(opener: Callable[[Path], NDArray[Any]]) -> Callable[[Path, Unpacker], NDArray[Any]]:
     """An opener that maps, or reads a single picture."""
     return lambda path, _: opener(path)
 
 
-def _open_zip(path: Path, member: str | None, limit: int | None) -> NDArray[Any]:
+def _open_zip(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any]:
     """Both `.npz` and zipped Zarr begin like any zip archive."""
     packed = path.suffix.lower() != ".npz" and zarr_store.is_zarr(path)
-    return zarr_store.open_zarr(path, member, limit) if packed else npy.open_npz(path, member)
+    return (zarr_store.open_zarr if packed else npy.open_npz)(path, member, unpacker)
 
 
 def _older(name: str, magics: tuple[tuple[int, bytes], ...], allowed: str, hint: str) -> Format:
@@ -109,7 +111,7 @@ def format_of(path: Path) -> Format:
         if any(start.startswith(magic, at) for at, magic in each.magics):
             return each
     for each in FORMATS:
-        if path.name.lower().endswith(each.endings or ("\0",)):
+        if path.name.lower().endswith(each.endings):
             if not each.magics and start:
                 return each
             found = "an empty file" if not start else f"{len(start)} bytes that begin another format"

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from ..errors import HmkctaError, invalid
 from .conventions import packing
 from .source import Layout, choose, guarded, io_error, library, map_part
-from .unpacked import blocks, unpacked
+from .unpacked import Unpacker
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
 
 
-def open_hdf5(path: Path, member: str | None, limit: int | None) -> NDArray[Any]:
+def open_hdf5(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any]:
     """Open a dataset of an HDF5 file; by default the only one of numbers that is no coordinate of another.
 
     MATLAB writes its arrays with the axes in reverse, so they are turned back.
@@ -27,7 +27,7 @@ def open_hdf5(path: Path, member: str | None, limit: int | None) -> NDArray[Any]
     h5py = library("h5py", "h5py", "hdf5", "HDF5")
     with guarded(path, "HDF5 file"), h5py.File(path, "r") as file:
         dataset = _dataset(h5py, file, str(path), member)
-        array = _array(h5py, path, dataset, limit)
+        array = _array(h5py, path, dataset, unpacker)
         return array.T if "MATLAB_class" in dataset.attrs else array
 
 
@@ -59,20 +59,17 @@ def _is_data(dataset: Any) -> bool:
             and not dataset.name.startswith("/#") and matlab not in (b"char", b"cell"))
 
 
-def _array(h5py: Any, path: Path, dataset: Any, limit: int | None) -> NDArray[Any]:
+def _array(h5py: Any, path: Path, dataset: Any, unpacker: Unpacker) -> NDArray[Any]:
     where = f"{path}:{dataset.name}"
     convert = packing(dataset.attrs, dataset.dtype)
-    layout = Layout(dataset.shape, dataset.dtype)
     offset = _offset(h5py, dataset)
     if convert is None and offset is not None:
-        return map_part(path, layout, offset, where)
+        return map_part(path, Layout(dataset.shape, dataset.dtype), offset, where)
     missing = _missing_filters(h5py, dataset)
     if dataset.is_virtual:
         _check_sources(dataset, path, where)
-    layout = Layout(dataset.shape, dataset.dtype if convert is None else convert.dtype)
     try:
-        return unpacked(where, layout, blocks(where, layout, dataset.chunks, limit),
-                        lambda part: dataset[part] if convert is None else convert(dataset[part]), limit)
+        return unpacker.chunks(where, dataset, dataset.chunks, convert)
     except OSError as error:
         if not missing:
             raise

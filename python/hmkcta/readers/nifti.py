@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .conventions import Packing, scaled_type
-from .source import Layout, check_numbers, guarded, io_error, library, map_part
-from .unpacked import from_stream
+from .source import Layout, guarded, io_error, library, map_part
+from .unpacked import Unpacker
 
 GZIP = b"\x1f\x8b"
 #: Where the header says what it is, in version 1 (one file, or two) and 2.
 MAGICS = ((344, b"n+1\0"), (344, b"ni1\0"), (4, b"n+2\0"), (4, b"ni2\0"))
 
 
-def open_nifti(path: Path, limit: int | None) -> NDArray[Any]:
+def open_nifti(path: Path, unpacker: Unpacker) -> NDArray[Any]:
     """Open a NIfTI image; axes as in its header (x, y, z, time, ..), numbers scaled by its slope and intercept.
 
     Raises:
@@ -35,15 +35,13 @@ def open_nifti(path: Path, limit: int | None) -> NDArray[Any]:
             packed = file.read(len(GZIP)) == GZIP
         if not packed and (plain or stored.dtype.kind not in "iuf"):
             return map_part(numbers, stored, int(proxy.offset), where)
-        check_numbers(stored.dtype, where)
-        dtype = stored.dtype if plain else scaled_type(stored.dtype)
-        convert = Packing(dtype, float(proxy.slope), float(proxy.inter), np.empty(0))
+        scaled = Packing(scaled_type(stored.dtype), float(proxy.slope), float(proxy.inter), np.empty(0))
         with (gzip.open if packed else open)(numbers, "rb") as stream:
             stream.seek(int(proxy.offset))
-            return from_stream(where, stream.read, stored, np.asarray if plain else convert, dtype, limit)
+            return unpacker.stream(where, stream.read, stored, None if plain else scaled)
 
 
-def open_gzip(path: Path, limit: int | None) -> NDArray[Any]:
+def open_gzip(path: Path, unpacker: Unpacker) -> NDArray[Any]:
     """Open what is told by gzip's magic bytes: a NIfTI image, no other format is packed so.
 
     Raises:
@@ -51,4 +49,4 @@ def open_gzip(path: Path, limit: int | None) -> NDArray[Any]:
     """
     if not path.name.lower().endswith((".nii.gz", ".img.gz", ".hdr.gz")):
         raise io_error("source-format", str(path), "gzip", "a format in itself, or .nii.gz", "unpack it: gunzip")
-    return open_nifti(path, limit)
+    return open_nifti(path, unpacker)

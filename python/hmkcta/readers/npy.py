@@ -12,8 +12,8 @@ from typing import Any, BinaryIO, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..memory import check_memory
-from .source import Layout, check_numbers, check_shape, choose, io_error, mapped, opened
+from .source import Layout, check_layout, choose, io_error, mapped, opened
+from .unpacked import Unpacker
 
 MAGIC = b"\x93NUMPY"
 ZIP_MAGICS = (b"PK\x03\x04", b"PK\x05\x06")  # an archive, an empty archive
@@ -38,7 +38,7 @@ def open_npy(path: Path) -> NDArray[Any]:
     return mapped(path, layout, start)
 
 
-def open_npz(path: Path, member: str | None = None) -> NDArray[Any]:
+def open_npz(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any]:
     """Open a member of an `.npz` archive; the only one by default.
 
     Raises:
@@ -51,7 +51,7 @@ def open_npz(path: Path, member: str | None = None) -> NDArray[Any]:
                 where = f"{path}:{info.filename.removesuffix('.npy')}"
                 if info.compress_type == zipfile.ZIP_STORED and not info.flag_bits & 1:
                     return _map_member(path, file, info, where)
-                return _read_member(archive, info, where)
+                return _unpack_member(archive, info, where, unpacker)
         except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, struct.error) as error:
             # RuntimeError: encrypted; NotImplementedError, which is one: an unknown compression.
             raise io_error("source-damaged", str(path), error, "a complete .npz archive", "fetch it again") from error
@@ -68,8 +68,7 @@ def _read_layout(file: BinaryIO, where: str) -> Layout:
         sentence = str(error).splitlines()[0].rstrip(".") if str(error) else type(error).__name__
         raise io_error("source-damaged", where, sentence, "a complete .npy file", "fetch it again") from error
     layout = Layout(tuple(map(int, shape)), dtype, fortran)
-    check_numbers(dtype, where)
-    check_shape(layout, where)
+    check_layout(layout, where)
     return layout
 
 
@@ -102,11 +101,9 @@ def _map_member(path: Path, file: BinaryIO, info: zipfile.ZipInfo, where: str) -
     return mapped(path, layout, numbers)
 
 
-def _read_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo, where: str) -> NDArray[Any]:
+def _unpack_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo, where: str, unpacker: Unpacker) -> NDArray[Any]:
     with archive.open(info) as stream:
         file = cast("BinaryIO", stream)
         layout = _read_layout(file, where)
         _check_length(layout, info.file_size - file.tell(), where)
-        check_memory(2 * layout.nbytes, f"{where}, which is compressed", "save it as .npy: that is mapped, not read")
-        numbers = np.frombuffer(file.read(), layout.dtype)
-    return numbers.reshape(layout.shape, order="F" if layout.fortran else "C")
+        return unpacker.stream(where, file.read, layout)

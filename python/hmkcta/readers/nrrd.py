@@ -5,22 +5,20 @@ from __future__ import annotations
 import bz2
 import gzip
 from contextlib import ExitStack
-from math import prod
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..memory import check_memory
 from .source import Layout, guarded, io_error, library, map_part, opened
-from .unpacked import from_stream
+from .unpacked import Unpacker
 
 MAGIC = b"NRRD00"
 _BYTES = {"char": 1, "int8": 1, "short": 2, "int16": 2, "int": 4, "int32": 4, "longlong": 8, "long long": 8, "int64": 8}
 
 
-def open_nrrd(path: Path, limit: int | None) -> NDArray[Any]:
+def open_nrrd(path: Path, unpacker: Unpacker) -> NDArray[Any]:
     """Open a NRRD file, or the data file that a detached header names; the first axis lies fastest.
 
     Raises:
@@ -40,11 +38,11 @@ def open_nrrd(path: Path, limit: int | None) -> NDArray[Any]:
             file = stack.enter_context(opened(numbers))
         for _ in range(int(header.get("line skip", header.get("lineskip", 0)))):
             file.readline()
-        return _numbers(nrrd, header, layout, path, file, limit)
+        return _numbers(nrrd, header, layout, path, file, unpacker)
 
 
 def _numbers(
-    nrrd: Any, header: dict[str, Any], layout: Layout, path: Path, file: BinaryIO, limit: int | None
+    nrrd: Any, header: dict[str, Any], layout: Layout, path: Path, file: BinaryIO, unpacker: Unpacker
 ) -> NDArray[Any]:
     skip, encoding = int(header.get("byte skip", header.get("byteskip", 0))), str(header["encoding"]).lower()
     if encoding == "raw":
@@ -54,9 +52,8 @@ def _numbers(
         packed = gzip.GzipFile(fileobj=file) if encoding[0] == "g" else bz2.BZ2File(file)
         with packed as stream:
             stream.seek(max(0, skip))
-            return from_stream(str(path), stream.read, layout, np.asarray, layout.dtype, limit)
-    hint = "write it with encoding raw: that is mapped"
-    check_memory(2 * prod(layout.shape) * layout.dtype.itemsize, f"{path}, which is text", hint, limit)
+            return unpacker.stream(str(path), stream.read, layout)
+    unpacker.check_memory(layout, f"{path}, which is text", "write it with encoding raw: that is mapped")
     ahead = ("line skip", "lineskip", "data file", "datafile")  # the file is open, and behind those lines
     return nrrd.read_data({name: field for name, field in header.items() if name not in ahead}, file, str(path))
 

@@ -15,6 +15,7 @@ from .formats import FORMATS, PAGES, format_of
 from .raw import open_raw
 from .series import natural, open_series, pictures_of
 from .source import io_error
+from .unpacked import Progress, Unpacker
 from .zarr_store import is_zarr, open_zarr
 
 #: Endings behind which ``:member`` is told apart even if there is no such file.
@@ -23,7 +24,7 @@ _HOLDERS = tuple(ending for each in FORMATS if each.members for ending in each.e
 
 def open_array(
     uri: str | Path, *, member: str | None = None, shape: Sequence[int] | None = None, dtype: DTypeLike | None = None,
-    order: str = "C", offset: int = 0, max_memory: int | None = None,
+    order: str = "C", offset: int = 0, max_memory: int | None = None, progress: Progress | None = None,
 ) -> NDArray[Any]:
     """Open a file as an array, memory-mapped where possible, else read or unpacked into a temporary file.
 
@@ -36,38 +37,37 @@ def open_array(
         order: of raw binary: "C" (last axis fastest) or "F".
         offset: bytes to skip at the start of raw binary.
         max_memory: bytes to unpack in, half of them for the array itself; None: half of what is free.
+        progress: called with a stage's name and the fraction of it done, while something is unpacked.
 
     Raises:
         HmkctaError: the file cannot be read, is damaged or shorter than it says, or holds no real numbers; the library
             for its format is not installed.
 
-    >>> import numpy as np, tempfile
+    >>> import hmkcta, numpy as np, tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     np.save(f"{folder}/a.npy", np.eye(2, dtype=">f4"))
-    ...     open_array(f"{folder}/a.npy").tolist(), open_array(f"{folder}/*.npy").shape
+    ...     hmkcta.open_array(f"{folder}/a.npy").tolist(), hmkcta.open_array(f"{folder}/*.npy").shape
     ([[1.0, 0.0], [0.0, 1.0]], (1, 2, 2))
     """
-    if shape is not None or dtype is not None:
-        if shape is None or dtype is None:
-            missing = "shape" if shape is None else "dtype"
-            raise invalid("raw-description", missing, "none", "both shape and dtype, which raw binary needs",
-                          f"give the {missing} too, or neither for other formats")
+    if shape is not None or dtype is not None or order != "C" or offset:
+        if member is not None:
+            raise invalid("source-member", f"member of {uri}", repr(member), "none: raw binary is one array")
         return open_raw(Path(uri), shape, dtype, order, offset)
     place, inner = _split(str(uri))
-    member = member if member is not None else inner
+    member, unpacker = member if member is not None else inner, Unpacker(max_memory, progress)
     if _is_pattern(place):
-        return open_series(_matches(place), place, lambda path: _open(path, member, max_memory),
-                           max_memory)
-    return _open(Path(place), member, max_memory)
+        return open_series(_matches(place), place, lambda path, unpacker: _open(path, member, unpacker), unpacker)
+    return _open(Path(place), member, unpacker)
 
 
-def _open(path: Path, member: str | None, limit: int | None) -> NDArray[Any]:
+def _open(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any]:
     """A file, a store, or the pictures of a folder."""
     if not os.path.isdir(path):
-        return format_of(path).open(path, member, limit)
+        return format_of(path).open(path, member, unpacker)
     if is_zarr(path):
-        return open_zarr(path, member, limit)
-    return open_series(pictures_of(path, PAGES), str(path), lambda page: _open(page, member, limit), limit)
+        return open_zarr(path, member, unpacker)
+    return open_series(pictures_of(path, PAGES), str(path), lambda page, unpacker: _open(page, member, unpacker),
+                       unpacker)
 
 
 def source_files(uri: str) -> list[Path]:

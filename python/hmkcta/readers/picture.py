@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .source import Layout, check_numbers, check_shape, guarded, io_error, library
+from .source import Layout, check_layout, guarded, io_error, library
 
 PNG = b"\x89PNG\r\n\x1a\n"
 #: Told by their first bytes; others of Pillow's formats by their ending.
@@ -31,8 +31,7 @@ def open_picture(path: Path) -> NDArray[Any]:
             picture = np.asarray(codecs.png_decode(path.read_bytes()))
         else:
             picture = _pixels(pillow, path)
-        check_numbers(picture.dtype, str(path))
-        check_shape(Layout(picture.shape, picture.dtype), str(path))
+        check_layout(Layout(picture.shape, picture.dtype), str(path))
         return picture
 
 

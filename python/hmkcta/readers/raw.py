@@ -10,18 +10,23 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from ..errors import invalid
-from .source import Layout, check_numbers, check_shape, io_error, mapped, opened
+from .source import Layout, check_layout, io_error, mapped, opened
 
 
-def open_raw(path: Path, shape: Sequence[int], dtype: DTypeLike, order: str, offset: int) -> NDArray[Any]:
+def open_raw(
+    path: Path, shape: Sequence[int] | None, dtype: DTypeLike | None, order: str, offset: int
+) -> NDArray[Any]:
     """Map a raw file whose size must be exactly what shape, number type and offset say.
 
     Raises:
-        HmkctaError: the description is not possible, or the file has another size.
+        HmkctaError: the description is not complete or not possible, or the file has another size.
     """
+    if shape is None or dtype is None:
+        missing = " and ".join(name for name, given in (("shape", shape), ("dtype", dtype)) if given is None)
+        raise invalid("raw-description", missing, "none", "both shape and dtype, which raw binary needs",
+                      f"give the {missing} too, or nothing of the kind for other formats")
     layout = Layout(tuple(map(int, shape)), _number_type(dtype), _is_fortran(order))
-    check_numbers(layout.dtype, str(path))
-    check_shape(layout, str(path))
+    check_layout(layout, str(path))
     if offset < 0:
         raise invalid("raw-offset", "offset", offset, "0 or more")
     with opened(path) as file:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from ..errors import invalid
 from ..memory import drop_pages
 from .source import Layout, io_error
-from .unpacked import Part, block_parts, unpacked
+from .unpacked import Part, Unpacker, block_parts
 
 
 def natural(path: Path) -> list[str | int]:
@@ -46,20 +47,21 @@ def pictures_of(folder: Path, endings: Sequence[str]) -> list[Path]:
 
 
 def open_series(
-    paths: Sequence[Path], where: str, opener: Callable[[Path], NDArray[Any]], limit: int | None
+    paths: Sequence[Path], where: str, opener: Callable[[Path, Unpacker], NDArray[Any]], unpacker: Unpacker
 ) -> NDArray[Any]:
     """Stack files of one shape and type.
 
     Raises:
         HmkctaError: the first file that differs is named; or what opening one raises.
     """
-    first = opener(paths[0])
+    silent = replace(unpacker, progress=None)  # it is files that are counted
+    first = opener(paths[0], silent)
     layout = Layout((len(paths), *first.shape), first.dtype)
 
     def read(part: Part) -> NDArray[Any]:
         number: int = part[0].start
         path = paths[number]
-        array = opener(path)
+        array = opener(path, silent)
         if (array.shape, array.dtype) != (first.shape, first.dtype):
             raise invalid("series-mixed", str(path), str(Layout(array.shape, array.dtype)),
                           f"{Layout(first.shape, first.dtype)}, as {paths[0].name} is",
@@ -68,4 +70,4 @@ def open_series(
         drop_pages(array)
         return values
 
-    return unpacked(where, layout, block_parts(layout.shape, (1, *first.shape), 1), read, limit)
+    return unpacker.array(where, layout, block_parts(layout.shape, (1, *first.shape), 1), read)

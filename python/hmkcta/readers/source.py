@@ -150,8 +150,9 @@ float16 to float64. Next: compress real and imaginary part as an axis of two. [I
                   KINDS_TAKEN, hints.get(dtype.kind, "convert it to numbers first"))
 
 
-def check_shape(layout: Layout, where: str) -> None:
-    """Refuse arrays without an axis or without an element."""
+def check_layout(layout: Layout, where: str) -> None:
+    """Refuse arrays of no real numbers, without an axis, or without an element."""
+    check_numbers(layout.dtype, where)
     if not layout.shape or not all(size >= 1 for size in layout.shape):
         raise invalid("source-shape", f"shape of {where}", layout.shape, "one axis or more, each of size 1 or more")
 
@@ -162,8 +163,7 @@ def map_part(path: Path, layout: Layout, offset: int, where: str) -> NDArray[Any
     Raises:
         HmkctaError: no real numbers, no element, or the file ends before.
     """
-    check_numbers(layout.dtype, where)
-    check_shape(layout, where)
+    check_layout(layout, where)
     with opened(path) as file:
         held = max(0, file.seek(0, 2) - offset)
     if offset < 0 or held < layout.nbytes:

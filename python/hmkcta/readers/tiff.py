@@ -13,14 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import HmkctaError, invalid
-from ..memory import check_memory
 from .source import Layout, choose, guarded, library, map_part
-from .unpacked import Part, block_parts, unpacked
+from .unpacked import Part, Unpacker, block_parts
 
 MAGICS = ((0, b"II*\0"), (0, b"MM\0*"), (0, b"II+\0"), (0, b"MM\0+"))
 
 
-def open_tiff(path: Path, member: str | None, limit: int | None) -> NDArray[Any]:
+def open_tiff(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any]:
     """Open a TIFF file: page (of several), y, x, channel (of several), or the axes that its series says.
 
     Pages of another shape or type are a series of their own, counted from 0: ``file.tif:1``.
@@ -37,7 +36,7 @@ def open_tiff(path: Path, member: str | None, limit: int | None) -> NDArray[Any]
         if chosen.dataoffset is not None:
             ordered = layout.dtype.newbyteorder(file.byteorder)
             return map_part(path, Layout(layout.shape, ordered), int(chosen.dataoffset), str(path))
-        return _pages(chosen, layout, str(path), limit)
+        return _pages(chosen, layout, str(path), unpacker)
 
 
 @contextmanager
@@ -57,14 +56,13 @@ def _strictly() -> Generator[None]:
             raise ValueError(message)
 
 
-def _pages(series: Any, layout: Layout, where: str, limit: int | None) -> NDArray[Any]:
+def _pages(series: Any, layout: Layout, where: str, unpacker: Unpacker) -> NDArray[Any]:
     """The pages of a series, of which each is decoded at once."""
     pages, page = list(series.pages), tuple(series.pages[0].shape)
     lead = layout.shape[:len(layout.shape) - len(page)]
     paged = layout.shape[len(lead):] == page and prod(lead) == len(pages) and None not in pages
-    size = prod(page) if paged else prod(layout.shape)
-    check_memory(2 * size * layout.dtype.itemsize, f"a page of {where}", "write it uncompressed: that is mapped",
-                 limit)
+    once = Layout(page, layout.dtype) if paged else layout
+    unpacker.check_memory(once, f"a page of {where}", "write it uncompressed: that is mapped")
 
     def read(part: Part) -> NDArray[Any]:
         if not paged:
@@ -74,7 +72,7 @@ def _pages(series: Any, layout: Layout, where: str, limit: int | None) -> NDArra
 
     chunks = [1] * len(lead) + [*page] if paged else layout.shape
     try:
-        return unpacked(where, layout, block_parts(layout.shape, chunks, 1), read, limit)
+        return unpacker.array(where, layout, block_parts(layout.shape, chunks, 1), read)
     except ValueError as error:
         raise _coded(error, where) from error
 

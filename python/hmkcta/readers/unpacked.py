@@ -5,11 +5,8 @@ Everything after a reader takes an array or a map of a file, and reads it more t
 
 from __future__ import annotations
 
-import errno
-import os
-import shutil
-import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import product
 from math import prod
 from typing import Any
@@ -17,86 +14,123 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..memory import check_memory, format_bytes, memory_budget
-from ..scratch import scratch_folder
-from .source import Layout, check_numbers, check_shape, io_error
+from ..memory import check_memory, memory_budget
+from ..scratch import scratch_folder, unnamed_file
+from .conventions import Packing
+from .source import Layout, check_layout, check_numbers, io_error
 
 Part = tuple[slice, ...]
+Progress = Callable[[str, float], None]
 #: Elements that are unpacked at once, and the share of the memory for fitting that they, and the whole, may take.
 BLOCK, BLOCK_SHARE, WHOLE_SHARE = 1 << 24, 8, 2
 
 
-def unpacked(
-    where: str, layout: Layout, parts: Iterable[Part], read: Callable[[Part], NDArray[Any]], limit: int | None = None
-) -> NDArray[Any]:
-    """An array in C order whose parts a library reads.
+@dataclass(frozen=True)
+class Unpacker:
+    """Makes arrays of what a library reads part by part.
 
-    Where it takes more than half of `limit` bytes (None: a quarter of the free memory) it is unpacked into the folder
-    for temporary files (``TMPDIR``), and the file is gone when nobody looks at the array any more.
+    What takes more than half of `limit` is unpacked into the folder for temporary files (``TMPDIR``), and the file is
+    gone when nobody looks at the array any more.
 
-    Raises:
-        HmkctaError: no real numbers, no element, or no room for the file.
+    Attributes:
+        limit: bytes of memory to work in; None: half of what is free.
+        progress: called with the stage's name and the fraction of it done.
 
-    >>> unpacked("ones", Layout((2, 2), np.dtype("u1")), block_parts((2, 2), (1, 1)), lambda part: 1).tolist()
+    >>> parts = block_parts((2, 2), (1, 1))
+    >>> Unpacker().array("ones", Layout((2, 2), np.dtype("u1")), parts, lambda part: 1).tolist()
     [[1, 1], [1, 1]]
     """
-    check_numbers(layout.dtype, where)
-    check_shape(layout, where)
-    if layout.nbytes <= memory_budget(limit) // WHOLE_SHARE:
-        whole = np.empty(layout.shape, layout.dtype)
+
+    limit: int | None = None
+    progress: Progress | None = None
+
+    def array(
+        self, where: str, layout: Layout, parts: Iterable[Part], read: Callable[[Part], NDArray[Any]]
+    ) -> NDArray[Any]:
+        """An array in C order, read by parts, none of which is read twice.
+
+        Raises:
+            HmkctaError: no real numbers, no element, or no room for the file.
+        """
+        check_layout(layout, where)
+        parts = self._counted(parts, prod(layout.shape))
+        if layout.nbytes <= memory_budget(self.limit) // WHOLE_SHARE:
+            whole = np.empty(layout.shape, layout.dtype)
+            for part in parts:
+                whole[part] = read(part)
+            return whole
+        with unnamed_file(layout.nbytes, scratch_folder(), f"{where}, which is unpacked", mapped=True) as file:
+            for part in parts:  # mapped anew each time, so that what is written leaves memory
+                np.memmap(file, layout.dtype, "r+", 0, layout.shape)[part] = read(part)
+            return np.memmap(file, layout.dtype, "r", 0, layout.shape)
+
+    def chunks(
+        self, where: str, array: Any, chunks: Sequence[int] | None, convert: Packing | None = None
+    ) -> NDArray[Any]:
+        """An array that a library reads when it is indexed, and keeps in chunks of this shape; None: row by row.
+
+        Raises:
+            HmkctaError: what `array` raises; not even a chunk fits into memory.
+        """
+        layout = Layout(tuple(array.shape), np.dtype(array.dtype) if convert is None else convert.dtype)
+        chunks = chunks or [1] * len(layout.shape)
+        self.check_memory(Layout(tuple(map(min, chunks, layout.shape)), layout.dtype), f"a chunk of {where}",
+                          "write it with smaller chunks, or as .npy: that is mapped, not read")
+        return self.array(where, layout, block_parts(layout.shape, chunks, self._elements(layout.dtype)),
+                          lambda part: array[part] if convert is None else convert(array[part]))
+
+    def stream(
+        self, where: str, source: Callable[[int], bytes], stored: Layout, convert: Packing | None = None
+    ) -> NDArray[Any]:
+        """An array from bytes that come one after another, such as a decompressor's.
+
+        Args:
+            where: the file, for errors.
+            source: gives so many of the bytes that come next, fewer at their end.
+            stored: how the bytes are to be understood.
+            convert: makes of the numbers what is meant.
+
+        Raises:
+            HmkctaError: what `array` raises; the bytes end before.
+        """
+        check_numbers(stored.dtype, where)
+        shape = stored.shape[::-1] if stored.fortran else stored.shape
+        layout = Layout(shape, stored.dtype if convert is None else convert.dtype)
+
+        def read(part: Part) -> NDArray[Any]:
+            lengths = [span.stop - span.start for span in part]
+            count = prod(lengths) * stored.dtype.itemsize
+            data = source(count)
+            if len(data) < count:
+                found = "the end of the file within it"
+                raise io_error("source-truncated", where, found, str(stored), "fetch it again")
+            numbers = np.frombuffer(data, stored.dtype).reshape(lengths)
+            return numbers if convert is None else convert(numbers)
+
+        array = self.array(where, layout, block_parts(shape, [1] * len(shape), self._elements(layout.dtype)), read)
+        source(1)  # behind the last number is the checksum, which is compared when it is read
+        return array.T if stored.fortran else array
+
+    def check_memory(self, layout: Layout, what: str, hint: str) -> None:
+        """Refuse what has to be read at once, and takes so much as bytes and again as numbers.
+
+        Raises:
+            HmkctaError: that is more memory than there is.
+        """
+        check_memory(2 * layout.nbytes, what, hint, self.limit)
+
+    def _elements(self, dtype: np.dtype[Any]) -> int:
+        """How many are unpacked at once."""
+        return max(1, min(BLOCK, memory_budget(self.limit) // BLOCK_SHARE // dtype.itemsize))
+
+    def _counted(self, parts: Iterable[Part], elements: int) -> Iterator[Part]:
+        """The parts; each is told as done when the next one is asked for."""
+        done = 0
         for part in parts:
-            whole[part] = read(part)
-        return whole
-    with _unnamed_file(where, layout.nbytes) as file:
-        for part in parts:  # mapped anew each time, so that what is written leaves memory
-            np.memmap(file, layout.dtype, "r+", 0, layout.shape)[part] = read(part)
-        return np.memmap(file, layout.dtype, "r", 0, layout.shape)
-
-
-def from_stream(
-    where: str, source: Callable[[int], bytes], stored: Layout, convert: Callable[[NDArray[Any]], NDArray[Any]],
-    dtype: np.dtype[Any], limit: int | None,
-) -> NDArray[Any]:
-    """An array from bytes that come one after another, such as a decompressor's.
-
-    Args:
-        where: the file, for errors.
-        source: gives so many of the bytes that come next, fewer at their end.
-        stored: how the bytes are to be understood.
-        convert: what is made of the numbers.
-        dtype: the type of that.
-        limit: bytes of memory to work in, as of `unpacked`.
-
-    Raises:
-        HmkctaError: what `unpacked` raises; the bytes end before.
-    """
-    check_numbers(stored.dtype, where)
-    shape = stored.shape[::-1] if stored.fortran else stored.shape
-
-    def read(part: Part) -> NDArray[Any]:
-        lengths = [span.stop - span.start for span in part]
-        count = prod(lengths) * stored.dtype.itemsize
-        data = source(count)
-        if len(data) < count:
-            raise io_error("source-truncated", where, "the end of the file within it", f"{stored}", "fetch it again")
-        return convert(np.frombuffer(data, stored.dtype).reshape(lengths))
-
-    parts = block_parts(shape, [1] * len(shape), _elements(dtype, limit))
-    array = unpacked(where, Layout(shape, dtype), parts, read, limit)
-    source(1)  # behind the last number is the checksum, which is compared when it is read
-    return array.T if stored.fortran else array
-
-
-def blocks(where: str, layout: Layout, chunks: Sequence[int] | None, limit: int | None) -> Iterator[Part]:
-    """Parts to unpack an array by that lies in chunks of this shape; None: row by row.
-
-    Raises:
-        HmkctaError: not even a chunk fits into memory.
-    """
-    chunks = chunks or [1] * len(layout.shape)
-    hint = "write it with smaller chunks, or as .npy: that is mapped, not read"
-    check_memory(2 * prod(map(min, chunks, layout.shape)) * layout.dtype.itemsize, f"a chunk of {where}", hint, limit)
-    return block_parts(layout.shape, chunks, _elements(layout.dtype, limit))
+            yield part
+            done += prod(span.stop - span.start for span in part)
+            if self.progress is not None:
+                self.progress("unpacking", done / elements)
 
 
 def block_parts(shape: Sequence[int], chunks: Sequence[int], limit: int = BLOCK) -> Iterator[Part]:
@@ -113,38 +147,3 @@ def block_parts(shape: Sequence[int], chunks: Sequence[int], limit: int = BLOCK)
     starts = product(*(range(0, size, max(1, step)) for size, step in zip(shape, block, strict=True)))
     for corner in starts:
         yield tuple(slice(at, min(at + step, size)) for at, step, size in zip(corner, block, shape, strict=True))
-
-
-def _elements(dtype: np.dtype[Any], limit: int | None) -> int:
-    """How many are unpacked at once."""
-    return max(1, min(BLOCK, memory_budget(limit) // BLOCK_SHARE // dtype.itemsize))
-
-
-def _unnamed_file(where: str, count: int) -> Any:
-    """A file of so many bytes."""
-    folder = scratch_folder()
-    place, room = f"scratch space in {folder}", f"{format_bytes(count)} for {where}, which is unpacked"
-    hint = "set TMPDIR to a folder with room"
-    try:
-        free = shutil.disk_usage(folder).free
-        if free < count:
-            raise io_error("scratch-full", place, f"{format_bytes(free)} free", room, hint)
-        file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115 (the caller closes it)
-        try:
-            _reserve(file, count)
-        except BaseException:
-            file.close()
-            raise
-    except OSError as error:
-        raise io_error("scratch-full", place, error.strerror or error, room, hint) from error
-    return file
-
-
-def _reserve(file: Any, count: int) -> None:
-    """Set bytes aside on the disk where the system can, as a map cannot say that it is full."""
-    try:
-        os.posix_fallocate(file.fileno(), 0, count)
-    except (AttributeError, OSError) as error:
-        if getattr(error, "errno", None) not in (None, errno.EINVAL, errno.EOPNOTSUPP, errno.ENOSYS):
-            raise
-        file.truncate(count)

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .conventions import packing
-from .source import Layout, check_numbers, choose, guarded, library
-from .unpacked import blocks, unpacked
+from .source import Layout, choose, guarded, library
+from .unpacked import Unpacker
 
 #: Files of which every Zarr array or group has one.
 MARKS = ("zarr.json", ".zarray", ".zgroup")
@@ -26,7 +26,7 @@ def is_zarr(path: Path) -> bool:
     return _root(path) is not None
 
 
-def open_zarr(path: Path, member: str | None, limit: int | None) -> NDArray[Any]:
+def open_zarr(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any]:
     """Open an array of a Zarr store; by default the only one that is no coordinate.
 
     Chunks that are not there are the fill value, as Zarr defines it.
@@ -37,11 +37,11 @@ def open_zarr(path: Path, member: str | None, limit: int | None) -> NDArray[Any]
     zarr = library("zarr", "zarr", "zarr", "Zarr")
     with guarded(path, "Zarr store"):
         if path.is_dir():
-            return _array(_chosen(zarr, zarr.open(str(path), mode="r"), str(path), member), str(path), limit)
+            return _array(_chosen(zarr, zarr.open(str(path), mode="r"), str(path), member), str(path), unpacker)
         store = zarr.storage.ZipStore(str(path), mode="r")
         try:
             found = zarr.open(store, path=_root(path) or "", mode="r")
-            return _array(_chosen(zarr, found, str(path), member), str(path), limit)
+            return _array(_chosen(zarr, found, str(path), member), str(path), unpacker)
         finally:
             store.close()
 
@@ -86,12 +86,7 @@ def _attributes(array: Any) -> dict[str, Any]:
     return attributes
 
 
-def _array(array: Any, path: str, limit: int | None) -> NDArray[Any]:
+def _array(array: Any, path: str, unpacker: Unpacker) -> NDArray[Any]:
     where = f"{path}:{array.path}" if array.path else path
-    stored = np.dtype(array.dtype)
-    check_numbers(stored, where)
-    convert = packing(_attributes(array), stored)
-    layout = Layout(tuple(array.shape), stored if convert is None else convert.dtype)
-    chunks = array.shards or array.chunks
-    return unpacked(where, layout, blocks(where, layout, chunks, limit),
-                    lambda part: array[part] if convert is None else convert(array[part]), limit)
+    convert = packing(_attributes(array), np.dtype(array.dtype))
+    return unpacker.chunks(where, array, array.shards or array.chunks, convert)

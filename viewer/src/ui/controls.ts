@@ -7,6 +7,11 @@ export interface Control {
 
 let ids = 0;
 
+/** An element that the page has from its beginning. */
+export function byId<Type extends HTMLElement = HTMLElement>(id: string): Type {
+  return document.getElementById(id) as Type;
+}
+
 /** An element with properties, classes and children. */
 export function make<Tag extends keyof HTMLElementTagNameMap>(
   tag: Tag, properties: Partial<Record<string, string | boolean>> = {}, ...children: (Node | string)[]
