@@ -150,7 +150,7 @@ impl WithSimd for Row<'_> {
 mod tests {
     use super::*;
     use crate::machine::tests::on_all_machines;
-    use crate::testing::numbers;
+    use crate::testing::{numbers, overlapping_cells};
 
     #[test]
     fn leaves_nothing_that_cores_could_take() {
@@ -159,11 +159,7 @@ mod tests {
 
     /// b of a tensor that the bases can express: its cores leave nothing.
     fn compare_with_explicit_columns() {
-        let (sizes, ranks) = (vec![3, 4, 2], vec![2, 3, 2]);
-        let members: [&[u16]; 3] = [&[0, 1, 1], &[0, 1, 1, 0, 0, 1, 1, 0], &[0, 0]];
-        let shape = (sizes.clone(), vec![2, 2, 1], vec![1, 2, 1], ranks.clone(), vec![false, false, true]);
-        let node = Node::new(shape, members.to_vec()).unwrap();
-        let stored: Vec<Vec<f32>> = (0..3).map(|n| numbers(node.basis_size(n), n as u64 + 1)).collect();
+        let (node, stored) = overlapping_cells();
         let stored: Vec<&[f32]> = stored.iter().map(|b| b.as_slice()).collect();
         // Column (c, r, s, t): U_{1,c}[i, r] U_{2,c}[j, s] where k = t.
         let column = |at: usize, i: usize, j: usize, k: usize| -> f64 {

@@ -117,7 +117,7 @@ fn mirror(h: &mut [f64], side: usize) {
 mod tests {
     use super::*;
     use crate::machine::tests::on_all_machines;
-    use crate::testing::numbers;
+    use crate::testing::{numbers, overlapping_cells};
 
     #[test]
     fn agrees_with_explicit_dictionaries() {
@@ -125,11 +125,7 @@ mod tests {
     }
 
     fn compare_with_explicit_dictionaries() {
-        let (sizes, ranks) = (vec![3, 4, 2], vec![2, 3, 2]);
-        let members: [&[u16]; 3] = [&[0, 1, 1], &[0, 1, 1, 0, 0, 1, 1, 0], &[0, 0]];
-        let shape = (sizes.clone(), vec![2, 2, 1], vec![1, 2, 1], ranks.clone(), vec![false, false, true]);
-        let node = Node::new(shape, members.to_vec()).unwrap();
-        let stored: Vec<Vec<f32>> = (0..3).map(|n| numbers(node.basis_size(n), n as u64 + 1)).collect();
+        let (node, stored) = overlapping_cells();
         let stored: Vec<&[f32]> = stored.iter().map(|b| b.as_slice()).collect();
         let cores = numbers(node.cells() * node.core_size(), 9);
         let h = dictionary_gram(&node, &stored, &cores, 0);
