@@ -20,7 +20,7 @@ from cupy_stand_in import StandIn
 from hmkcta.backends import Kernels, batched, batches, reference
 from hmkcta.backends.batched import Arrays
 from hmkcta.backends.batches import MOST_PADDED, Batch, projection_batches, sweep_batches
-from hmkcta.cells import Cells, dense_basis
+from hmkcta.cells import Cells, all_products, dense_basis
 from hmkcta.errors import HmkctaError
 from hmkcta.plan import LevelSpec
 from test_kernels import (
@@ -213,7 +213,7 @@ def test_grams_are_made_in_parts() -> None:
     cells = random_cells((30, 30, 30), LevelSpec((2, 2, 2), (4, 4, 4), (1, 1, 1)), 11)
     device = StandIn()
     whole = 8 * cells.spec.cells**2 * prod(cells.ranks)
-    batched.dictionary_gram(Arrays(device, device.asnumpy, 1 << 12), cells, 0)
+    batched.dictionary_gram(Arrays(device, device.asnumpy, 1 << 12), cells, all_products(cells), 0)
     assert device.memory.peak < whole / 2
 
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from numpy.typing import NDArray
 
 from hmkcta.backends import Kernels, native, reference
-from hmkcta.cells import Cells, dense_basis
+from hmkcta.cells import Cells, all_products, dense_basis
 from hmkcta.plan import LevelSpec
 from test_kernels import LARGE, Node, energy, model_of, nodes, random_cells, smooth_data
 
@@ -31,7 +31,7 @@ def projected_on_all(cells: Cells, data: F32) -> F64:
 def left_after(kernels: Kernels, node: Node, steps: int) -> float:
     """Squared error of the node's data after so many steps."""
     solved = node[0].copy()
-    kernels.solve_cores(solved, projected_on_all(*node), steps)
+    kernels.solve_cores(solved, all_products(solved), projected_on_all(*node), steps)
     return energy(node[1] - model_of(solved))
 
 
@@ -65,7 +65,7 @@ def test_threads_do_not_change_a_bit() -> None:
         for threads in (1, 2, 5, 0):
             native.set_threads(threads)
             solved = cells.copy()
-            native.solve_cores(solved, b, 3)
+            native.solve_cores(solved, all_products(solved), b, 3)
             found.add(solved.cores.tobytes())
     finally:
         native.set_threads(0)
@@ -86,7 +86,7 @@ def test_cores_end_as_the_least_squares_solution(backend: Kernels) -> None:
     left: list[float] = []
     for steps in (0, 1, 2, 4, 400):
         solved = cells.copy()
-        backend.solve_cores(solved, projected_on_all(cells, data), steps)
+        backend.solve_cores(solved, all_products(cells), projected_on_all(cells, data), steps)
         left.append(energy(data - model_of(solved)))
     assert all(after < before for before, after in pairwise(left))
     assert left[0] > 2 * least

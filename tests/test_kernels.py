@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import permutations
 
@@ -16,7 +15,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from hmkcta.backends import Kernels, native, reference
-from hmkcta.cells import Cells, dense_basis
+from hmkcta.cells import Cells, all_products, dense_basis
 from hmkcta.coding import Dictionary
 from hmkcta.errors import HmkctaError
 from hmkcta.plan import LevelSpec
@@ -109,9 +108,10 @@ def check_same(cells: Cells, data: F32, kernels: Kernels = native) -> None:
     kernels.accumulate(cells, found, -0.75)
     reference.accumulate(cells, expected, -0.75)
     close(found, expected, 1e-5)
+    products = all_products(cells)
     for n in range(cells.order):
         close(kernels.project_cells(cells, data, n), reference.project_cells(cells, data, n), 1e-4)
-        close(kernels.dictionary_gram(cells, n), reference.dictionary_gram(cells, n), 1e-12)
+        close(kernels.dictionary_gram(cells, products, n), reference.dictionary_gram(cells, products, n), 1e-12)
     check_pairs(cells, data, kernels)
 
 
@@ -119,7 +119,8 @@ def check_coding(cells: Cells, data: F32, n: int) -> None:
     """Both find subsets that explain as much of each row, and coefficients that do explain it."""
     cores = np.moveaxis(cells.cores, n + 1, 1).reshape(cells.spec.cells, cells.ranks[n], -1)
     b = cores.astype(np.float64) @ reference.project_cells(cells, data, n).transpose(0, 2, 1)
-    h, clusters, mixture = reference.dictionary_gram(cells, n), cells.spec.clusters, cells.spec.mixture[n]
+    h = reference.dictionary_gram(cells, all_products(cells), n)
+    clusters, mixture = cells.spec.clusters, cells.spec.mixture[n]
     dictionary = Dictionary.of(h, b, clusters, n)
     for search in ("optimal", "greedy", "fixed"):
         found, x = native.code_rows(h, b, clusters, n, cells.members[n], mixture, search)
@@ -264,12 +265,11 @@ def explicit_dictionary(cells: Cells, n: int) -> F64:
 
 
 @pytest.mark.parametrize("backend", [native, reference], ids=["native", "reference"])
-def test_dictionary_gram_by_definition(backend: object) -> None:
-    gram: Callable[[Cells, int], F64] = getattr(backend, "dictionary_gram")  # noqa: B009
+def test_dictionary_gram_by_definition(backend: Kernels) -> None:
     cells = random_cells((6, 7, 3, 5), LevelSpec((2, 3, None, 2), (2, 3, 1, 2), (2, 2, 1, 1)), 7)
     for n in range(4):
         d = explicit_dictionary(cells, n)
-        close(gram(cells, n), d.T @ d, 1e-12)
+        close(backend.dictionary_gram(cells, all_products(cells), n), d.T @ d, 1e-12)
 
 
 @pytest.mark.parametrize(
@@ -283,6 +283,7 @@ def test_dictionary_gram_by_definition(backend: object) -> None:
 def test_threads_do_not_change_a_bit(spec: LevelSpec) -> None:
     sizes = (70, 64, 90)
     cells, data = random_cells(sizes, spec, 8), smooth_data(sizes, 8)
+    products = all_products(cells)
     outcomes: list[list[NDArray[np.floating]]] = []
     try:
         for threads in (1, 2, 5, 0):
@@ -292,7 +293,7 @@ def test_threads_do_not_change_a_bit(spec: LevelSpec) -> None:
             native.accumulate(cells, total, 0.5)
             results: list[NDArray[np.floating]] = [residual, fit.cores, *fit.bases, total]
             results += [native.project_cells(cells, data, n) for n in range(3)]
-            outcomes.append([*results, *(native.dictionary_gram(cells, n) for n in range(3))])
+            outcomes.append([*results, *(native.dictionary_gram(cells, products, n) for n in range(3))])
     finally:
         native.set_threads(0)
     for other in outcomes[1:]:
@@ -346,7 +347,9 @@ def test_broken_cells_are_refused() -> None:
     cells.members[0][3] = (1, 2)
     cells.bases[1] = cells.bases[1][:-1]
     with pytest.raises(ValueError, match="basis 2 must hold"):
-        native.dictionary_gram(cells, 0)
+        native.accumulate(cells, data, 1.0)
+    with pytest.raises(ValueError, match="product 2 must hold 36 numbers, got 35"):
+        native.dictionary_gram(cells, [None, np.zeros(35)], 0)
 
 
 @settings(max_examples=60, deadline=None)

@@ -15,7 +15,7 @@ from dense_reference import energy, node_rows, unfold
 from hmkcta import backends as kernels
 from hmkcta import compress, projection
 from hmkcta import fit as fitting
-from hmkcta.cells import Cells, dense_basis, empty_cells
+from hmkcta.cells import Cells, all_products, dense_basis, empty_cells
 from hmkcta.fit import EFFORTS, fit_level, left_by
 from hmkcta.plan import GRAM_CELLS, OPTIMAL_SUBSETS, LevelSpec, parse_level
 from hmkcta.search import OVER_RELAXED, choose_rows, extend, orthonormalise, refit_cores, right_sides
@@ -69,7 +69,7 @@ def brute_force(cells: Cells, tensor: F32, n: int, mixture: int) -> tuple[list[t
 def joint_rows(cells: Cells, tensor: F32, n: int, mixture: int, search: str) -> None:
     """New subsets and rows of one mode, the columns not made orthonormal: part of a sweep."""
     seen = right_sides(cells, kernels.project_cells(cells, tensor, n), n)
-    choose_rows(cells, seen, n, mixture, search)
+    choose_rows(cells, all_products(cells), seen, n, mixture, search)
 
 
 def row_errors(cells: Cells, tensor: F32, n: int) -> F64:
@@ -106,7 +106,7 @@ def test_cores_are_fitted_together(shape: Sequence[int], text: str) -> None:
     cells.cores *= rng.uniform(0.5, 1.5, cells.cores.shape).astype(np.float32)
     spoiled = energy(left_by(cells, tensor))
     for _ in range(60):
-        refit_cores(cells, kernels.project_cells(cells, tensor, n), n)
+        refit_cores(cells, all_products(cells), kernels.project_cells(cells, tensor, n), n)
     assert spoiled > 1.05 * before
     assert energy(left_by(cells, tensor)) <= before * 1.0001
 
@@ -263,8 +263,8 @@ def test_over_relaxed_rows_go_beyond_the_best_and_never_raise_the_error() -> Non
     cells = fit(tensor, "R=2 C=3,2,2 K=2,2,1", "fast")
     best, beyond = cells.copy(), cells.copy()
     seen = right_sides(cells, kernels.project_cells(cells, tensor, 0), 0)
-    choose_rows(best, seen, 0, 2, "fixed")
-    choose_rows(beyond, seen, 0, 2, "fixed", OVER_RELAXED)
+    choose_rows(best, all_products(best), seen, 0, 2, "fixed")
+    choose_rows(beyond, all_products(beyond), seen, 0, 2, "fixed", OVER_RELAXED)
     expected = cells.bases[0] + OVER_RELAXED * (best.bases[0] - cells.bases[0])
     np.testing.assert_allclose(beyond.bases[0], expected, rtol=1e-4, atol=1e-5)
     errors = [energy(left_by(each, tensor)) for each in (best, beyond, cells)]
@@ -277,8 +277,8 @@ def test_rows_of_new_subsets_are_not_relaxed() -> None:
     cells.members[0][:4] = cells.members[0][[5, 6, 7, 8]]  # wrong ones
     best, beyond = cells.copy(), cells.copy()
     seen = right_sides(cells, kernels.project_cells(cells, tensor, 0), 0)
-    choose_rows(best, seen, 0, 2, "optimal")
-    choose_rows(beyond, seen, 0, 2, "optimal", OVER_RELAXED)
+    choose_rows(best, all_products(best), seen, 0, 2, "optimal")
+    choose_rows(beyond, all_products(beyond), seen, 0, 2, "optimal", OVER_RELAXED)
     moved = (best.members[0] != cells.members[0]).any(axis=1)
     assert 0 < np.count_nonzero(moved) < len(moved)
     assert np.array_equal(best.members[0], beyond.members[0])

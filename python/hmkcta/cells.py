@@ -17,6 +17,8 @@ from .errors import invalid
 from .plan import LevelSpec
 
 F32 = NDArray[np.float32]
+#: Inner products of the bases of all pairs of cells: `[R_m, PC, R_m, PC]`.
+Products = NDArray[np.float64]
 U16 = NDArray[np.uint16]
 
 
@@ -134,6 +136,19 @@ def dense_basis(cells: Cells, n: int) -> F32:
         rows = np.arange(size)
         dense[:, cells.members[n][:, k], :, rows] = stored[:, k]
     return dense.reshape(cells.spec.cells, size, rank)
+
+
+def inner_products(cells: Cells, m: int) -> Products | None:
+    """`M_m(c, c') = U_{m,c}^T U_{m,c'}` of all pairs of cells; None: mode m is undecomposed."""
+    if cells.undecomposed[m]:
+        return None
+    columns = dense_basis(cells, m).transpose(1, 2, 0).reshape(cells.sizes[m], -1).astype(np.float64)  # [I_m, R_m PC]
+    return (columns.T @ columns).reshape(2 * (cells.ranks[m], cells.spec.cells))
+
+
+def all_products(cells: Cells) -> list[Products | None]:
+    """The `inner_products` of every mode."""
+    return [inner_products(cells, m) for m in range(cells.order)]
 
 
 def store_basis(cells: Cells, n: int, dense: NDArray[np.floating]) -> None:

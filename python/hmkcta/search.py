@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import backends as kernels
-from .cells import Cells, dense_basis, store_basis
+from .cells import Cells, Products, all_products, dense_basis, inner_products, store_basis
 from .projection import passes, project
 
 F32 = NDArray[np.float32]
@@ -27,29 +27,39 @@ CORE_STEPS = 2
 
 def sweep(cells: Cells, tensor: F32, mixture: Sequence[int], search: str, omega: float = 1.0) -> None:
     """`choose_rows` for one mode after another, their columns orthonormal again, then cores: never raises the error."""
-    order = passes(cells)
-    for kept in order:
+    products = all_products(cells)
+    last = passes(cells)[-1][-1]
+    for kept in passes(cells):
         seen = project(cells, tensor, kept)
         for n in kept:
             y = seen.onto(cells, n)
-            choose_rows(cells, right_sides(cells, y, n), n, mixture[n], search, omega)
+            choose_rows(cells, products, right_sides(cells, y, n), n, mixture[n], search, omega)
             orthonormalise(cells, n)
-            if n == order[-1][-1]:
-                refit_cores(cells, y, n)
+            products[n] = inner_products(cells, n)
+            if n == last:
+                refit_cores(cells, products, y, n)
 
 
-def choose_rows(cells: Cells, b: F64, n: int, mixture: int, search: str, omega: float = 1.0) -> None:
+def choose_rows(
+    cells: Cells,
+    products: Sequence[Products | None],
+    b: F64,
+    n: int,
+    mixture: int,
+    search: str,
+    omega: float = 1.0,
+) -> None:
     """New subsets (of `mixture` clusters) and basis rows of mode n, jointly optimal given all else.
 
-    b `[PC, R_n, I_n]` are its `right_sides`; `search` is ``optimal``, ``greedy`` or ``fixed`` (keep the subsets). The
-    rows are not orthonormal afterwards.
+    `products` are those of the other modes, b `[PC, R_n, I_n]` the `right_sides` of this one; `search` is ``optimal``,
+    ``greedy`` or ``fixed`` (keep the subsets). The rows are not orthonormal afterwards.
 
     Rows that keep their subset go `omega` times as far as the best ones lie (successive over-relaxation): as the error
     is quadratic in them, it is no larger than before up to omega = 2, and the sweeps that follow get further.
     """
     spec, size, before = cells.spec, cells.sizes[n], cells.bases[n]
     kept = cells.members[n] if search == "fixed" or cells.members[n].shape[1] == mixture else None
-    h = kernels.dictionary_gram(cells, n)
+    h = kernels.dictionary_gram(cells, products, n)
     cells.members[n], x = kernels.code_rows(h, b, spec.clusters, n, kept, mixture, search)
     cells.bases[n] = x.reshape(size, mixture, spec.cells // spec.clusters[n], cells.ranks[n])
     cells.spec = replace(spec, mixture=(*spec.mixture[:n], mixture, *spec.mixture[n + 1 :]))
@@ -64,14 +74,14 @@ def right_sides(cells: Cells, y: NDArray[np.floating], n: int) -> F64:
     return np.matmul(cores.astype(np.float64), y.transpose(0, 2, 1))
 
 
-def refit_cores(cells: Cells, y: NDArray[np.floating], n: int) -> None:
+def refit_cores(cells: Cells, products: Sequence[Products | None], y: NDArray[np.floating], n: int) -> None:
     """Cores of all cells by joint least squares, the bases given, from the projections `y` of mode n.
 
     New rows change a core by one matrix a mode; this finds what else would help.
     """
     b = np.matmul(dense_basis(cells, n).transpose(0, 2, 1).astype(np.float64), y)
     others = [rank for m, rank in enumerate(cells.ranks) if m != n]
-    kernels.solve_cores(cells, np.moveaxis(b.reshape(*b.shape[:2], *others), 1, n + 1), CORE_STEPS)
+    kernels.solve_cores(cells, products, np.moveaxis(b.reshape(*b.shape[:2], *others), 1, n + 1), CORE_STEPS)
 
 
 def project_model(cells: Cells, other: Cells, n: int) -> F64:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import backends as kernels
-from .cells import Cells
+from .cells import Cells, all_products
 from .coding import Dictionary
 from .memberships import nearest_with_room, uniform_blocks
 from .projection import Projection, passes, project
@@ -53,7 +53,7 @@ def _parts(cells: Cells, seen: Projection | None, n: int, scheme: str) -> NDArra
 def _subset_errors(cells: Cells, seen: Projection | None, n: int) -> NDArray[np.float64]:
     """`[I_n, K_n]`: squared error of each row by each of its subsets alone, less |t_i|^2."""
     y = project_model(cells, cells, n) if seen is None else seen.onto(cells, n)
-    h = kernels.dictionary_gram(cells, n)
+    h = kernels.dictionary_gram(cells, all_products(cells), n)
     dictionary = Dictionary.of(h, right_sides(cells, y, n), cells.spec.clusters, n)
     x = cells.bases[n].astype(np.float64)  # [I_n, K_n, PC_-n, R_n]
     errors = np.empty(cells.members[n].shape)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import backends as kernels
-from .cells import Cells
+from .cells import Cells, all_products
 from .fit import Effort, Labels, fit_level
 from .memory import check_memory
 from .pieces import Rows
@@ -165,7 +165,8 @@ def solve_rows(residual: Streamed, number: int, cells: Cells, n: int, search: st
     """Best rows of mode n given all else, on the tensor thinned by `steps`, as modes of the cells may be already."""
     full = [own == size for own, size in zip(cells.sizes, residual.shape, strict=True)]
     seen = thinned_cells(cells, [step if whole else 1 for step, whole in zip(steps, full, strict=True)])
-    choose_rows(seen, sides(residual, number, seen, n, steps), n, cells.spec.mixture[n], search)
+    b = sides(residual, number, seen, n, steps)
+    choose_rows(seen, all_products(seen), b, n, cells.spec.mixture[n], search)
     orthonormalise(seen, n)
     cells.members[n], cells.bases[n], cells.cores = seen.members[n], seen.bases[n], seen.cores
 

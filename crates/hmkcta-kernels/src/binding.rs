@@ -2,6 +2,7 @@
 
 use crate::cells::{Node, Shape};
 use crate::packed::{Level, MOST_MODES, Ragged};
+use crate::pairs::Pairs;
 use numpy::{Element, PyReadonlyArray1};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -10,6 +11,7 @@ type Array<'py, T> = PyReadonlyArray1<'py, T>;
 type OfModes<'py, T> = Vec<Option<Array<'py, T>>>;
 pub type Members<'py> = Vec<PyReadonlyArray1<'py, u16>>;
 pub type Floats<'py> = PyReadonlyArray1<'py, f32>;
+pub type Doubles<'py> = PyReadonlyArray1<'py, f64>;
 
 /// The arrays of one level as a dictionary, named as in `hmkcta.packed.PackedLevel`, all flat; float16 as its bits.
 #[derive(FromPyObject)]
@@ -107,11 +109,11 @@ pub fn check_cores(node: &Node, length: usize) -> PyResult<()> {
     check_length("the cores", length, node.cells() * node.core_size())
 }
 
-pub fn check_mode(node: &Node, mode: usize) -> PyResult<()> {
-    if mode < node.order() {
+pub fn check_mode(order: usize, mode: usize) -> PyResult<()> {
+    if mode < order {
         return Ok(());
     }
-    Err(PyValueError::new_err(format!("mode must be below {}, got {mode}", node.order())))
+    Err(PyValueError::new_err(format!("mode must be below {order}, got {mode}")))
 }
 
 pub fn tensor_of<'a>(node: &Node, tensor: &'a Floats) -> PyResult<&'a [f32]> {
@@ -130,4 +132,16 @@ pub fn cores_of<'a>(node: &Node, cores: &'a Floats) -> PyResult<&'a [f32]> {
     let cores = cores.as_slice()?;
     check_cores(node, cores.len())?;
     Ok(cores)
+}
+
+/// All pairs of as many cells as have so many numbers in their cores.
+pub fn pairs_of<'a>(ranks: &'a [usize], products: &'a [&'a [f64]], cores: usize) -> PyResult<Pairs<'a>> {
+    check_length("the list of products", products.len(), ranks.len())?;
+    let cells = cores / ranks.iter().product::<usize>().max(1);
+    let pairs = Pairs { cells, ranks, products };
+    check_length("the cores", cores, cells * pairs.core_size())?;
+    pairs
+        .decomposed()
+        .try_for_each(|m| check_length(&format!("product {}", m + 1), products[m].len(), (cells * ranks[m]).pow(2)))?;
+    Ok(pairs)
 }

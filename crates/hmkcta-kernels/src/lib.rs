@@ -41,8 +41,8 @@ mod tucker;
 mod widened;
 
 use binding::{
-    Arrays, Floats, Members, bases_of, check_bases, check_cores, check_length, check_mode, check_tensor, cores_of,
-    node, tensor_of,
+    Arrays, Doubles, Floats, Members, bases_of, check_bases, check_cores, check_length, check_mode, check_tensor,
+    cores_of, node, pairs_of, tensor_of,
 };
 use cells::Shape;
 use coding::Search;
@@ -114,7 +114,7 @@ fn project_cells<'py>(
 ) -> PyResult<Bound<'py, PyArray1<f32>>> {
     let node = node(shape, &members)?;
     let (tensor, bases) = (tensor_of(&node, &tensor)?, bases_of(&node, &bases)?);
-    check_mode(&node, mode)?;
+    check_mode(node.order(), mode)?;
     Ok(py.detach(|| project::project_cells(node, tensor, &bases, mode)).into_pyarray(py))
 }
 
@@ -131,7 +131,7 @@ fn project_pair<'py>(
     let node = node(shape, &members)?;
     let (tensor, bases) = (tensor_of(&node, &tensor)?, bases_of(&node, &bases)?);
     let (a, b) = pair;
-    [a, b].into_iter().try_for_each(|n| check_mode(&node, n))?;
+    [a, b].into_iter().try_for_each(|n| check_mode(node.order(), n))?;
     if a == b || node.undecomposed[a] || node.undecomposed[b] {
         return Err(PyValueError::new_err("two decomposed modes are needed"));
     }
@@ -158,34 +158,33 @@ fn contract_lanes<'py>(
 #[pyfunction]
 fn dictionary_gram<'py>(
     py: Python<'py>,
-    shape: Shape,
-    members: Members,
-    bases: Vec<Floats>,
+    ranks: Vec<usize>,
+    products: Vec<Doubles>,
     cores: Floats,
     mode: usize,
 ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-    let node = node(shape, &members)?;
-    let (bases, cores) = (bases_of(&node, &bases)?, cores_of(&node, &cores)?);
-    check_mode(&node, mode)?;
-    Ok(py.detach(|| gram::dictionary_gram(&node, &bases, cores, mode)).into_pyarray(py))
+    let products = products.iter().map(|product| product.as_slice()).collect::<Result<Vec<_>, _>>()?;
+    let cores = cores.as_slice()?;
+    let pairs = pairs_of(&ranks, &products, cores.len())?;
+    check_mode(ranks.len(), mode)?;
+    Ok(py.detach(|| gram::dictionary_gram(&pairs, cores, mode)).into_pyarray(py))
 }
 
 /// Cores that leave less, in place, by so many steps of conjugate gradients; `b` are projections on all bases.
 #[pyfunction]
 fn solve_cores(
     py: Python,
-    shape: Shape,
-    members: Members,
-    bases: Vec<Floats>,
+    ranks: Vec<usize>,
+    products: Vec<Doubles>,
     mut cores: PyReadwriteArray1<f32>,
-    b: PyReadonlyArray1<f64>,
+    b: Doubles,
     steps: usize,
 ) -> PyResult<()> {
-    let node = node(shape, &members)?;
-    let (bases, cores, b) = (bases_of(&node, &bases)?, cores.as_slice_mut()?, b.as_slice()?);
-    check_cores(&node, cores.len())?;
+    let products = products.iter().map(|product| product.as_slice()).collect::<Result<Vec<_>, _>>()?;
+    let (cores, b) = (cores.as_slice_mut()?, b.as_slice()?);
+    let pairs = pairs_of(&ranks, &products, cores.len())?;
     check_length("b", b.len(), cores.len())?;
-    py.detach(|| cores::solve_cores(&node, &bases, cores, b, steps));
+    py.detach(|| cores::solve_cores(&pairs, cores, b, steps));
     Ok(())
 }
 

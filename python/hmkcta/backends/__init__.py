@@ -14,7 +14,7 @@ from functools import cache
 from typing import TYPE_CHECKING
 from warnings import warn
 
-from ..cells import F32, Cells
+from ..cells import F32, Cells, Products
 from ..coding import U16
 from ..errors import invalid
 from . import reference
@@ -147,14 +147,14 @@ def scatter(tensor: F32, rows: Rows, block: F32) -> None:
     _kernels().scatter(tensor, rows, block)
 
 
-def dictionary_gram(cells: Cells, n: int) -> F64:
+def dictionary_gram(cells: Cells, products: Sequence[Products | None], n: int) -> F64:
     """Inner products of all dictionary columns of mode n; see `reference.dictionary_gram`."""
-    return _kernels().dictionary_gram(cells, n)
+    return _kernels().dictionary_gram(cells, products, n)
 
 
-def solve_cores(cells: Cells, b: F64, steps: int) -> None:
+def solve_cores(cells: Cells, products: Sequence[Products | None], b: F64, steps: int) -> None:
     """Cores of all cells that leave less of a tensor together, in place; see `reference.solve_cores`."""
-    _kernels().solve_cores(cells, b, steps)
+    _kernels().solve_cores(cells, products, b, steps)
 
 
 def code_rows(

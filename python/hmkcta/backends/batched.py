@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..cells import F32, Cells, check_shape, dense_basis
+from ..cells import F32, Cells, Products, check_shape
 from .batches import Batch, Index, projection_batches, sweep_batches
 from .reference import DEPENDENT
 
@@ -102,11 +102,9 @@ def project_pair(on: Arrays, cells: Cells, tensor: F32, pair: tuple[int, int]) -
     return p.reshape(*rows, *clusters, ranks[0], *(cells.spec.clusters[m] for m in kept), ranks[1])
 
 
-def dictionary_gram(on: Arrays, cells: Cells, n: int) -> F64:
+def dictionary_gram(on: Arrays, cells: Cells, products: Sequence[Products | None], n: int) -> F64:
     """`H_n = D_n^T D_n` of the dictionaries of all cells: `[PC R_n, PC R_n]`, in float64."""
     xp, count, rank = on.xp, cells.spec.cells, cells.ranks[n]
-    modes = [m for m, skip in enumerate(cells.undecomposed) if not skip and m != n]
-    dense = {m: xp.array(dense_basis(cells, m).astype(np.float64)) for m in modes}  # [PC, I_m, R_m]
     cores = xp.array(cells.cores.astype(np.float64))
     right = _unfolded(on, cores, n).transpose(0, 2, 1)  # [PC, Q, R_n]
     step = max(1, on.budget // (2 * count * max(1, prod(cells.ranks))))  # two float32 fit into a float64
@@ -115,10 +113,11 @@ def dictionary_gram(on: Arrays, cells: Cells, n: int) -> F64:
         part = slice(first, min(first + step, count))
         here = part.stop - first
         x = xp.broadcast_to(cores[part, None], (here, *cores.shape)).reshape(here * count, *cores.shape[1:])
-        for m, basis in dense.items():
-            # M_m of the part's cells and all others, as what takes coefficients of the one to those of the other.
-            gram = xp.matmul(basis.transpose(0, 2, 1)[None], basis[part, None])
-            x = _times(on, x, gram.reshape(here * count, *gram.shape[2:]), m)
+        for m, product in enumerate(products):
+            if product is not None and m != n:
+                # What takes coefficients of the part's cells to those of all others.
+                gram = xp.array(product[:, part]).transpose(1, 3, 2, 0)
+                x = _times(on, x, gram.reshape(here * count, *gram.shape[2:]), m)
         left = _unfolded(on, x, n).reshape(here, count, rank, -1)
         h[part] = on.to_host(xp.matmul(left, right[None])).transpose(0, 2, 1, 3)
     return h.reshape(count * rank, count * rank)

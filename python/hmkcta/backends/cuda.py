@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ..cells import F32, Cells, empty_cells
+from ..cells import F32, Cells, Products, empty_cells
 from ..coding import U16
 from ..errors import HmkctaError, Kind
 from ..plan import LevelSpec
@@ -102,15 +102,15 @@ class Cuda:
         """Put a sub-tensor back, on the CPU."""
         self._cpu.scatter(tensor, rows, block)
 
-    def dictionary_gram(self, cells: Cells, n: int) -> F64:
+    def dictionary_gram(self, cells: Cells, products: Sequence[Products | None], n: int) -> F64:
         """Inner products of all dictionary columns of mode n."""
         if self._worthwhile(cells.spec.cells**2 * prod(cells.ranks)):
-            return self._run(cells, lambda on: batched.dictionary_gram(on, cells, n))
-        return self._cpu.dictionary_gram(cells, n)
+            return self._run(cells, lambda on: batched.dictionary_gram(on, cells, products, n))
+        return self._cpu.dictionary_gram(cells, products, n)
 
-    def solve_cores(self, cells: Cells, b: F64, steps: int) -> None:
+    def solve_cores(self, cells: Cells, products: Sequence[Products | None], b: F64, steps: int) -> None:
         """Cores of all cells that leave less together, in place, on the CPU."""
-        self._cpu.solve_cores(cells, b, steps)
+        self._cpu.solve_cores(cells, products, b, steps)
 
     def code_rows(
         self, h: F64, b: F64, clusters: Sequence[int], n: int, kept: U16 | None, mixture: int, search: str

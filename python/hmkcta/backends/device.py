@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from ..cells import F32, Cells
+from ..cells import F32, Cells, Products
 from ..coding import U16
 from .reference import F64, Rows
 
@@ -47,11 +47,11 @@ class Kernels(Protocol):
         """Put a sub-tensor back, in place."""
         ...
 
-    def dictionary_gram(self, cells: Cells, n: int) -> F64:
+    def dictionary_gram(self, cells: Cells, products: Sequence[Products | None], n: int) -> F64:
         """Inner products of all dictionary columns of mode n."""
         ...
 
-    def solve_cores(self, cells: Cells, b: F64, steps: int) -> None:
+    def solve_cores(self, cells: Cells, products: Sequence[Products | None], b: F64, steps: int) -> None:
         """Cores of all cells that leave less together, in place."""
         ...
 

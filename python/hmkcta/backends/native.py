@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _native
-from ..cells import F32, Cells, check_shape
+from ..cells import F32, Cells, Products, check_shape
 from ..coding import U16
 from ..errors import invalid
 from . import reference
@@ -88,17 +88,17 @@ def scatter(tensor: F32, rows: Rows, block: F32) -> None:
     _native.scatter(_in_place(tensor), list(tensor.shape), _rows(rows), _flat(block))
 
 
-def dictionary_gram(cells: Cells, n: int) -> F64:
+def dictionary_gram(cells: Cells, products: Sequence[Products | None], n: int) -> F64:
     """`H_n = D_n^T D_n` of the dictionaries of all cells: `[PC R_n, PC R_n]`."""
     side = cells.spec.cells * cells.ranks[n]
-    return _native.dictionary_gram(*_node(cells), _bases(cells), _flat(cells.cores), n).reshape(side, side)
+    return _native.dictionary_gram(cells.ranks, _products(products), _flat(cells.cores), n).reshape(side, side)
 
 
-def solve_cores(cells: Cells, b: F64, steps: int) -> None:
+def solve_cores(cells: Cells, products: Sequence[Products | None], b: F64, steps: int) -> None:
     """Cores of all cells that leave less of a tensor together, the bases given, in place."""
     cells.cores = np.require(cells.cores, np.float32, ["C", "W"])
     right = np.ascontiguousarray(b, np.float64).reshape(-1)
-    _native.solve_cores(*_node(cells), _bases(cells), cells.cores.reshape(-1), right, steps)
+    _native.solve_cores(cells.ranks, _products(products), cells.cores.reshape(-1), right, steps)
 
 
 def code_rows(
@@ -125,6 +125,10 @@ def _rows(rows: Rows) -> list[NDArray[np.uint32]]:
 def _bases(cells: Cells) -> list[F32]:
     nothing = (np.zeros(0, np.float32) for _ in cells.bases)
     return [none if skip else _flat(b) for b, skip, none in zip(cells.bases, cells.undecomposed, nothing, strict=True)]
+
+
+def _products(products: Sequence[Products | None]) -> list[F64]:
+    return [np.zeros(0) if m is None else np.ascontiguousarray(m, np.float64).reshape(-1) for m in products]
 
 
 def _flat(array: F32) -> F32:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..cells import F32, Cells, dense_basis
+from ..cells import F32, Cells, Products
 from ..coding import code_rows as code_rows  # the twin of the native search
 
 F64 = NDArray[np.float64]
@@ -123,32 +123,31 @@ def scatter(tensor: F32, rows: Rows, block: F32) -> None:
     tensor[np.ix_(*rows)] = block
 
 
-def dictionary_gram(cells: Cells, n: int) -> F64:
+def dictionary_gram(cells: Cells, products: Sequence[Products | None], n: int) -> F64:
     """Inner products of all dictionary columns `D_{n,c}[r] = vec(Z_c[r] x_{m != n} U_{m,c})`.
 
     `H_n[c,c'] = unf_n(Z_c) (kron_{m != n} M_m) unf_n(Z_c')^T` with `M_m = U_{m,c}^T U_{m,c'}`.
+
+    Args:
+        cells: their cores are used, not their bases.
+        products: M_m of all pairs of cells, as `cells.inner_products` has them; that of mode n is not used.
+        n: the mode.
 
     Returns:
         `[PC R_n, PC R_n]`, symmetric.
     """
     count, rank = cells.spec.cells, cells.ranks[n]
     cores = cells.cores.astype(np.float64)
-    bases = [None if skip or m == n else dense_basis(cells, m) for m, skip in enumerate(cells.undecomposed)]
     h = np.empty((count, rank, count, rank))
     for c in range(count):
-        x = np.broadcast_to(cores[c], cores.shape)  # one for each c'
-        for m, basis in enumerate(bases):
-            if basis is not None:
-                gram = np.einsum(
-                    "ir,dis->drs", basis[c].astype(np.float64), basis, optimize=True
-                )  # M_m of c and all c'
-                x = np.moveaxis(np.einsum("d...r,drs->d...s", np.moveaxis(x, m + 1, -1), gram), -1, m + 1)
+        to_others = [None if p is None or m == n else p[:, c].transpose(0, 2, 1) for m, p in enumerate(products)]
+        x = _multiplied(np.broadcast_to(cores[c], cores.shape), to_others)
         left, right = (np.moveaxis(z, n + 1, 1).reshape(count, rank, -1) for z in (x, cores))
         h[c] = np.einsum("drq,dsq->rds", left, right, optimize=True)
     return h.reshape(count * rank, count * rank)
 
 
-def solve_cores(cells: Cells, b: F64, steps: int) -> None:
+def solve_cores(cells: Cells, products: Sequence[Products | None], b: F64, steps: int) -> None:
     """Cores of all cells that leave less of a tensor together, the bases given, in place.
 
     `G Z = b` by conjugate gradients from the present cores, with `(G Z)_c = sum_c' Z_c' x_m M_m` over all decomposed
@@ -156,21 +155,14 @@ def solve_cores(cells: Cells, b: F64, steps: int) -> None:
 
     Args:
         cells: their cores are replaced.
+        products: M_m of all pairs of cells, as `cells.inner_products` has them.
         b: the tensor projected on the bases of every cell, `[PC, R_1, .., R_N]`.
         steps: of conjugate gradients, at the most.
     """
-    bases = [None if skip else dense_basis(cells, m).astype(np.float64) for m, skip in enumerate(cells.undecomposed)]
 
     def applied(z: F64) -> F64:
-        g = np.empty_like(z)
-        for c in range(len(z)):
-            x = z
-            for m, basis in enumerate(bases):
-                if basis is not None:
-                    gram = np.einsum("ir,dis->drs", basis[c], basis, optimize=True)  # M_m of c and all c'
-                    x = np.moveaxis(np.einsum("d...s,drs->d...r", np.moveaxis(x, m + 1, -1), gram), -1, m + 1)
-            g[c] = x.sum(axis=0)
-        return g
+        to_each = ([None if p is None else p[..., c] for p in products] for c in range(len(z)))
+        return np.array([_multiplied(z, to_c).sum(axis=0) for to_c in to_each])
 
     z = cells.cores.astype(np.float64)
     r = b - applied(z)
@@ -184,6 +176,14 @@ def solve_cores(cells: Cells, b: F64, steps: int) -> None:
         before, left = left, float(np.vdot(r, r))
         p = r + left / before * p
     cells.cores = z.astype(np.float32)
+
+
+def _multiplied(x: F64, matrices: Sequence[F64 | None]) -> F64:
+    """`x_d x_m M_d` over all modes m: every core `[PC, R_1, .., R_N]` by matrices of its own, `[R_m, PC, new R_m]`."""
+    for m, matrix in enumerate(matrices):
+        if matrix is not None:
+            x = np.moveaxis(np.einsum("d...r,rds->d...s", np.moveaxis(x, m + 1, -1), matrix), -1, m + 1)
+    return x
 
 
 def _each_cell(cells: Cells, whole: Sequence[int] = ()) -> Iterator[Cell]:
