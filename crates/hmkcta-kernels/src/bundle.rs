@@ -1,9 +1,10 @@
 //! What all cells that meet at some rows of the leading modes add to the lines there, some lines at a time.
 //!
-//! These rows are a bundle: they differ in the last leading mode only, and share their subsets there. So the same cells are
-//! met, and the columns of a cluster of mode b, of all rows of the bundle, fill vectors side by side.
+//! These rows are a bundle: they differ in the last leading mode only, and share their subsets there. So they meet the
+//! same cells, and the columns of a cluster of mode b, of all tuples of the bundle, fill vectors side by side.
 
-use crate::lines::{Buffers, Group, Lines, PAD, Partial, ROWS};
+use crate::leading::Partial;
+use crate::lines::{Buffers, Group, Lines, PAD, ROWS};
 use crate::machine::prefetch_from;
 use crate::threads::room;
 use pulp::{Simd, WithSimd};
@@ -63,33 +64,38 @@ impl WithSimd for Bundle<'_> {
     }
 }
 
-/// Contract the cores of `count` tuples with the bases of mode b: lines `[combinations, C_a, R_a]`; `B`: R_b if it is known,
-/// else 0.
+/// Contract the cores of `count` tuples with the bases of mode b: lines `[combinations, C_a, R_a]`; `B`: R_b if it is
+/// known, else 0.
 #[inline(always)]
 fn expand<S: Simd, const B: usize>(simd: S, lines: &Lines, present: &Partial, count: usize, panels: &mut [f32]) {
     let (node, a, places) = (lines.node, lines.depth, &lines.places);
     let (clusters, rank, rank_b) = (node.clusters[a], node.ranks[a], node.ranks[a + 1]);
-    let (basis, line, core) = (lines.basis(), places.line(), rank * lines.lanes);
-    let tuple = present.cores.len() / count;
+    let (basis, line, tuple) = (lines.basis(), places.line(), present.cores.len() / count);
     for (number, panels) in panels.chunks_exact_mut(rank * line).enumerate() {
         let cell = present.cells[number / clusters] * clusters + number % clusters;
         let bases = &lines.bases[cell * basis..][..basis];
-        for t in 0..count {
-            let cores = &present.cores[t * tuple + number * core..][..core];
-            for (c, &members) in places.members.iter().enumerate() {
-                let (basis, cores) = (&bases[places.starts[c] * rank_b..], &cores[c * rank_b..]);
-                // What a tuple has too much is the next one's.
-                let panels = &mut panels[places.segments[c] + t * members..];
-                let width = members.next_multiple_of(PAD);
+        let cores = &present.cores[number * rank * lines.lanes..];
+        for (c, &members) in places.members.iter().enumerate() {
+            let basis = &bases[places.starts[c] * rank_b..];
+            // What a tuple has too much is the next one's, so each is finished before.
+            let together = if members <= WIDE * S::F32_LANES { count } else { 1 };
+            for t in (0..count).step_by(together) {
                 for first in (0..members).step_by(WIDE * S::F32_LANES) {
-                    let row = Row { simd, cores, basis: &basis[first..], width, ranks: (rank, rank_b) };
-                    let to = &mut panels[first..];
+                    let part = Part {
+                        cores: &cores[t * tuple + c * rank_b..],
+                        core_steps: (tuple, lines.lanes),
+                        basis: &basis[first..],
+                        width: members.next_multiple_of(PAD),
+                        out: &mut panels[places.segments[c] + t * members + first..],
+                        out_steps: (members, line),
+                        sizes: (together, rank, rank_b),
+                    };
                     // SAFETY: members are padded to whole vectors, and lines are as long as all of them.
                     unsafe {
                         match (members - first).div_ceil(S::F32_LANES) {
-                            1 => row.combine::<B, 1>(lines.lanes, to, line),
-                            2 => row.combine::<B, 2>(lines.lanes, to, line),
-                            _ => row.combine::<B, 3>(lines.lanes, to, line),
+                            1 => part.combine::<S, B, 1>(simd),
+                            2 => part.combine::<S, B, 2>(simd),
+                            _ => part.combine::<S, B, 3>(simd),
                         }
                     }
                 }
@@ -98,47 +104,55 @@ fn expand<S: Simd, const B: usize>(simd: S, lines: &Lines, present: &Partial, co
     }
 }
 
-/// Numbers `[R_b, width]` of some members of a cluster of mode b, and cores `[R_a, lanes]` to contract them with.
-struct Row<'r, S> {
-    simd: S,
-    cores: &'r [f32],
-    basis: &'r [f32],
+/// `out[t, i, j] = sum_r cores[t, i, r] basis[r, j]` for some tuples, R_a, R_b and some members of a cluster of mode b.
+struct Part<'p> {
+    cores: &'p [f32],
+    /// From one tuple to the next, from one number of R_a to the next.
+    core_steps: (usize, usize),
+    basis: &'p [f32],
+    /// From one number of R_b to the next.
     width: usize,
-    ranks: (usize, usize),
+    out: &'p mut [f32],
+    out_steps: (usize, usize),
+    /// Tuples, R_a, R_b.
+    sizes: (usize, usize, usize),
 }
 
-impl<S: Simd> Row<'_, S> {
-    /// `V` vectors of `[R_a]` lines.
+impl Part<'_> {
+    /// `V` vectors of members; `B`: R_b if it is known, else 0.
     ///
     /// # Safety
-    /// The basis and the lines have that many numbers from their starts on, and R_b is `B`, if it is not 0.
+    /// All these numbers lie within the slices.
     #[inline(always)]
-    unsafe fn combine<const B: usize, const V: usize>(&self, lanes: usize, out: &mut [f32], line: usize) {
-        let &Row { simd, cores, basis, width, ranks } = self;
-        let count = if B > 0 { B } else { ranks.1 };
+    unsafe fn combine<S: Simd, const B: usize, const V: usize>(self, simd: S) {
+        let Part { cores, core_steps, basis, width, out, out_steps, sizes: (tuples, rank, rank_b) } = self;
         unsafe {
-            let at = |r: usize, v: usize| basis.as_ptr().add(r * width + v * S::F32_LANES).cast::<S::f32s>();
-            let row = |r: usize| std::array::from_fn(|v| at(r, v).read_unaligned());
+            let row = |r: usize| -> [S::f32s; V] {
+                let at = basis.as_ptr().add(r * width).cast::<S::f32s>();
+                std::array::from_fn(|v| at.add(v).read_unaligned())
+            };
             let known: [[S::f32s; V]; B] = std::array::from_fn(row);
-            for r_a in 0..ranks.0 {
-                let mut sums = [simd.splat_f32s(0.0); V];
-                for r in 0..count {
-                    let weight = simd.splat_f32s(*cores.as_ptr().add(r_a * lanes + r));
-                    let values = if B > 0 { known[r % B.max(1)] } else { row(r) };
-                    for (sum, value) in sums.iter_mut().zip(values) {
-                        *sum = simd.mul_add_e_f32s(weight, value, *sum);
+            for t in 0..tuples {
+                for i in 0..rank {
+                    let core = cores.as_ptr().add(t * core_steps.0 + i * core_steps.1);
+                    let mut sums = [simd.splat_f32s(0.0); V];
+                    for r in 0..if B > 0 { B } else { rank_b } {
+                        let weight = simd.splat_f32s(*core.add(r));
+                        let values = if B > 0 { known[r % B.max(1)] } else { row(r) };
+                        for (sum, value) in sums.iter_mut().zip(values) {
+                            *sum = simd.mul_add_e_f32s(weight, value, *sum);
+                        }
                     }
-                }
-                for (v, sum) in sums.into_iter().enumerate() {
-                    out.as_mut_ptr().add(r_a * line + v * S::F32_LANES).cast::<S::f32s>().write_unaligned(sum);
+                    let to = out.as_mut_ptr().add(t * out_steps.0 + i * out_steps.1).cast::<S::f32s>();
+                    sums.into_iter().enumerate().for_each(|(v, sum)| to.add(v).write_unaligned(sum));
                 }
             }
         }
     }
 }
 
-/// Lines of the group that comes next, of this bundle or of the next one, which are fetched bit by bit: more at once than a
-/// core can wait for beside its work hold it up.
+/// Lines of the group that comes next, of this bundle or of the next one, which are fetched bit by bit: more at once
+/// than a core can wait for beside its work hold it up.
 struct Ahead<'a> {
     rows: &'a [u32],
     starts: &'a [*mut f32],

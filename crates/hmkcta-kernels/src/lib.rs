@@ -19,6 +19,7 @@ mod gram;
 mod hooi;
 mod lanes;
 mod layout;
+mod leading;
 mod lines;
 mod machine;
 mod packed;

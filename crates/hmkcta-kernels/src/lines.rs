@@ -1,23 +1,24 @@
 //! Reconstruction of overlapping cells line by line: a line has all columns, the rows of the last mode b.
 //!
-//! For fixed rows of the leading modes the cores of the cells that meet there are contracted to `[R_a, R_b]` each, a being
-//! the mode that makes least work, and with the bases of mode b: what each row of mode a weighs. Lines are products of
-//! matrices then, cluster by cluster of mode b, whose columns are put back in their places as lines are added to the tensor.
+//! For fixed rows of the leading modes the cores of the cells that meet there are contracted to `[R_a, R_b]` each, a
+//! being the mode that makes the least work, and then with the bases of mode b: to panels, which each row of mode a
+//! weighs. Lines are products of matrices then, cluster by cluster of mode b, whose columns are put back in their places
+//! as lines are added to the tensor.
 
 use crate::bundle::{Bundle, Choice};
 use crate::cells::Node;
+use crate::leading::{Choose, Partial, subsets};
 use crate::machine::dispatch;
 use crate::places::Places;
 use crate::threads::{PARALLEL, for_each};
 use crate::turned::Turned;
-use pulp::{Simd, WithSimd};
 use std::ops::Range;
 
 /// More numbers than any vector has; what vectors run along is padded to whole ones.
 pub const PAD: usize = 16;
 /// Rows of mode a worked on at a time.
 pub const ROWS: usize = 8;
-/// Numbers that the lines of a bundle should have for a row of mode a, all clusters' members, and most rows of a bundle.
+/// Numbers that the lines of a bundle should have for a row of mode a, all clusters' members; most rows of a bundle.
 const BUNDLED: usize = 400;
 const MOST_BUNDLED: usize = 8;
 /// What a group of rows and a multiply-add of a panel cost beside one of a line, measured.
@@ -26,8 +27,8 @@ const PANEL: f64 = 4.0;
 /// Pieces the tensor is cut into, for threads to share.
 const PIECES: usize = 64;
 
-/// The mode whose rows make least work; None where the last mode or all others have no bases, or what is left would be too
-/// few tuples of rows for threads to share.
+/// The mode whose rows make the least work; None where the last mode or all others have no bases, or what is left would
+/// be too few tuples of rows for threads to share.
 pub fn mode_of_rows(node: &Node) -> Option<usize> {
     let (b, elements) = (node.order() - 1, node.sizes.iter().product::<usize>());
     let shared = |n: usize| elements < PARALLEL || elements / (node.sizes[n] * node.sizes[b]) >= PIECES / 8;
@@ -43,6 +44,7 @@ pub fn mode_of_rows(node: &Node) -> Option<usize> {
 
 /// `tensor += weight * model`, with the rows of this mode.
 pub fn accumulate(node: &Node, mode: usize, tensor: &mut [f32], bases: &[&[f32]], cores: &[f32], weight: f32) {
+    assert_eq!(tensor.len(), node.sizes.iter().product::<usize>());
     let turned = Turned::new(node, mode, bases, cores);
     let lines = Lines::new(&turned.node, &turned.bases);
     let all = lines.cores(&turned.cores, weight);
@@ -83,7 +85,8 @@ impl Target {
     }
 }
 
-/// A node prepared for it. Modes a and b are the last two; lanes are the clusters of mode b and its ranks, `C_b R_b`, padded.
+/// A node prepared for it. Modes a and b are the last two; lanes are the clusters of mode b and its ranks, `C_b R_b`,
+/// padded.
 pub struct Lines<'a> {
     pub node: &'a Node<'a>,
     /// N - 2, the number of leading modes, which is mode a.
@@ -91,7 +94,7 @@ pub struct Lines<'a> {
     pub columns: usize,
     pub lanes: usize,
     /// For each leading mode `[I_n, K_n, cells of the modes before, of those after but b, R_n, lanes]`.
-    expanded: Vec<Vec<f32>>,
+    pub expanded: Vec<Vec<f32>>,
     /// Rows of mode a with the same subsets, some at a time.
     pub groups: Vec<Group>,
     /// Rows of the last leading mode with the same subsets, some at a time; one row 0 where there is no such mode.
@@ -100,14 +103,6 @@ pub struct Lines<'a> {
     pub bases: Vec<f32>,
     /// Where each column is in a line.
     pub places: Places,
-}
-
-/// Combinations of subsets that meet at the present rows of the modes before n, and their cores contracted with these
-/// rows: `[combinations, cells from mode n on but b, R_n, .., R_a, lanes]`, for each row of a bundle.
-#[derive(Clone, Default)]
-pub struct Partial {
-    pub cells: Vec<usize>,
-    pub cores: Vec<f32>,
 }
 
 /// Buffers of one task.
@@ -153,8 +148,9 @@ impl<'a> Lines<'a> {
         let (clusters, repeats) = (self.node.clusters[b], self.node.ranks[b]);
         let mut all = vec![0.0; numbers.len() / clusters * self.lanes];
         for (from, to) in numbers.chunks_exact(clusters * rank).zip(all.chunks_exact_mut(rank * self.lanes)) {
-            for (at, &u) in from.iter().enumerate() {
-                to[at % rank * self.lanes + at / rank * repeats..][..repeats].fill(u);
+            for (c, from) in from.chunks_exact(rank).enumerate() {
+                let to = to.chunks_exact_mut(self.lanes).zip(from);
+                to.for_each(|(to, &u)| to[c * repeats..][..repeats].fill(u));
             }
         }
         all
@@ -167,9 +163,10 @@ impl<'a> Lines<'a> {
         let others: usize = self.node.ranks[..b].iter().product();
         let mut all = vec![0.0; cores.len() / (clusters * rank) * self.lanes];
         for (from, to) in cores.chunks_exact(clusters * others * rank).zip(all.chunks_exact_mut(others * self.lanes)) {
-            for (at, line) in from.chunks_exact(rank).enumerate() {
-                let to = &mut to[at % others * self.lanes + at / others * rank..][..rank];
-                to.iter_mut().zip(line).for_each(|(to, z)| *to = weight * z);
+            for (c, from) in from.chunks_exact(others * rank).enumerate() {
+                for (from, to) in from.chunks_exact(rank).zip(to.chunks_exact_mut(self.lanes)) {
+                    to[c * rank..].iter_mut().zip(from).for_each(|(to, z)| *to = weight * z);
+                }
             }
         }
         Partial { cells: vec![0], cores: all }
@@ -187,9 +184,8 @@ impl<'a> Lines<'a> {
             let (start, width) = (self.places.starts[c], self.places.starts[c + 1] - self.places.starts[c]);
             let at = start * rank + filled[c];
             filled[c] += 1;
-            for (&u, number) in numbers.iter().zip(0..) {
-                let (cell, r): (usize, usize) = (number / rank, number % rank);
-                sorted[cell * size + at + r * width] = u;
+            for (numbers, sorted) in numbers.chunks_exact(rank).zip(sorted.chunks_exact_mut(size)) {
+                sorted[at..].iter_mut().step_by(width).zip(numbers).for_each(|(to, &u)| *to = u);
             }
         }
         sorted
@@ -274,90 +270,6 @@ fn alike(node: &Node, n: usize, most: usize) -> Vec<Vec<u32>> {
     rows.sort_by_key(|&row| subsets(node, n, row));
     let same = rows.chunk_by(|&i, &j| subsets(node, n, i) == subsets(node, n, j));
     same.flat_map(|rows| rows.chunks(rows.len().div_ceil(rows.len().div_ceil(most)))).map(<[u32]>::to_vec).collect()
-}
-
-fn subsets<'a>(node: &Node<'a>, n: usize, row: u32) -> &'a [u16] {
-    &node.members(n)[row as usize * node.mixture[n]..][..node.mixture[n]]
-}
-
-/// Keep the combinations that have some rows of a leading mode, which share their subsets, contracted with each.
-struct Choose<'c> {
-    lines: &'c Lines<'c>,
-    level: usize,
-    rows: &'c [u32],
-    present: &'c Partial,
-    next: &'c mut Partial,
-}
-
-impl WithSimd for Choose<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let Choose { lines, level: n, rows, present, next } = self;
-        let (node, lanes) = (lines.node, lines.lanes);
-        let (clusters, mixture, rank) = (node.clusters[n], node.mixture[n], node.ranks[n]);
-        let subsets = subsets(node, n, rows[0]);
-        let cells =
-            present.cells.iter().flat_map(|cell| subsets.iter().map(move |&c| cell * clusters + usize::from(c)));
-        next.cells.clear();
-        next.cells.extend(cells);
-        next.cores.resize(present.cores.len() / clusters / rank * mixture * rows.len(), 0.0);
-        // Cells of the modes after this one, and numbers of one for each number of the row.
-        let after: usize = node.clusters[n + 1..=lines.depth].iter().product();
-        let numbers = node.ranks[n + 1..=lines.depth].iter().product::<usize>() * lanes;
-        let leading: usize = node.clusters[..n].iter().product();
-        let each = || present.cores.chunks_exact(clusters * after * rank * numbers).zip(&present.cells);
-        let mut outs = next.cores.chunks_exact_mut(numbers);
-        for (i, (cores, cell)) in rows.iter().flat_map(|&i| each().map(move |part| (i as usize, part))) {
-            for (k, &c) in subsets.iter().enumerate() {
-                let cores = &cores[usize::from(c) * after * rank * numbers..][..after * rank * numbers];
-                let first = ((i * mixture + k) * leading + cell) * after;
-                for (number, (core, out)) in cores.chunks_exact(rank * numbers).zip(&mut outs).enumerate() {
-                    if node.undecomposed[n] {
-                        out.copy_from_slice(&core[i * numbers..][..numbers]);
-                        continue;
-                    }
-                    let row = &lines.expanded[n][(first + number) * rank * lanes..][..rank * lanes];
-                    match rank {
-                        1 => weigh::<S, 1>(simd, core, row, out),
-                        2 => weigh::<S, 2>(simd, core, row, out),
-                        3 => weigh::<S, 3>(simd, core, row, out),
-                        4 => weigh::<S, 4>(simd, core, row, out),
-                        _ => weigh::<S, 0>(simd, core, row, out),
-                    }
-                }
-            }
-        }
-    }
-}
-
-/// `out[j] = sum_r core[r, j] row[r]`, the row having weights for each lane; `R`: its rank if it is known, else 0.
-#[inline(always)]
-fn weigh<S: Simd, const R: usize>(simd: S, core: &[f32], row: &[f32], out: &mut [f32]) {
-    let (core, row, out) = (S::as_simd_f32s(core).0, S::as_simd_f32s(row).0, S::as_mut_simd_f32s(out).0);
-    let length = out.len();
-    if R == 0 {
-        let vectors = row.len() * length / core.len();
-        for (at, out) in out.iter_mut().enumerate() {
-            let weights = row.iter().skip(at % vectors).step_by(vectors);
-            let sum = core.iter().skip(at).step_by(length).zip(weights);
-            *out = sum.fold(simd.splat_f32s(0.0), |sum, (&z, &u)| simd.mul_add_e_f32s(z, u, sum));
-        }
-        return;
-    }
-    let vectors = row.len() / R;
-    let core: [&[S::f32s]; R] = std::array::from_fn(|r| &core[r * length..][..length]);
-    for lane in 0..vectors {
-        let weights: [S::f32s; R] = std::array::from_fn(|r| row[r * vectors + lane]);
-        for at in (lane..length).step_by(vectors) {
-            let mut sum = simd.mul_f32s(core[0][at], weights[0]);
-            for r in 1..R {
-                sum = simd.mul_add_e_f32s(core[r][at], weights[r], sum);
-            }
-            out[at] = sum;
-        }
-    }
 }
 
 #[cfg(test)]

@@ -7,13 +7,13 @@ use pulp::Simd;
 /// Columns of a line put back at a time.
 const BLOCK: usize = 16;
 
-/// Where columns are in a line of all clusters' members: a column is found once for each of its clusters. A line may be of
-/// several tuples, whose members of a cluster lie side by side.
+/// Where columns are in a line of all clusters' members: a column is found once for each of its clusters. A line may be
+/// of several tuples, whose members of a cluster lie side by side.
 pub struct Places {
     columns: usize,
     /// How many columns each cluster has.
     pub members: Vec<usize>,
-    /// Where those of each cluster start, padded, and where the last ones end: of one tuple, and of as many as there may be.
+    /// Where those of each cluster start, padded, and where the last ones end: of one tuple, of as many as there may be.
     pub starts: Vec<usize>,
     pub segments: Vec<usize>,
     /// For each block of columns the clusters that have members among them.
