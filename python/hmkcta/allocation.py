@@ -238,12 +238,15 @@ def plausible(errors: F64) -> NDArray[np.intp]:
     return np.flatnonzero(total <= ASIDE * np.minimum.accumulate(total))
 
 
-def ration(errors: F64, nbytes: F64, *, limit: float | None = None, error: float | None = None) -> tuple[float, float]:
+def ration(
+    errors: F64, nbytes: F64, weights: F64, *, limit: float | None = None, error: float | None = None
+) -> tuple[float, float]:
     """Bytes and error of many nodes with the same choices, by one multiplier; between two of its steps, on a line.
 
     Args:
         errors: squared error that each node is left with by each choice, `[nodes, choices]`.
         nbytes: what the choices cost, `[choices]`, ascending.
+        weights: how many nodes each of them stands for.
         limit: bytes to spend; or
         error: squared error to leave.
     """
@@ -252,7 +255,7 @@ def ration(errors: F64, nbytes: F64, *, limit: float | None = None, error: float
 
     def chosen(multiplier: float) -> tuple[float, float]:
         picked = np.argmin(errors + multiplier * nbytes, axis=1)
-        return float(nbytes[picked].sum()), float(errors[rows, picked].sum())
+        return float(weights @ nbytes[picked]), float(weights @ errors[rows, picked])
 
     def enough(found: tuple[float, float]) -> bool:
         return found[0] > limit if limit is not None else found[1] <= (error or 0.0)

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from math import prod
+from math import inf, prod
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .axes import Axis, Organisation, axis_order
+from .detail import Detail
 from .slabs import thinning
 from .source import Source
 
 F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
 
 #: Fewer blocks than these would be chance, and are thinned where they hold more elements than asked for; more tell no
-#: more.
-FEWEST, MOST = 4, 256
+#: more. Where this share of them is asked for, all are looked at.
+FEWEST, MOST, NEARLY_ALL = 8, 256, 0.7
+#: A block is looked at in proportion to this power of its detail, by that of the mean one, and to a constant besides.
+POWER, FLOOR = 0.5, 0.25
+#: Blocks are thinned where they hold so many times the elements asked for.
+UNTHINNED = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,16 +36,18 @@ class Blocks:
     Attributes:
         values: every steps-th row of the blocks.
         edges: rows of a block along each axis, before any were left out.
-        share: how many of the grid's blocks they are.
-        elements: how many of all elements, which is more as they overlap.
+        weights: for how many of the grid's blocks each stands.
+        overlap: elements of all blocks of the grid, over those of the array.
         steps: of the rows along each axis one of so many was taken.
+        seen: the detail that they stand for, over that of all blocks: as energies do, errors go with it.
     """
 
     values: F32
     edges: tuple[int, ...]
-    share: float
-    elements: float
+    weights: F64
+    overlap: float
     steps: tuple[int, ...]
+    seen: float
 
     @property
     def thinned(self) -> bool:
@@ -47,19 +55,48 @@ class Blocks:
         return max(self.steps) > 1
 
 
-def sampled_blocks(source: Source, values: F32 | None, grid: Sequence[int], sample: int, seed: int) -> Blocks:
-    """Blocks that hold about `sample` elements, evenly spread; `values` are those of the source where they are held."""
+def sampled_blocks(
+    source: Source, values: F32 | None, detail: Detail, grid: Sequence[int], sample: int, room: float = inf
+) -> Blocks:
+    """Blocks that hold about `sample` elements and stand for all; `values` are the source's where they are held.
+
+    Few large ones hold more elements, up to so many as there is `room` for.
+    """
     number, shape = prod(grid), source.shape
-    wanted = int(min(number, MOST, max(FEWEST, round(sample * number / prod(shape)))))
+    wanted = int(min(MOST, max(FEWEST, round(sample * number / prod(shape)))))
+    wanted = number if wanted > NEARLY_ALL * number else wanted
     edges = tuple(-(-length // count) for length, count in zip(shape, grid, strict=True))
-    steps = thinning(edges, 2 * sample // wanted)
+    steps = thinning(edges, int(min(UNTHINNED * sample, room) // wanted))
+    own = detail.of(grid).reshape(-1)
+    places, weights = representatives(own, wanted)
     chosen: list[F32] = []
-    for place in spread(grid, wanted, seed):
+    for place in np.stack(np.unravel_index(places, grid), axis=1).tolist():
         starts = map(_start, place, grid, shape)
         part = tuple(slice(start, start + edge, step) for start, edge, step in zip(starts, edges, steps, strict=True))
         chosen.append(source.values(part) if values is None else values[part])
-    elements = wanted * prod(edges) / prod(shape)
-    return Blocks(np.stack(chosen), edges, wanted / number, elements, tuple(steps))
+    seen = float(weights @ own[places]) / total if (total := float(own.sum())) else 1.0
+    return Blocks(np.stack(chosen), edges, weights, prod(edges) * number / prod(shape), tuple(steps), seen)
+
+
+def representatives(detail: F64, wanted: int) -> tuple[NDArray[np.intp], F64]:
+    """Up to so many blocks that stand for all, and for how many each.
+
+    Sorted by their detail, blocks are parted into runs, shorter ones where there is more, and the middle one stands for
+    its run: what few busy blocks leave is most of the error, and the many quiet ones are alike.
+
+    >>> places, weights = representatives(np.array([0.0, 9.0, 0.0, 0.0]), 2)
+    >>> places.tolist(), weights.tolist()
+    ([2, 1], [3.0, 1.0])
+    """
+    number = len(detail)
+    if wanted == number:
+        return np.arange(number), np.ones(number)
+    order = np.argsort(detail, kind="stable")
+    mean = float(detail.mean())
+    share = (detail[order] / mean if mean else np.ones(number)) ** POWER + FLOOR
+    runs = np.minimum((np.cumsum(share) - share / 2) / share.sum() * wanted, wanted - 1e-9).astype(np.intp)
+    _, starts, lengths = np.unique(runs, return_index=True, return_counts=True)
+    return order[starts + lengths // 2], lengths.astype(np.float64)
 
 
 def split(values: F32, counts: Sequence[int]) -> F32:
@@ -90,7 +127,8 @@ def finer(blocks: Blocks, around: Sequence[int], grid: Sequence[int]) -> Blocks:
         return blocks
     edges = tuple(-(-edge // count) for edge, count in zip(blocks.edges, counts, strict=True))
     more = prod(counts) * prod(edges) / prod(blocks.edges)
-    return Blocks(split(blocks.values, counts), edges, blocks.share, blocks.elements * more, blocks.steps)
+    weights = np.repeat(blocks.weights, prod(counts))
+    return Blocks(split(blocks.values, counts), edges, weights, blocks.overlap * more, blocks.steps, blocks.seen)
 
 
 def organised(blocks: F32, axes: Sequence[Axis], organisation: Organisation) -> F32:
@@ -105,32 +143,3 @@ def _start(index: int, count: int, length: int) -> int:
     """First row of one of so many blocks of equal length."""
     short, longer = divmod(length, count)
     return min(index * short + min(index, longer), length - -(-length // count))
-
-
-def spread(grid: Sequence[int], wanted: int, seed: int) -> list[tuple[int, ...]]:
-    """Places of so many blocks that lie evenly: where points of an additive recurrence fall (Roberts, 2018).
-
-    All grids are looked at around the same points, so that what chance makes of the sample they share.
-
-    >>> spread((2, 2), 4, 0)
-    [(0, 0), (0, 1), (1, 0), (1, 1)]
-    """
-    if wanted == prod(grid):
-        return [tuple(int(i) for i in place) for place in np.ndindex(*grid)]
-    found = dict[tuple[int, ...], None]()
-    for point in _points(len(grid), seed):
-        found[tuple(min(int(x * count), count - 1) for x, count in zip(point, grid, strict=True))] = None
-        if len(found) == wanted:
-            return sorted(found)
-    raise AssertionError
-
-
-def _points(order: int, seed: int) -> Iterator[list[float]]:
-    root = 2.0
-    for _ in range(64):
-        root = (1 + root) ** (1 / (order + 1))
-    start = np.random.default_rng(seed).random(order)
-    number = 0
-    while True:
-        number += 1
-        yield [float((start[n] + number * root ** -(n + 1)) % 1) for n in range(order)]

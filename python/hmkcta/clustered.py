@@ -17,16 +17,17 @@ from numpy.typing import NDArray
 from .allocation import best_of_one, choices_of, pareto
 from .axes import Organisation, mode_sizes
 from .blocks import organised
+from .candidates import Candidate
 from .memberships import start_candidates
 from .plan import MOST_RANKS
 from .slabs import thinning
-from .trial import Candidate, Trial
+from .trial import Trial
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 #: Numbers of clusters to look at, the likeliest first, most columns of the rows, and elements of the sample.
-COUNTS, MOST_COLUMNS, SAMPLE = (16, 32, 64, 8, 4), 512, 1 << 20
+COUNTS, MOST_COLUMNS, SAMPLE = (16, 32, 64, 8, 4), 512, 1 << 19
 #: Rows of the sample that a cluster has at the least, on average.
 FEWEST_ROWS = 24
 #: Ways to scale rows before k-means, of `memberships.CANDIDATES`.
@@ -55,7 +56,7 @@ def clustered(trial: Trial, organisation: Organisation) -> Iterator[tuple[float,
         kept = pareto(choices.nbytes, left)
         spend = partial(best_of_one, choices.nbytes[kept], left[kept])
         each = replace(plain, clusters=clusters)
-        yield trial.worth_of(spend, energy, 1.0, trial.beside(each, sizes, clusters), float(choices.nbytes[1]))[0], each
+        yield trial.worth_of(spend, energy, 1.0, trial.beside(each), float(choices.nbytes[1]))[0], each
 
 
 def _sampled_rows(trial: Trial, organisation: Organisation, long: int) -> F32:

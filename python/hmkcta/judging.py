@@ -8,11 +8,12 @@ from dataclasses import dataclass, field, replace
 from math import inf, prod
 
 from .axes import Organisation
+from .candidates import Candidate
 from .fit import EFFORTS
-from .trial import Candidate, Kinds, Trial
+from .trial import Kinds, Trial
 
 #: Modes are left undecomposed on trial again if that came so near before, in dB or octaves of bytes.
-FAR = 3.0
+FAR = 2.0
 #: Of so many candidates the bytes for an SNR are those of the best; where none reaches it, so many dB take an octave.
 FIRSTS, AN_OCTAVE = 6, 3.0
 
@@ -22,7 +23,7 @@ class Care:
     """How much is looked at.
 
     Attributes:
-        survey: elements looked at of each candidate to rank organisations, twice; the best `organisations` go on.
+        survey: elements looked at of each candidate to rank organisations; the best `organisations` go on.
         compare: elements to rank grids; the best `finalists` go on, and as many `matrices`.
         refine: elements to settle the blocks, from the best; and from a second start that lies no more than `far`, in
             dB or octaves of bytes, behind it, or one of another kind. No climb begins another round after so
@@ -30,9 +31,9 @@ class Care:
         cuts: elements to find axes along which blocks are cut further, each as pays; 0: none.
     """
 
-    survey: tuple[int, int]
-    organisations: tuple[int, int]
-    compare: int
+    survey: int
+    organisations: int
+    compare: tuple[int, ...]
     finalists: int
     matrices: int
     refine: int
@@ -42,9 +43,9 @@ class Care:
 
 
 CARES = {
-    EFFORTS["fast"]: Care((1 << 17, 1 << 19), (3, 1), 1 << 18, 1, 0, 1 << 22, 0.0, 4, 0),
-    EFFORTS["medium"]: Care((1 << 16, 1 << 20), (6, 3), 1 << 18, 4, 2, 1 << 23, 0.3, 16, 1 << 20),
-    EFFORTS["thorough"]: Care((1 << 17, 1 << 19), (12, 4), 1 << 20, 4, 3, 1 << 23, 1.0, 1000, 1 << 23),
+    EFFORTS["fast"]: Care(1 << 15, 3, (1 << 18,), 1, 0, 1 << 20, 0.0, 4, 0),
+    EFFORTS["medium"]: Care(1 << 15, 6, (1 << 17, 1 << 20), 5, 2, 1 << 23, 0.3, 16, 1 << 20),
+    EFFORTS["thorough"]: Care(1 << 16, 12, (1 << 18, 1 << 21), 8, 3, 1 << 23, 1.0, 1000, 1 << 23),
 }
 
 Ranked = list[tuple[float, Candidate]]
@@ -69,6 +70,7 @@ class Search:
     together: int
     clustered: int
     highest: float = -inf
+    hopeless: set[tuple[Organisation, int, bool]] = field(default_factory=set[tuple[Organisation, int, bool]])
     seen: dict[Judged, Ranked] = field(default_factory=dict["Judged", Ranked])
 
     def best(
@@ -81,7 +83,8 @@ class Search:
         """
         sample, size = min(sample, self.most), self.trial.size
         new = list(dict.fromkeys(choice for choice in choices if (*choice, sample, size) not in self.seen))
-        workers = max(1, min(self.threads, len(new), self.together // sample))  # side by side as far as memory goes
+        # Side by side as far as memory goes.
+        workers = max(1, min(self.threads, len(new), self.together // (2 * sample)))
 
         again = sample < min(self.care.refine, self.most)
         known = {modes: kinds or (self.kinds(modes) if again else ()) for modes, _ in new}
@@ -138,7 +141,8 @@ class Search:
             for (modes, grid, _, size), ranked in self.seen.items()
             if len(modes) == 2 and set(grid) == {1} and ranked and size == self.trial.size
         }
-        return sorted(found, key=lambda modes: -found[modes])[: self.care.matrices]
+        likely = [modes for modes in found if found[modes] > max(found.values()) - FAR]
+        return sorted(likely, key=lambda modes: -found[modes])[: self.care.matrices]
 
 
 def worth_of(item: tuple[float, Candidate]) -> float:

@@ -6,19 +6,21 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import combinations, product
-from math import log2, log10, prod
+from math import inf, log2, log10, prod
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .allocation import Choices, best_of_one, choices_of, empty_node_bytes, node_bytes, pareto, plausible, ration
+from .allocation import Choices, best_of_one, choices_of, pareto, plausible, ration
 from .axes import Axis, Organisation, mode_sizes
 from .blocks import Blocks, finer, halved, organised, sampled_blocks, split
+from .candidates import Candidate, bytes_beside, carrier_bytes, clusters_of, plan_of
+from .detail import Detail, detail_of
 from .filesize import planned_bytes
 from .growth import Growth, growth_of
 from .metrics import snr_db
-from .plan import MOST_RANKS, LevelSpec, Plan
+from .plan import MOST_RANKS
 from .source import Source
 from .spectra import captured, cores, energies, ladders
 
@@ -43,28 +45,6 @@ VERBATIM = 1e-7
 PRECISE = 50.0
 #: Bytes besides two float16 for each element, that no candidate worth a look takes.
 ENOUGH = 1 << 16
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """A way to build the model.
-
-    Attributes:
-        organisation: of axes into modes.
-        grid: number of blocks along each source axis.
-        undecomposed: mode numbers.
-        carried: the blocks are nodes with ranks of their own below a first level of rank one; else they are the
-            cells of a single level, all of the same ranks.
-        cuts: carried blocks may each be cut into so many, or a divisor of it, along each source axis; (): they are not.
-        clusters: of the data along each mode, in the place of blocks, the cells of a single level; (): none.
-    """
-
-    organisation: Organisation
-    grid: tuple[int, ...]
-    undecomposed: tuple[int, ...] = ()
-    carried: bool = True
-    cuts: tuple[int, ...] = ()
-    clusters: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +94,8 @@ class Trial:
     """The data and the goal: as many dB as `size` bytes and a decode cost allow.
 
     Bytes are not spent beyond a `ceiling` in dB of the transformed values, which is how an SNR is a goal: what reaches
-    it is worth the more, the fewer bytes it takes, an octave as much as a dB. `values` are the source's, if held.
+    it is worth the more, the fewer bytes it takes, an octave as much as a dB. `values` are the source's, if held,
+    `detail` and `energy` its own, `room` the most elements of a sample.
     """
 
     source: Source
@@ -123,6 +104,14 @@ class Trial:
     ceiling: float | None
     decode_cost: int
     seed: int
+    detail: Detail
+    energy: float
+    room: float = inf
+
+    @cached_property
+    def _headers(self) -> dict[tuple[bool, ...], float]:
+        """Bytes of files that are neither their nodes nor the level that carries these."""
+        return {}
 
     @cached_property
     def _ways(self) -> dict[Any, tuple[F64, F64]]:
@@ -168,7 +157,7 @@ class Trial:
         The sample is of blocks of the grid `around`, of which its own are parts: candidates are compared on one.
         """
         organisation = candidate.organisation
-        blocks = sampled_blocks(self.source, self.values, around, sample, self.seed)
+        blocks = sampled_blocks(self.source, self.values, self.detail, around, sample, self.room)
         cut = self._cut_of(organisation, candidate.grid, finer(blocks, around, candidate.grid))
         flags = tuple(n in candidate.undecomposed for n in range(len(cut.sizes)))
         found: list[tuple[F64, F64]] = []
@@ -180,13 +169,13 @@ class Trial:
         errors = np.concatenate([left for left, _ in found], axis=1)
         nbytes = np.concatenate([own for _, own in found])
         order = np.argsort(nbytes, kind="stable")
-        path = partial(ration, errors[:, order], nbytes[order])
-        least = float(nbytes.min()) * len(errors)
-        return self._worth(path, cut, cut.blocks.elements, candidate, least)[0]
+        path = partial(ration, errors[:, order], nbytes[order], cut.blocks.weights)
+        least = float(nbytes.min() * cut.blocks.weights.sum())
+        return self._worth(path, cut, cut.blocks.overlap, candidate, least)[0]
 
     def _way(self, cut: _Cut, flags: tuple[bool, ...], way: Sequence[int]) -> tuple[F64, F64]:
         """Error that each block is left with and bytes, at every choice of ranks, if all are cut in the same way."""
-        axes, clusters = self.source.axes, _clusters(self.source.axes, way, cut.organisation)
+        axes, clusters = self.source.axes, clusters_of(self.source.axes, way, cut.organisation)
         parts = organised(split(cut.blocks.values, way), axes, cut.organisation)
         edges = tuple(-(-edge // count) for edge, count in zip(cut.edges, clusters, strict=True))
         limits = self._limits(parts.shape[1:], edges)
@@ -206,13 +195,15 @@ class Trial:
 
     def _cut(self, organisation: Organisation, grid: tuple[int, ...], sample: int) -> _Cut:
         """Sampled blocks of the grid as tensors of the organisation's modes."""
-        return self._cut_of(organisation, grid, sampled_blocks(self.source, self.values, grid, sample, self.seed))
+        return self._cut_of(
+            organisation, grid, sampled_blocks(self.source, self.values, self.detail, grid, sample, self.room)
+        )
 
     def _cut_of(self, organisation: Organisation, grid: tuple[int, ...], blocks: Blocks) -> _Cut:
         """Blocks as tensors of the organisation's modes."""
         axes = self.source.axes
         batch = organised(blocks.values, axes, organisation)
-        clusters = _clusters(axes, grid, organisation)
+        clusters = clusters_of(axes, grid, organisation)
         sizes = mode_sizes(axes, organisation)
         rows = dict(zip((axis.name for axis in axes), blocks.edges, strict=True))
         edges = tuple(prod(rows[name] for name in mode) for mode in organisation)
@@ -246,19 +237,19 @@ class Trial:
         one = Candidate(cut.organisation, cut.grid, choice, carried=False)
         meant = kept if cut.growth is None else cut.growth.unthinned(kept)
         whole = choices_of(meant, cut.sizes, flags, self.decode_cost, cut.clusters)
-        left = _left(cut.energy.sum(keepdims=True), table.sum(axis=0, keepdims=True), whole)[0]
-        nbytes = whole.nbytes * cut.blocks.share
+        weights, nbytes = cut.blocks.weights, whole.nbytes
+        left = _left((weights @ cut.energy)[None], (weights @ table)[None], whole)[0]
         best = pareto(nbytes, left)
         path = partial(best_of_one, nbytes[best], left[best])
-        worth, spent = self._worth(path, cut, cut.blocks.share, one, float(nbytes[1]))
+        worth, spent = self._worth(path, cut, 1.0, one, float(nbytes[1]))
         ranks = whole.ranks[best][max(1, int(np.searchsorted(nbytes[best], spent, side="right")) - 1)]
         found = [(worth, one)]
         if prod(cut.clusters) > 1 and self.decode_cost > 1:
             many = replace(one, carried=True)
             nodes = choices_of(meant, cut.edges, flags, self.decode_cost - 1, (1,) * order)
-            path = partial(ration, _left(cut.energy, table, nodes), nodes.nbytes)
-            least = float(nodes.nbytes[0]) * len(table)
-            found.append((self._worth(path, cut, cut.blocks.elements, many, least)[0], many))
+            path = partial(ration, _left(cut.energy, table, nodes), nodes.nbytes, weights)
+            least = float(nodes.nbytes[0] * weights.sum())
+            found.append((self._worth(path, cut, cut.blocks.overlap, many, least)[0], many))
         return found, [int(rank) for rank in ranks]
 
     def _core(self, cut: _Cut, flags: Sequence[bool]) -> F32:
@@ -272,8 +263,9 @@ class Trial:
     def _worth(
         self, spend: Callable[..., tuple[float, float]], cut: _Cut, share: float, candidate: Candidate, least: float
     ) -> tuple[float, float]:
-        fixed = self.beside(candidate, cut.sizes, cut.clusters)
-        return self.worth_of(spend, float(cut.energy.sum()), share, fixed, least)
+        fixed = self.beside(candidate)
+        blocks, thinned = cut.blocks, prod(cut.batch.shape[1:]) / prod(cut.edges)
+        return self.worth_of(spend, self.energy * blocks.seen * blocks.overlap * thinned, share, fixed, least)
 
     def worth_of(
         self, spend: Callable[..., tuple[float, float]], energy: float, share: float, fixed: float, least: float
@@ -296,22 +288,17 @@ class Trial:
         spent, _ = spend(error=energy * 10 ** (-self.ceiling / 10))
         return self.ceiling + log2(self.size / (spent / share + fixed)), spent
 
-    def beside(self, candidate: Candidate, sizes: Sequence[int], clusters: Sequence[int]) -> float:
-        """Bytes of the candidate's file besides what `choices_of` counts of its nodes: exactly, but for digits."""
-        whole = planned_bytes(plan_of(self.source, candidate, None, None, 1), self.source, seed=self.seed)
-        flags = [n in candidate.undecomposed for n in range(len(sizes))]
-        ranks = np.where(flags, sizes, 1).astype(np.int32)
-        if not candidate.carried:
-            return whole - float(node_bytes(sizes, ranks, flags, clusters))
-        nodes, stored = prod(clusters), [n for n, flag in enumerate(flags) if not flag]
-        rows = sum(sizes[n] * nodes // clusters[n] for n in stored)
-        each = 2.0 * float(np.prod(ranks, dtype=np.float64)) + 4 + empty_node_bytes(len(ranks), len(stored))
-        return whole - nodes * each - 4 * rows
+    def beside(self, candidate: Candidate) -> float:
+        """Bytes of the candidate's file besides what `choices_of` counts of its nodes, but for digits of its header."""
+        flags = tuple(n in candidate.undecomposed for n in range(len(candidate.organisation)))
+        kind = (*flags, candidate.carried, prod(candidate.grid) > 1)
+        carrier = carrier_bytes(self.source.axes, candidate)
+        if kind not in self._headers:
+            self._headers[kind] = bytes_beside(self.source, candidate, self.seed) - carrier
+        return self._headers[kind] + carrier
 
 
-def trial_of(
-    source: Source, size: int | None, ceiling: float | None, decode_cost: int, seed: int
-) -> Trial:
+def trial_of(source: Source, size: int | None, ceiling: float | None, decode_cost: int, seed: int) -> Trial:
     """The trial of a goal whose dB are those of the source's values; without a `size` all that anything may need.
 
     A value transform stretches errors by its inverse's slope, so that as many dB of transformed values are others.
@@ -332,7 +319,8 @@ def trial_of(
     higher_by = decibels(energy, signal / stretch) if energy else 0.0
     ceiling = None if ceiling is None else ceiling + higher_by
     held = source.values() if prod(source.shape) <= HELD else None
-    return Trial(source, held, size or 4 * prod(source.shape) + ENOUGH, ceiling, decode_cost, seed)
+    size = size or 4 * prod(source.shape) + ENOUGH
+    return Trial(source, held, size, ceiling, decode_cost, seed, detail_of(source, held), energy)
 
 
 def decibels(signal: float, error: float) -> float:
@@ -344,12 +332,6 @@ def _left(energy: F64, table: F64, choices: Choices) -> F64:
     """Squared error of each block by each choice, `[B, choices]`, the first of which is to store nothing."""
     whole = energy[:, None]
     return np.concatenate([whole, np.maximum(whole - table[:, choices.entry], VERBATIM * whole)], axis=1)
-
-
-def _clusters(axes: Sequence[Axis], counts: Sequence[int], organisation: Organisation) -> tuple[int, ...]:
-    """Blocks along each mode, of the counts along each axis."""
-    of = {axis.name: count for axis, count in zip(axes, counts, strict=True)}
-    return tuple(prod(of[name] for name in mode) for mode in organisation)
 
 
 def _divisors(most: int) -> list[int]:
@@ -374,19 +356,3 @@ def _promising(cut: _Cut, ranks: Sequence[int]) -> Iterator[int]:
         short = size <= LONGEST_UNDECOMPOSED and rank >= NEARLY_FULL * size
         if (short and len(cut.sizes) > 1) or core <= basis + others:
             yield n
-
-
-def plan_of(source: Source, best: Candidate, snr: float | None, size: int | None, decode_cost: int) -> Plan:
-    """The candidate as a plan: blocks are cells of one level, or nodes below a first level of rank one."""
-    sizes = mode_sizes(source.axes, best.organisation)
-    ones = (1,) * len(sizes)
-    grid = tuple((axis.name, count) for axis, count in zip(source.axes, best.grid, strict=True) if count > 1)
-    clusters = _clusters(source.axes, best.grid, best.organisation)
-    most = tuple(None if n in best.undecomposed else min(i, decode_cost, MOST_RANKS) for n, i in enumerate(sizes))
-    if not grid:
-        return Plan(best.organisation, (LevelSpec(most, best.clusters or ones, ones, own=True),), snr, size)
-    if not best.carried:
-        return Plan(best.organisation, (LevelSpec(most, clusters, ones, "most", grid, own=True),), snr, size)
-    carrier = LevelSpec(tuple(None if rank is None else 1 for rank in most), clusters, ones, "most", grid)
-    cuts = tuple((axis.name, count) for axis, count in zip(source.axes, best.cuts, strict=False) if count > 1)
-    return Plan(best.organisation, (carrier, LevelSpec(most, ones, ones, own=True, cuts=cuts)), snr, size)

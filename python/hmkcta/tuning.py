@@ -14,20 +14,22 @@ from functools import partial
 from itertools import product
 from math import inf, prod
 
+from . import blocks
 from .axes import Organisation, mode_sizes
+from .candidates import Candidate, plan_of
 from .clustered import MOST_COLUMNS, clustered
 from .errors import invalid
 from .filesize import planned_bytes
 from .fit import EFFORTS
-from .grids import SMALLEST_EDGE, allowed, changed, few_grids, many_grids
+from .grids import SMALLEST_EDGE, allowed, changed, few_grids
 from .hierarchy import Progress, Run
-from .judging import CARES, Ranked, Search, worth_of
+from .judging import CARES, Choice, Ranked, Search, worth_of
 from .memory import check_memory, memory_budget
 from .organisations import merges, organisations
 from .plan import Plan
 from .predict import PROCESS, WORKING, is_streamed
 from .source import Source
-from .trial import OUT_OF_REACH, Candidate, Kinds, plan_of, trial_of
+from .trial import OUT_OF_REACH, Kinds, trial_of
 
 #: Gain in dB, or octaves of bytes, that a change of the grid must bring.
 WORTHWHILE = 0.01
@@ -39,6 +41,9 @@ TOGETHER, FEWEST, EACH = 1 << 24, 1 << 20, 40
 #: In dB or octaves of bytes: twice as many blocks are tried where one more loses no more than the first, and none again
 #: where one loses more than the second.
 STEEP, HOPELESS = 0.05, 0.5
+#: Small samples must tell of a loss of so much; by them, with other modes undecomposed an organisation may be so far
+#: behind its best. A second climb ends that is so far behind after its first round.
+SURELY_WORSE, OTHERWISE, BEHIND = 5.0, 1.5, 0.05
 #: Blocks that may be cut further are no fewer than these, and are cut into no more than so many parts.
 FEWEST_BLOCKS, MOST_CUTS = 4, 8
 #: A start of another kind may lie so many times as far behind.
@@ -74,6 +79,7 @@ def tune(
     together = min(TOGETHER, max(FEWEST, (memory_budget(memory) - PROCESS) // EACH))
     plain = next(organisations(source.axes)) if organisation is None else organisation
     trial = trial_of(source, size, ceiling if snr is None else snr, decode_cost, run.seed)
+    trial = replace(trial, room=2 * together)
     care = CARES.get(run.effort, CARES[EFFORTS["medium"]])
     held = not is_streamed(elements, (memory_budget(memory) - PROCESS) // WORKING)
     search = Search(trial, trial, plain, run.threads, care, together, max(0, care.matrices - 1) if held else 0)
@@ -103,7 +109,7 @@ def _found(search: Search, fixed: bool, progress: Progress, *, narrow: bool) -> 
     finalists = _finalists(search, fixed, progress, narrow=narrow)
     search.highest = finalists[0][0]
     if narrow:
-        search.narrow(finalists, search.care.compare)
+        search.narrow(finalists, search.care.compare[-1])
     found = _settled(search, [candidate for _, candidate in finalists], progress, narrow=narrow)
     if not narrow:
         return max([found, *_clustered(search, found)], key=worth_of)
@@ -162,28 +168,83 @@ def _spare(search: Search, best: Candidate) -> list[Candidate]:
 
 
 def _finalists(search: Search, fixed: bool, progress: Progress, *, narrow: bool) -> Ranked:
-    """Organisations by a survey over few grids, then more grids for the best of them."""
-    shape = search.trial.source.shape
-    grids = few_grids(shape)
-    left = [search.plain] if fixed else _merged(search, grids, progress)
-    for turn, (sample, most) in enumerate(zip(search.care.survey, search.care.organisations, strict=True)):
-        few = grids if turn else grids[1:2] or grids
-        judged = search.best(list(product(left, few)), sample, partial(progress, "organisation"))
+    """Organisations by a survey over few grids, then races of the best of them on samples that grow."""
+    grids = few_grids(search.trial.source.shape)
+    left = [search.plain] if fixed else _surveyed(search, grids, progress, narrow=narrow)
+    ranked: Ranked = []
+    for sample in search.care.compare:
+        choices = [*product(left, grids), *((each.organisation, each.grid) for _, each in ranked)]
+        choices = list(dict.fromkeys(choices))
+        judged = search.best(choices, sample, partial(progress, "blocks"))
         if narrow:
             search.narrow(judged, sample)
-        if narrow and not turn:  # so far by all bytes
-            judged = search.best(list(product(left, few)), sample, partial(progress, "organisation"))
-        worth = _by_organisation(left, judged)
-        # A survey thins large blocks and so misjudges high ranks: the best of every number of modes stays in the race.
-        ranked = sorted(left, key=lambda modes: -worth[modes])
-        firsts = {len(modes): modes for modes in reversed(ranked)}
-        left = list(dict.fromkeys([*ranked[:most], *firsts.values(), search.plain]))
-    many = [(modes, grid) for grid in many_grids(shape) for modes in left]
-    ranked = search.best(many, search.care.compare, partial(progress, "blocks"))
-    ranked.sort(key=lambda item: -item[0])
-    # Samples flatter large blocks and long modes: the best of every organisation gets a chance.
-    firsts = {candidate.organisation: (worth, candidate) for worth, candidate in reversed(ranked)}
-    return list(dict.fromkeys([*ranked[: search.care.finalists], *firsts.values()]))
+            judged = search.best(choices, sample, partial(progress, "blocks"))
+        racing = _racing(judged)[: search.care.organisations]
+        ranked = _raced(search, racing, sample, progress)[: search.care.finalists]
+        left = [search.plain]
+    return ranked
+
+
+def _surveyed(
+    search: Search, grids: Sequence[tuple[int, ...]], progress: Progress, *, narrow: bool
+) -> list[Organisation]:
+    """The best organisations of all, by some grids."""
+    every = _merged(search, grids, progress)
+    choices, sample = list(product(every, grids[1:] or grids)), search.care.survey
+    judged = search.best(choices, sample, partial(progress, "organisation"))
+    if narrow:  # so far by all bytes
+        search.narrow(judged, sample)
+        judged = search.best(choices, sample, partial(progress, "organisation"))
+    worth = _by_organisation(every, judged)
+    # A survey thins large blocks and so misjudges high ranks: the best of every number of modes stays in the race.
+    ranked = sorted(every, key=lambda modes: -worth[modes])
+    firsts = {len(modes): modes for modes in reversed(ranked)}
+    return list(dict.fromkeys([*ranked[: search.care.organisations], *firsts.values(), search.plain]))
+
+
+def _racing(judged: Ranked) -> Ranked:
+    """The best of every organisation, and of it with other modes undecomposed if near: that likes other blocks."""
+    best = dict[Organisation, float]()
+    kinds = dict[tuple[Organisation, tuple[int, ...]], tuple[float, Candidate]]()
+    for worth, each in sorted(judged, key=worth_of, reverse=True):
+        if worth > best.setdefault(each.organisation, worth) - OTHERWISE:
+            kinds.setdefault((each.organisation, each.undecomposed), (worth, each))
+    return list(kinds.values())
+
+
+def _raced(search: Search, racing: Ranked, sample: int, progress: Progress) -> Ranked:
+    """The organisations' grids cut twice or half as often along each axis in turn, while that helps; the best first.
+
+    In every round fewer go on.
+    """
+    ended: Ranked = []
+    while racing:
+        before = racing
+        for n in range(len(search.trial.source.shape)):
+            racing = _stepped(search, racing, n, sample)
+        gained = [now[0] > then[0] + WORTHWHILE for now, then in zip(racing, before, strict=True)]
+        ended += [now for now, on in zip(racing, gained, strict=True) if not on]
+        racing = sorted((now for now, on in zip(racing, gained, strict=True) if on), key=worth_of, reverse=True)
+        fewer = (len(before) + 1) // 2
+        ended, racing = ended + racing[fewer:], racing[:fewer]
+        progress("blocks", len(ended) / (len(ended) + len(racing)))
+    return list(dict.fromkeys(sorted(ended, key=worth_of, reverse=True)))
+
+
+def _stepped(search: Search, racing: Ranked, n: int, sample: int) -> Ranked:
+    """Each candidate, or what is better with twice or half as many blocks along axis n."""
+    tried: list[tuple[int, bool, Choice]] = []
+    for (number, (_, each)), more in product(enumerate(racing), (True, False)):
+        count = 2 * each.grid[n] if more else each.grid[n] // 2
+        hopeless = (each.organisation, n, more) in search.hopeless
+        if not hopeless and allowed(count, n, each.grid, search.trial.source.shape):
+            tried.append((number, more, (each.organisation, changed(each.grid, n, count))))
+    found = list(racing)
+    for (number, more, _), item in zip(tried, search.best([choice for *_, choice in tried], sample), strict=True):
+        if item[0] < racing[number][0] - SURELY_WORSE:
+            search.hopeless.add((item[1].organisation, n, more))
+        found[number] = max(found[number], item, key=worth_of)
+    return found
 
 
 def _merged(search: Search, few: Sequence[tuple[int, ...]], progress: Progress) -> list[Organisation]:
@@ -194,7 +255,7 @@ def _merged(search: Search, few: Sequence[tuple[int, ...]], progress: Progress) 
     found = best = [search.plain]
     for modes in range(len(search.plain), 2, -1):
         new = list(dict.fromkeys(merged for organisation in best for merged in merges(organisation, axes)))
-        judged = search.best(list(product(new, few)), search.care.survey[0])
+        judged = search.best(list(product(new, few)), search.care.survey)
         worth = _by_organisation(new, judged)
         best = sorted(new, key=lambda each: -worth[each])[:BEAM]
         found = found + new
@@ -219,7 +280,7 @@ def _settled(
     shape = search.trial.source.shape
     whole = (1,) * len(shape)
     again = [(c.organisation, c.grid) for c in finalists]
-    again += [(search.plain, grid) for grid in few_grids(shape)]
+    again += [(search.plain, grid) for grid in few_grids(shape)[:2]]
     again += [(modes, whole) for modes in search.matrices()]
     again = list(dict.fromkeys(again))
     told = partial(_third, progress)
@@ -230,7 +291,7 @@ def _settled(
     climbed: Ranked = []
     starts = _starts(judged, search.care.far)
     for number, (_, candidate) in enumerate(starts, start=1):
-        climbed.append(_climbed(search, candidate, search.care.refine))
+        climbed.append(_climbed(search, candidate, search.care.refine, max(map(worth_of, climbed), default=-inf)))
         progress("finer choice of blocks", 1 / 3 + 2 * number / (3 * len(starts)))
     return max(climbed, key=worth_of)
 
@@ -249,12 +310,13 @@ def _starts(judged: Ranked, far: float) -> Ranked:
     return list(dict.fromkeys([ranked[0], *second, *other]))
 
 
-def _climbed(search: Search, start: Candidate, sample: int) -> tuple[float, Candidate]:
-    """Change the blocks along one axis after the other while that helps."""
+def _climbed(search: Search, start: Candidate, sample: int, reached: float) -> tuple[float, Candidate]:
+    """Change the blocks along one axis after the other while that helps, unless far behind what others `reached`."""
     now = search.best([(start.organisation, start.grid)], sample)[0]
     around = search.seen[start.organisation, start.grid, min(sample, search.most), search.trial.size]
     kinds = tuple(dict.fromkeys(each.undecomposed for worth, each in around if worth > now[0] - HOPELESS))
-    idle, n, hopeless, before = 0, 0, set[tuple[int, int]](), len(search.seen)
+    idle, n, before = 0, 0, len(search.seen)
+    hopeless = {(n, 1 if more else -1) for modes, n, more in search.hopeless if modes == start.organisation}
     while idle < len(start.grid) and len(search.seen) - before < search.care.steps:
         found = max([now, *_around(search, now, n, sample, hopeless, kinds)], key=worth_of)
         if found[0] > now[0] + WORTHWHILE:
@@ -263,6 +325,8 @@ def _climbed(search: Search, start: Candidate, sample: int) -> tuple[float, Cand
         else:
             idle += 1
         n = (n + 1) % len(start.grid)
+        if n == 0 and now[0] < reached - BEHIND:
+            break
     return now
 
 
@@ -271,17 +335,17 @@ def _cut_further(search: Search, best: Candidate, progress: Progress) -> tuple[f
     if not best.carried or search.care.cuts == 0:
         return 0.0, best
     now, gained, worth = replace(best, cuts=(1,) * len(best.grid)), 0.0, search.trial.worth
-    for n in range(len(best.grid)):
+    for n in reversed(range(len(best.grid))):
         tried: Ranked = []
         for each in _cut_along(search, now, n):
             # Whole blocks, as thinned ones flatter those that are large; the same ones for both.
-            whole = FEWEST_BLOCKS * prod(search.trial.source.shape) // prod(each.grid)
+            whole = blocks.FEWEST * prod(search.trial.source.shape) // prod(each.grid)
             sample = min(search.together, max(search.care.cuts, min(whole, search.care.refine)))
             tried.append((worth(each, sample, each.grid) - worth(now, sample, each.grid), each))
         gain, found = max(tried, key=worth_of, default=(0.0, now))
         if gain > WORTHWHILE:
             now, gained = found, gained + gain
-        progress("blocks cut further", (n + 1) / len(best.grid))
+        progress("blocks cut further", 1 - n / len(best.grid))
     return gained, now if gained else best
 
 

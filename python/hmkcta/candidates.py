@@ -1,0 +1,91 @@
+"""Candidates for the plan of a goal: what they are as plans, and the bytes of their files beside the numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import prod
+
+import numpy as np
+
+from .allocation import empty_node_bytes, node_bytes
+from .axes import Axis, Organisation, mode_sizes
+from .filesize import planned_bytes
+from .plan import MOST_RANKS, LevelSpec, Plan
+from .source import Source
+
+#: Bytes of a first level for each row: the part that it goes to, and its place there.
+ROW_BYTES = 6
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A way to build the model.
+
+    Attributes:
+        organisation: of axes into modes.
+        grid: number of blocks along each source axis.
+        undecomposed: mode numbers.
+        carried: the blocks are nodes with ranks of their own below a first level of rank one; else they are the
+            cells of a single level, all of the same ranks.
+        cuts: carried blocks may each be cut into so many, or a divisor of it, along each source axis; (): they are not.
+        clusters: of the data along each mode, in the place of blocks, the cells of a single level; (): none.
+    """
+
+    organisation: Organisation
+    grid: tuple[int, ...]
+    undecomposed: tuple[int, ...] = ()
+    carried: bool = True
+    cuts: tuple[int, ...] = ()
+    clusters: tuple[int, ...] = ()
+
+
+def plan_of(source: Source, best: Candidate, snr: float | None, size: int | None, decode_cost: int) -> Plan:
+    """The candidate as a plan: blocks are cells of one level, or nodes below a first level of rank one."""
+    sizes = mode_sizes(source.axes, best.organisation)
+    ones = (1,) * len(sizes)
+    grid = tuple((axis.name, count) for axis, count in zip(source.axes, best.grid, strict=True) if count > 1)
+    clusters = clusters_of(source.axes, best.grid, best.organisation)
+    most = tuple(None if n in best.undecomposed else min(i, decode_cost, MOST_RANKS) for n, i in enumerate(sizes))
+    if not grid:
+        return Plan(best.organisation, (LevelSpec(most, best.clusters or ones, ones, own=True),), snr, size)
+    if not best.carried:
+        return Plan(best.organisation, (LevelSpec(most, clusters, ones, "most", grid, own=True),), snr, size)
+    carrier = LevelSpec(tuple(None if rank is None else 1 for rank in most), clusters, ones, "most", grid)
+    cuts = tuple((axis.name, count) for axis, count in zip(source.axes, best.cuts, strict=False) if count > 1)
+    return Plan(best.organisation, (carrier, LevelSpec(most, ones, ones, own=True, cuts=cuts)), snr, size)
+
+
+def clusters_of(axes: Sequence[Axis], counts: Sequence[int], organisation: Organisation) -> tuple[int, ...]:
+    """Blocks along each mode, of the counts along each axis."""
+    of = {axis.name: count for axis, count in zip(axes, counts, strict=True)}
+    return tuple(prod(of[name] for name in mode) for mode in organisation)
+
+
+def bytes_beside(source: Source, candidate: Candidate, seed: int) -> float:
+    """Bytes of the candidate's file besides what `choices_of` counts of its nodes, with a decode cost of one."""
+    whole = planned_bytes(plan_of(source, candidate, None, None, 1), source, seed=seed)
+    sizes, clusters = mode_sizes(source.axes, candidate.organisation), _all_clusters(source.axes, candidate)
+    flags = [n in candidate.undecomposed for n in range(len(sizes))]
+    ranks = np.where(flags, sizes, 1).astype(np.int32)
+    if not candidate.carried:
+        return whole - float(node_bytes(sizes, ranks, flags, clusters))
+    nodes, stored = prod(clusters), [n for n, flag in enumerate(flags) if not flag]
+    rows = sum(sizes[n] * nodes // clusters[n] for n in stored)
+    each = 2.0 * float(np.prod(ranks, dtype=np.float64)) + 4 + empty_node_bytes(len(ranks), len(stored))
+    return whole - nodes * each - 4 * rows
+
+
+def carrier_bytes(axes: Sequence[Axis], candidate: Candidate) -> float:
+    """Bytes of the first level that carries nodes, but for its header; none where a candidate has one level."""
+    if not candidate.carried:
+        return 0.0
+    sizes, clusters = mode_sizes(axes, candidate.organisation), _all_clusters(axes, candidate)
+    flags = [n in candidate.undecomposed for n in range(len(sizes))]
+    ranks = np.where(flags, sizes, 1).astype(np.int32)
+    rows = sum(size for size, flag in zip(sizes, flags, strict=True) if not flag)
+    return float(node_bytes(sizes, ranks, flags, clusters)) + ROW_BYTES * rows
+
+
+def _all_clusters(axes: Sequence[Axis], candidate: Candidate) -> tuple[int, ...]:
+    return candidate.clusters or clusters_of(axes, candidate.grid, candidate.organisation)
