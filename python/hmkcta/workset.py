@@ -34,6 +34,8 @@ T = TypeVar("T", np.float32, np.float64)
 
 #: Rows of a thinned mode for each cluster and each column of a basis: fewer would fit themselves.
 FEWEST = 8
+#: Elements by which spectra and subdivisions are judged.
+SAMPLED = 1 << 23
 #: Elements of a model that is projected in closed form at a time, where modes are undecomposed.
 PROJECTED = 1 << 22
 
