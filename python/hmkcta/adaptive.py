@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from .allocation import Allocation, Spectrum, allocate, merged, spectrum, trimmed
 from .cells import zero_cells
-from .disjoint import Told, energies, is_disjoint, summed
+from .disjoint import Told, energies, summed
 from .errors import invalid
 from .fit import Labels
 from .hierarchy import (
@@ -31,7 +31,9 @@ from .hierarchy import (
     within,
 )
 from .memberships import start_candidates
+from .memory import check_memory, format_bytes
 from .plan import MOST_RANKS, LevelSpec
+from .predict import MODEL, PROCESS
 from .streamed import Streamed, squared_norm
 from .tucker import core_energies
 
@@ -53,6 +55,7 @@ class Goal:
         energy: squared norm of the tensor.
         file_bytes: exact size of the file that a hierarchy would make.
         snr_now: SNR in dB of a hierarchy in the domain of the source values.
+        memory: bytes to work in, if they are given.
     """
 
     size: int | None
@@ -60,6 +63,7 @@ class Goal:
     energy: float
     file_bytes: Callable[[Hierarchy], int]
     snr_now: Callable[[Hierarchy], float]
+    memory: int | None = None
 
 
 def table_limits(
@@ -156,7 +160,7 @@ def fit_to_goal(tree: Hierarchy, ways: Sequence[Way], goal: Goal, decode_cost: i
         found: list[Spectrum | None] = []
         for way, (spec, labels) in enumerate(ways):
             part, outside = labels(node), streamed(tree, node)
-            if outside is not None and part is not None and is_disjoint(spec):
+            if outside is not None and part is not None and spec.disjoint:
                 level = 0 if node.piece else len(tree.levels) - 1
 
                 def share(done: float, way: int = way) -> None:
@@ -252,6 +256,10 @@ class _LastLevel:
 
     def _fit(self, chosen: Allocation) -> None:
         self.fitted = chosen.choice.tobytes()
+        if isinstance(self.tree.residual, Streamed) and self.goal.memory is not None:
+            what = f"a model of {format_bytes(int(chosen.nbytes))}"
+            hint = "raise --max-memory, or ask for a lower SNR or fewer bytes"
+            check_memory(PROCESS // 2 + int(MODEL * chosen.nbytes), what, hint, self.goal.memory)
         restore(self.tree, self.residual)
         for nodes, before in zip(self.tree.levels, self.cells, strict=True):
             for node, cells in zip(nodes, before, strict=True):

@@ -33,11 +33,6 @@ LimitsOf = Callable[[Sequence[int]], Sequence[int | None]]
 JUDGING = 2
 
 
-def is_disjoint(spec: LevelSpec) -> bool:
-    """Whether the cells are blocks of a grid, one for each row."""
-    return spec.cells > 1 and bool(spec.grid) and max(spec.mixture) == 1 and spec.scheme != "uniform"
-
-
 def fit_outside(
     residual: Streamed,
     number: int,
@@ -49,7 +44,7 @@ def fit_outside(
 ) -> Cells:
     """Cells of level `number` (from 0), whose node is the whole tensor; arguments as of `fit_level`."""
     spec = spec.clamped(residual.shape)
-    if labels is None or not is_disjoint(spec):
+    if labels is None or not spec.disjoint:
         return fit_streamed(residual, number, spec, effort, rng, labels)
     cells = empty_cells(residual.shape, spec, [part[:, None].astype(np.uint16) for part in labels], rng)
     seeds = rng.integers(2**63, size=spec.cells)
@@ -67,7 +62,7 @@ def fit_outside(
 
 def refit_outside(residual: Streamed, number: int, cells: Cells, told: Told) -> Cells:
     """Back-fitting of the cells of level `number`, memberships kept."""
-    if not is_disjoint(cells.spec):
+    if not cells.spec.disjoint:
         return refit_streamed(residual, number, cells)
 
     def refitted(_: int, cell: Cells, tensor: F32 | Streamed) -> Cells:
@@ -99,7 +94,7 @@ def energies(
         if large is None:
             tensor = cut.settled(Block(piece.rows, cut.read(piece)))
         else:
-            tensor = large.sample(thinning(piece.sizes, _alone(spec, piece.sizes), min(cut.limit, SAMPLED)))
+            tensor = large.sample(thinning(piece.sizes, spec.alone(piece.sizes), min(cut.limit, SAMPLED)))
         scale = piece.elements / tensor.size
         return scale * core_energies(tensor, limits, np.random.default_rng(seed)), scale * squared_norm(tensor)
 
@@ -164,12 +159,6 @@ def _labels(cells: Cells) -> Labels:
     return [members[:, 0].astype(np.intp) for members in cells.members]
 
 
-def _alone(spec: LevelSpec, sizes: Sequence[int]) -> LevelSpec:
-    """The spec of one of the cells."""
-    ones = (1,) * spec.order
-    return replace(spec, clusters=ones, mixture=ones, grid=()).clamped(sizes)
-
-
 def _slots(cells: Cells, c: int, piece: Piece) -> Iterator[tuple[int, tuple[NDArray[np.intp], int, int]]]:
     """Of each decomposed mode the places of cell c in its bases: rows, cluster subset, the other modes' clusters."""
     at, clusters = np.unravel_index(c, cells.spec.clusters), cells.spec.clusters
@@ -183,7 +172,7 @@ def _slots(cells: Cells, c: int, piece: Piece) -> Iterator[tuple[int, tuple[NDAr
 def _taken(cells: Cells, c: int, piece: Piece) -> Cells:
     """A copy of cell c as the only one of a node."""
     ranks = [None if skip else rank for skip, rank in zip(cells.undecomposed, cells.ranks, strict=True)]
-    spec = replace(_alone(cells.spec, piece.sizes), ranks=tuple(ranks))
+    spec = replace(cells.spec.alone(piece.sizes), ranks=tuple(ranks))
     members = [np.zeros((size, 1), np.uint16) for size in piece.sizes]
     bases = [np.zeros(0, np.float32) for _ in piece.sizes]
     for n, slot in _slots(cells, c, piece):
