@@ -17,6 +17,7 @@ from hmkcta import compress, projection
 from hmkcta import fit as fitting
 from hmkcta.cells import Cells, all_products, dense_basis, empty_cells
 from hmkcta.fit import EFFORTS, fit_level, left_by
+from hmkcta.memberships import start_candidates
 from hmkcta.plan import GRAM_CELLS, OPTIMAL_SUBSETS, LevelSpec, parse_level
 from hmkcta.search import OVER_RELAXED, choose_rows, extend, orthonormalise, refit_cores, right_sides
 from hmkcta.subdivision import CAP, subdivide
@@ -321,3 +322,16 @@ def test_the_tree_follows_its_subdivision(scheme: str) -> None:
             count[np.ix_(*rows)] += 1
             assert len(rows[1]) == 5
         assert np.all(count == 1)
+
+
+def test_a_single_start_is_of_like_rows() -> None:
+    """As `fast` has it: uniform blocks would part rows without order by chance."""
+    kinds = np.random.default_rng(2).permutation(np.repeat(np.arange(4), 10))
+    rows = np.random.default_rng(3).standard_normal((4, 30))[kinds] + 0.01 * np.arange(40)[:, None]
+    for overlap in (False, True):
+        ((labels, columns),) = start_candidates(rows, (4, 1), 1, np.random.default_rng(0), overlap=overlap)
+        assert all(len(set(labels[kinds == kind])) == 1 for kind in range(4))
+        assert not columns.any()
+    uniform, *others = start_candidates(rows, (4, 1), 3, np.random.default_rng(0), overlap=True)
+    assert uniform[0].tolist() == sorted(uniform[0])
+    assert len(others) == 2

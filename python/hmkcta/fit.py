@@ -30,19 +30,21 @@ class Effort:
     """How much time a fit may take.
 
     Attributes:
-        candidates: disjoint starts tried for each node's memberships.
+        candidates: disjoint starts tried for each node's memberships, where they stay disjoint.
+        starts: the same, where they will overlap; one is taken as it is.
         sweeps: over all modes; those of joint rows, which come first, search for cluster subsets.
         hooi: HOOI rounds where there is nothing to search (0: plain HOSVD), or too much.
         backfits: rounds in which every level is refitted to what the others leave.
     """
 
     candidates: int = 3
+    starts: int = 3
     sweeps: int = 3
     hooi: int = 2
     backfits: int = 1
 
 
-EFFORTS = {"fast": Effort(2, 3, 2, 0), "medium": Effort(3, 5, 4, 1), "thorough": Effort(13, 12, 8, 4)}
+EFFORTS = {"fast": Effort(2, 1, 2, 2, 0), "medium": Effort(3, 3, 5, 4, 1), "thorough": Effort(13, 13, 12, 8, 4)}
 
 #: Elements that starts are judged on: by what disjoint blocks capture, and by a joint sweep.
 SAMPLE, JUDGED = 2_000_000, 1 << 19
@@ -52,7 +54,6 @@ GRAM_VISITS, PASS_VISITS, IN_PLACE = 20, 4, 2
 
 #: Subspace iterations of a cell's mode update: at a random start, and when it is warm.
 COLD, WARM = 4, 2
-
 
 Labels = Sequence[NDArray[np.intp]]
 
@@ -180,9 +181,11 @@ def _start(tensor: F32, spec: LevelSpec, effort: Effort, labels: Labels | None, 
         return cells
 
     seed = int(rng.integers(2**63))
+    if labels is None and effort.starts == 1:
+        labels = next(start_candidates(tensor, spec.clusters, 1, rng, overlap=True))
     if labels is None:
         sample, starts = strided_sample(tensor, spec.clusters, JUDGED), np.random.default_rng(seed)
-        candidates = start_candidates(tensor, spec.clusters, effort.candidates, starts, overlap=True)
+        candidates = start_candidates(tensor, spec.clusters, effort.starts, starts, overlap=True)
         tried = ((swept(sample.tensor, sample.labels(candidate)), candidate) for candidate in candidates)
         best, labels = min(tried, key=lambda start: squared_norm(left_by(start[0], sample.tensor)))
         if best.sizes == tensor.shape:

@@ -147,12 +147,14 @@ def start_candidates(
 ) -> Iterator[list[NDArray[np.intp]]]:
     """Disjoint memberships to choose among: uniform blocks, then normalised rows under size caps.
 
-    Where they are to overlap later (K > 1), clusters of nearly equal size come first: up to 5 dB better than others.
+    Where they are to overlap later (K > 1), clusters of nearly equal size come first: up to 5 dB better than others. A
+    single one is of them, as uniform blocks know nothing of rows without order.
     """
-    yield [uniform_blocks(i, c) for i, c in zip(tensor.shape, clusters, strict=True)]
+    if count > 1:
+        yield [uniform_blocks(i, c) for i, c in zip(tensor.shape, clusters, strict=True)]
     features = [row_features(tensor, n) if c > 1 else None for n, c in enumerate(clusters)]
     order = sorted(CANDIDATES, key=lambda each: each[1] or np.inf) if overlap else CANDIDATES
-    for power, cap in order[: count - 1]:
+    for power, cap in order[: max(1, count - 1)]:
         labels: list[NDArray[np.intp]] = []
         for n, (f, c) in enumerate(zip(features, clusters, strict=True)):
             if f is None:

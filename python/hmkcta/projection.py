@@ -88,6 +88,15 @@ def project(cells: Cells, tensor: F32, kept: Sequence[int]) -> Projection:
     return Projection(tensor, (a, b), kernels.project_pair(cells, tensor, (a, b)))
 
 
+def project_one(cells: Cells, tensor: F32, n: int) -> F32:
+    """`Y_n` alone: two modes are summed over at once, the last among them, and then the third, that of fewest rows."""
+    others = [m for m, skip in enumerate(cells.undecomposed) if m != n and not skip]
+    if len(others) != 3 or n == cells.order - 1:
+        return kernels.project_cells(cells, tensor, n)
+    shortest = min(others[:-1], key=lambda m: cells.sizes[m])
+    return project(cells, tensor, sorted((n, shortest))).onto(cells, n)
+
+
 def _lanes(pair: tuple[int, int], kept: Sequence[int]) -> list[Axis]:
     return [*(("C", m) for m in pair), ("R", pair[0]), *(("C", m) for m in kept), ("R", pair[1])]
 

@@ -17,13 +17,13 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from . import backends as kernels
 from .cells import Cells, all_products
 from .fit import Effort, Labels, fit_level
 from .memory import check_memory
 from .pieces import Rows
 from .plan import LevelSpec, Plan
 from .predict import PROCESS, WORKING
+from .projection import project_one
 from .search import choose_rows, orthonormalise, project_model, right_sides
 from .slabs import slabs
 from .streamed import Block, Streamed, thinned_cells
@@ -240,7 +240,7 @@ def _over_blocks(
         if not block.tensor.size:
             return block.rows, None
         part = cells.part(block.rows)
-        return block.rows, use(part, kernels.project_cells(part, block.tensor, n), n)
+        return block.rows, use(part, project_one(part, block.tensor, n), n)
 
     for rows, made in residual.each(work, residual.blocks(steps)):
         if made is not None:

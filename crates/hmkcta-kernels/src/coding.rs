@@ -4,7 +4,9 @@
 //! clusters before one leave of its rows of [H | b]; subsets with the same first clusters share the panels of these.
 
 use crate::dictionary::{Dictionary, Given};
-use crate::elimination::{BLOCK, Rows, backward, eliminate, forward, subtract_product, subtract_transposed};
+use crate::elimination::{
+    BLOCK, Rows, backward, eliminate, forward, subtract_gram, subtract_product, subtract_transposed,
+};
 
 /// A subset must be better by so much of the gain, so that ties go to the one seen first.
 const TIE: f64 = 1e-9;
@@ -109,12 +111,17 @@ impl Best {
             backward(panel.beside(panel.cluster, dictionary.padded), &mut known[d], columns);
         }
         for (column, &row) in rows.iter().enumerate() {
-            let parts = all.iter().zip(&x);
-            self.x[row as usize] = parts
-                .flat_map(|(panel, x)| {
-                    dictionary.coefficients(panel.cluster, x.chunks_exact(columns).map(move |line| line[column]))
-                })
-                .collect();
+            let of_row = &mut self.x[row as usize];
+            of_row.clear();
+            for (panel, x) in all.iter().zip(&x) {
+                of_row.extend(
+                    dictionary
+                        .lengths(panel.cluster)
+                        .iter()
+                        .zip(x[column..].iter().step_by(columns))
+                        .map(|(length, x)| (x / length) as f32),
+                );
+            }
         }
     }
 }
@@ -159,7 +166,7 @@ impl Panel {
         for (panel, y) in before.iter().zip(ys) {
             let w = panel.beside(self.cluster, padded);
             // As wide as this panel, and rows as far apart as the other's.
-            subtract_transposed(w, w, padded, &mut self.w, self.width);
+            subtract_gram(w, padded, &mut self.w, self.width);
             subtract_transposed(w, Rows { numbers: y, step: self.columns }, padded, &mut self.y, self.columns);
         }
         eliminate(&mut self.w, self.width);

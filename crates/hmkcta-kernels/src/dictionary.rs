@@ -69,7 +69,9 @@ impl Dictionary {
     pub fn h(&self, cluster: usize, width: usize) -> Vec<f64> {
         let step = self.clusters * self.padded;
         let lines = self.h[cluster * self.padded * step..].chunks_exact(step).take(self.padded);
-        lines.flat_map(|line| &line[cluster * self.padded..][..width]).copied().collect()
+        let mut h = Vec::with_capacity(self.padded * width);
+        lines.for_each(|line| h.extend_from_slice(&line[cluster * self.padded..][..width]));
+        h
     }
 
     /// b of a cluster, `[padded, columns]`.
@@ -77,9 +79,9 @@ impl Dictionary {
         &self.b[cluster * self.padded * self.columns..][..self.padded * self.columns]
     }
 
-    /// Coefficients of a cluster's columns as they were given, from those of columns of length one.
-    pub fn coefficients(&self, cluster: usize, x: impl Iterator<Item = f64>) -> impl Iterator<Item = f32> {
-        x.zip(&self.length[cluster * self.q..][..self.q]).map(|(x, length)| (x / length) as f32)
+    /// What a cluster's columns were divided by.
+    pub fn lengths(&self, cluster: usize) -> &[f64] {
+        &self.length[cluster * self.q..][..self.q]
     }
 }
 

@@ -30,6 +30,7 @@ pub fn eliminate(panel: &mut [f64], width: usize) {
             out: block,
             step: width,
             columns,
+            upper: false,
         });
         let factor = Factor::of(block, width);
         dispatch(Apply { factor, out: block, step: width, columns, upward: false });
@@ -67,12 +68,26 @@ pub fn backward(u: Rows, x: &mut [f64], columns: usize) {
 
 /// `out -= A^T B`, for `depth` rows of both; rows of `out` are of `columns` numbers, which B's may exceed.
 pub fn subtract_transposed(a: Rows, b: Rows, depth: usize, out: &mut [f64], columns: usize) {
-    subtract(Product { a: a.numbers, a_steps: (a.step, 1), b, depth, out, step: columns, columns });
+    subtract(Product { a: a.numbers, a_steps: (a.step, 1), b, depth, out, step: columns, columns, upper: false });
+}
+
+/// `out -= A^T A` from the diagonal on; rows of `out` are of `columns` numbers, which A's may exceed.
+pub fn subtract_gram(a: Rows, depth: usize, out: &mut [f64], columns: usize) {
+    subtract(Product { a: a.numbers, a_steps: (a.step, 1), b: a, depth, out, step: columns, columns, upper: true });
 }
 
 /// `out -= A B`, for `depth` numbers of A's rows; rows of `out` are as long as B's.
 pub fn subtract_product(a: Rows, b: Rows, depth: usize, out: &mut [f64]) {
-    subtract(Product { a: a.numbers, a_steps: (1, a.step), b, depth, out, step: b.step, columns: b.step });
+    subtract(Product {
+        a: a.numbers,
+        a_steps: (1, a.step),
+        b,
+        depth,
+        out,
+        step: b.step,
+        columns: b.step,
+        upper: false,
+    });
 }
 
 /// `out[i, c] -= sum_j a[j, i] b[j, c]`
@@ -85,10 +100,12 @@ struct Product<'a> {
     out: &'a mut [f64],
     step: usize,
     columns: usize,
+    /// Whether columns before the block of the diagonal are left as they are.
+    upper: bool,
 }
 
 fn subtract(product: Product) {
-    let Product { a, a_steps, b, depth, ref out, step, columns } = product;
+    let Product { a, a_steps, b, depth, ref out, step, columns, .. } = product;
     let rows = out.len().div_ceil(step.max(1));
     assert!(rows.is_multiple_of(BLOCK) && columns.is_multiple_of(BLOCK));
     if depth * rows * columns == 0 {
@@ -113,10 +130,11 @@ impl Product<'_> {
     #[inline(always)]
     unsafe fn blocks<S: Simd, const M: usize>(&mut self, simd: S) {
         let pair = 2 * S::F64_LANES;
-        let whole = self.columns - self.columns % pair;
         for row in (0..self.out.len().div_ceil(self.step)).step_by(M) {
+            let first = if self.upper { row - row % BLOCK } else { 0 };
+            let whole = self.columns - (self.columns - first) % pair;
             unsafe {
-                for column in (0..whole).step_by(pair) {
+                for column in (first..whole).step_by(pair) {
                     self.tile::<S, M, 2>(simd, row, column);
                 }
                 for column in (whole..self.columns).step_by(S::F64_LANES) {

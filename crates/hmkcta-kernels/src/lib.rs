@@ -2,6 +2,7 @@
 
 mod binding;
 mod block;
+mod bundle;
 mod cells;
 mod chain;
 mod coding;
@@ -18,6 +19,8 @@ mod gram;
 mod hooi;
 mod lanes;
 mod layout;
+mod leading;
+mod lines;
 mod machine;
 mod packed;
 mod pair;
@@ -25,8 +28,6 @@ mod pairs;
 mod part;
 mod pick;
 mod places;
-mod plane;
-mod planes;
 mod project;
 mod real;
 mod reconstruct;
@@ -38,6 +39,7 @@ mod testing;
 mod threads;
 mod tree;
 mod tucker;
+mod turned;
 mod widened;
 
 use binding::{

@@ -4,7 +4,7 @@ use crate::block::Block;
 use crate::cells::Node;
 use crate::chain::Chain;
 use crate::gemm::{Matrix, multiply};
-use crate::planes;
+use crate::lines;
 use crate::threads::{PARALLEL, Scratch, for_each, room, with_scratch};
 use crate::tree::Tree;
 use crate::tucker::{ModelBuffers, Tucker};
@@ -18,8 +18,9 @@ const OVERLAP: usize = 4;
 
 /// `tensor += weight * model`
 pub fn accumulate(node: Node, tensor: &mut [f32], bases: &[&[f32]], cores: &[f32], weight: f32) {
-    if node.mixture.iter().any(|&k| k > 1) && planes::applies(&node) {
-        planes::accumulate(&node, tensor, bases, cores, weight);
+    let overlapping = node.mixture.iter().any(|&k| k > 1);
+    if let Some(mode) = lines::mode_of_rows(&node).filter(|_| overlapping) {
+        lines::accumulate(&node, mode, tensor, bases, cores, weight);
     } else if node.mixture.iter().product::<usize>() <= OVERLAP {
         by_cells(&node, tensor, bases, cores, weight);
     } else {
