@@ -19,7 +19,7 @@ from hmkcta.cells import Cells, all_products, dense_basis
 from hmkcta.coding import Dictionary
 from hmkcta.errors import HmkctaError
 from hmkcta.plan import LevelSpec
-from hmkcta.projection import Projection, project_one
+from hmkcta.projection import Projection
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -144,15 +144,6 @@ def check_pairs(cells: Cells, data: F32, kernels: Kernels) -> None:
         close(found, reference.project_pair(cells, data, pair), 1e-4)
         for n in (n for n in decomposed if n not in pair):
             close(Projection(data, pair, found).onto(cells, n), reference.project_cells(cells, data, n), 1e-4)
-
-
-@pytest.mark.parametrize("order", [3, 4, 5])
-@pytest.mark.parametrize("rank", [2, None])
-def test_one_projection_is_that_of_the_cells(order: int, rank: int | None) -> None:
-    spec = LevelSpec((rank, *(2,) * (order - 1)), (1, *(2,) * (order - 1)), (1, *(2,) * (order - 1)))
-    cells, data = random_cells((3, 6, 5, 7, 4)[:order], spec, 3), smooth_data((3, 6, 5, 7, 4)[:order], 3)
-    for n in range(order):
-        close(project_one(cells, data, n), reference.project_cells(cells, data, n), 1e-4)
 
 
 @settings(max_examples=50, deadline=None)

@@ -7,6 +7,7 @@ import os
 import shlex
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from statistics import median
 from threading import get_ident
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 
 from hmkcta import Axis, compress
+from hmkcta.axes import mode_sizes
 from hmkcta.errors import HmkctaError
 from hmkcta.filesize import predicted_bytes
 from hmkcta.fit import EFFORTS
@@ -33,8 +35,9 @@ import json, sys
 from benchmarks.machine import peak_memory
 from hmkcta import compress
 from hmkcta.readers import open_array
-path, plan, memory = sys.argv[1:]
-model = compress(open_array(path), plan, quality="fast", scheme="most", threads=2, max_memory=int(memory) or None)
+path, plan, memory, goal = sys.argv[1:]
+model = compress(open_array(path), plan, quality="fast", scheme="most", threads=2, max_memory=int(memory) or None,
+                 **json.loads(goal))
 print(json.dumps({"peak": peak_memory(), "snr": model.snr}))
 """
 
@@ -72,13 +75,52 @@ CASES = [
 @pytest.mark.parametrize(("plan", "memory"), CASES)
 def test_memory_is_what_was_said(waves: Path, plan: str, memory: int) -> None:
     said = forecast(parse_plan(plan, MODES), (SIDE,) * 4, EFFORTS["fast"], 2, memory or None)
-    runs = [json.loads(printed(PROGRAM, waves, plan, memory)) for _ in range(3)]
+    runs = [json.loads(printed(PROGRAM, waves, plan, memory, "{}")) for _ in range(3)]
     assert min(took["snr"] for took in runs) > 11  # the noise
     peaks = [took["peak"] for took in runs]
     # Which sub-tensors happen to be in memory together makes a tenth of difference.
     assert said.memory / 1.25 < median(peaks) < 1.25 * said.memory
     if memory:
         assert max(peaks) < memory
+
+
+MERGED = "axis0+axis3, axis1+axis2"
+#: Ranks of every node's own: of blocks of one level, of blocks below a carrier, of the whole tensor.
+OWN = [
+    ("R<=160,160 grid=axis0:7,axis1:3,axis2:6", {"snr": 12}, MERGED),
+    ("R<=160,160 grid=axis0:7,axis1:3,axis2:6", {"size": 1_000_000}, MERGED),
+    ("R<=24 grid=axis0:3,axis1:3", {"size": 300_000}, None),
+    ("R<=*,20,20,20 grid=axis1:3,axis2:3", {"size": 500_000}, None),
+    ("R=1 grid=axis0:3,axis1:3 / R<=24", {"snr": 11.2}, None),
+    ("R<=64,64", {"size": 200_000}, MERGED),
+]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there is no getrusage")
+@pytest.mark.parametrize(("plan", "goal", "organisation"), OWN)
+def test_memory_of_own_ranks_is_what_was_said(
+    waves: Path, plan: str, goal: dict[str, float], organisation: str | None
+) -> None:
+    memory = 300_000_000
+    source = described(open_array(waves))
+    modes = source.organisation(organisation)
+    parsed = replace(parse_plan(plan, modes), **goal)  # pyright: ignore[reportArgumentType] (size is whole)
+    said = forecast(parsed, mode_sizes(source.axes, modes), EFFORTS["fast"], 2, memory).memory
+    took = json.loads(printed(PROGRAM, waves, plan, memory, json.dumps({**goal, "organisation": organisation})))
+    assert took["snr"] > 11
+    assert took["peak"] < memory
+    assert said / 1.25 < took["peak"] < 1.25 * said
+
+
+@pytest.mark.parametrize(
+    ("plan", "size", "organisation"), [("R=40,40 C=8,8", None, MERGED), ("R=1 grid=axis0:2 / R<=24", 300_000, None)]
+)
+def test_what_takes_more_memory_than_given_is_refused_before_the_work(
+    waves: Path, plan: str, size: int | None, organisation: str | None
+) -> None:
+    """Joint rows of many cells; sub-tensors of which no row can be left out."""
+    with pytest.raises(HmkctaError, match=r"memory for level \d .*--max-memory"):
+        compress(open_array(waves), plan, size=size, organisation=organisation, max_memory=300_000_000)
 
 
 COMMAND = """

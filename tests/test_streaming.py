@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from hmkcta import Model, compress, predict, streamed
 from hmkcta import backends as kernels
+from hmkcta.backends import reference
 from hmkcta.cells import Cells
 from hmkcta.errors import HmkctaError
 from hmkcta.fit import EFFORTS
@@ -26,6 +27,7 @@ from hmkcta.hierarchy import Run, backfit, descend, fit_nodes, whole
 from hmkcta.measure import measure
 from hmkcta.pieces import Piece, put
 from hmkcta.plan import LevelSpec, parse_plan
+from hmkcta.projection import project_one
 from hmkcta.readers import open_array
 from hmkcta.scratch import Scratch
 from hmkcta.search import project_model, right_sides
@@ -33,6 +35,7 @@ from hmkcta.source import Source, prepare
 from hmkcta.streamed import Streamed
 from hmkcta.synthetic import material, volume
 from hmkcta.workset import projected, sides
+from test_kernels import close, random_cells, smooth_data
 
 F32 = NDArray[np.float32]
 WH4_LIKE = "R=3,3,4,4 / R=2,2,2,2 C=2,2,3,3 K=2 / R=1,1,2,2 C=2 K=2"
@@ -366,3 +369,12 @@ def test_a_mapped_file_is_read_in_slabs(cloth: Any, monkeypatch: pytest.MonkeyPa
     for number, model in enumerate(models):
         model.save(tmp_path / f"{number}.hmk")
     assert (tmp_path / "0.hmk").read_bytes() == (tmp_path / "1.hmk").read_bytes()
+
+
+@pytest.mark.parametrize("order", [3, 4, 5])
+@pytest.mark.parametrize("rank", [2, None])
+def test_one_projection_is_that_of_the_cells(order: int, rank: int | None) -> None:
+    spec = LevelSpec((rank, *(2,) * (order - 1)), (1, *(2,) * (order - 1)), (1, *(2,) * (order - 1)))
+    cells, data = random_cells((3, 6, 5, 7, 4)[:order], spec, 3), smooth_data((3, 6, 5, 7, 4)[:order], 3)
+    for n in range(order):
+        close(project_one(cells, data, n), reference.project_cells(cells, data, n), 1e-4)

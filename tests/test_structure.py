@@ -26,6 +26,7 @@ LAYERS = (
     ("search", "decode_dense"),
     ("fit", "subdivision"),
     ("workset", "decode"),
+    ("disjoint",),
     ("hierarchy",),
     ("pack", "allocation", "blocks", "filesize", "model", "verbatim"),
     ("adaptive", "candidates", "measure"),

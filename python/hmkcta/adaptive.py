@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from math import inf, prod
@@ -12,11 +12,28 @@ from numpy.typing import NDArray
 
 from .allocation import Allocation, Spectrum, allocate, merged, spectrum, trimmed
 from .cells import zero_cells
+from .disjoint import Told, energies, summed
 from .errors import invalid
 from .fit import Labels
-from .hierarchy import Hierarchy, LabelsOf, Node, Run, backfit, fit_nodes, gather, in_parallel, restore, sampled, saved
+from .hierarchy import (
+    Hierarchy,
+    LabelsOf,
+    Node,
+    Run,
+    backfit,
+    fit_nodes,
+    gather,
+    in_parallel,
+    restore,
+    sampled,
+    saved,
+    streamed,
+    within,
+)
 from .memberships import start_candidates
+from .memory import check_memory, format_bytes
 from .plan import MOST_RANKS, LevelSpec
+from .predict import MODEL, PROCESS
 from .streamed import Streamed, squared_norm
 from .tucker import core_energies
 
@@ -38,6 +55,7 @@ class Goal:
         energy: squared norm of the tensor.
         file_bytes: exact size of the file that a hierarchy would make.
         snr_now: SNR in dB of a hierarchy in the domain of the source values.
+        memory: bytes to work in, if they are given.
     """
 
     size: int | None
@@ -45,6 +63,7 @@ class Goal:
     energy: float
     file_bytes: Callable[[Hierarchy], int]
     snr_now: Callable[[Hierarchy], float]
+    memory: int | None = None
 
 
 def table_limits(
@@ -101,22 +120,29 @@ def node_spectrum(
     )
 
 
+def outside_spectrum(
+    outside: Streamed, number: int, spec: LevelSpec, labels: Labels, decode_cost: int, seed: int, told: Told,
+    *, alone: bool, nbytes: float,
+) -> Spectrum | None:
+    """As `node_spectrum`, of a node whose blocks, which share no element, are read one by one."""
+
+    def limits(sizes: Sequence[int]) -> list[int | None]:
+        return table_limits(sizes, spec, nbytes, entries=LONE_ENTRIES if alone else TABLE_ENTRIES)
+
+    table, energy = energies(outside, number, spec, labels, limits, seed, told)
+    undecomposed = [r is None for r in spec.ranks]
+    choices = spectrum(table, energy, outside.shape, undecomposed, decode_cost, spec.clusters, hull=not alone)
+    return choices if energy else None
+
+
 def cell_blocks(tensor: F32, labels: Labels, clusters: Sequence[int]) -> list[F32]:
     """The disjoint sub-tensors of a node's cells."""
     rows = [[np.flatnonzero(part == c) for c in range(count)] for part, count in zip(labels, clusters, strict=True)]
     return [np.ascontiguousarray(tensor[np.ix_(*chosen)]) for chosen in product(*rows)]
 
 
-def summed(tables: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Sum of cumulative energy tables of different extents; beyond its extent a table stays at its last value."""
-    parts = list(tables)
-    shape = tuple(max(part.shape[n] for part in parts) for n in range(parts[0].ndim))
-    return sum(
-        np.pad(part, [(0, most - size) for most, size in zip(shape, part.shape, strict=True)], mode="edge")
-        for part in parts
-    ) + np.zeros(shape)
-
-
+#: The stage before the fit.
+EXAMINING = "ranks of each node"
 #: A way to fit a node: ranks up to which, clusters, and the memberships that its cells start from.
 Way = tuple[LevelSpec, LabelsOf]
 
@@ -127,21 +153,36 @@ def fit_to_goal(tree: Hierarchy, ways: Sequence[Way], goal: Goal, decode_cost: i
     ways = [each for spec, labels in ways for each in _starts(tree, spec, labels, run)]
     spectra: list[Spectrum | None] = [None] * len(nodes)
 
+    told, alone, nbytes = within(nodes, EXAMINING, run), len(nodes) == 1, goal.size or inf
+
     def examine(s: int) -> None:
-        node, alone = nodes[s], len(nodes) == 1
-        found: list[Spectrum] = []
-        for spec, labels in ways:
-            part = labels(node)
+        node = nodes[s]
+        found: list[Spectrum | None] = []
+        for way, (spec, labels) in enumerate(ways):
+            part, outside = labels(node), streamed(tree, node)
+            if outside is not None and part is not None and spec.disjoint:
+                level = 0 if node.piece else len(tree.levels) - 1
+
+                def share(done: float, way: int = way) -> None:
+                    told((way + done) / len(ways))
+
+                found.append(
+                    outside_spectrum(
+                        outside, level, spec, part, decode_cost, run.seed, share, alone=alone, nbytes=nbytes
+                    )
+                )
+                continue
             sample = sampled(tree, node, spec)
             tensor, steps = (gather(tree.residual, node), [1] * len(node.sizes)) if sample is None else sample
             part = None if part is None else [own[::step] for own, step in zip(part, steps, strict=True)]
             own = node_spectrum(
-                tensor, spec, decode_cost, run.seed, part, alone=alone, nbytes=goal.size or inf, true_sizes=node.sizes
+                tensor, spec, decode_cost, run.seed, part, alone=alone, nbytes=nbytes, true_sizes=node.sizes
             )
-            found += [] if own is None else [own]
-        spectra[s] = merged(found, hull=not alone) if found else None
+            found.append(own)
+        some = [choices for choices in found if choices is not None]
+        spectra[s] = merged(some, hull=not alone) if some else None
 
-    in_parallel(examine, nodes, "ranks of each node", run, tree.residual)
+    in_parallel(examine, nodes, EXAMINING, run, tree.residual)
     found = [(s, choices) for s, choices in enumerate(spectra) if choices is not None]
     if found:
         level = _LastLevel(tree, found, ways, goal, run)
@@ -215,6 +256,10 @@ class _LastLevel:
 
     def _fit(self, chosen: Allocation) -> None:
         self.fitted = chosen.choice.tobytes()
+        if isinstance(self.tree.residual, Streamed) and self.goal.memory is not None:
+            what = f"a model of {format_bytes(int(chosen.nbytes))}"
+            hint = "raise --max-memory, or ask for a lower SNR or fewer bytes"
+            check_memory(PROCESS // 2 + int(MODEL * chosen.nbytes), what, hint, self.goal.memory)
         restore(self.tree, self.residual)
         for nodes, before in zip(self.tree.levels, self.cells, strict=True):
             for node, cells in zip(nodes, before, strict=True):

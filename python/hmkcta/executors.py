@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Sequence
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import copy_context
 from threading import Condition
 from typing import Any, TypeVar
 
+S = TypeVar("S")
 T = TypeVar("T")
 
 
@@ -26,6 +28,25 @@ class Pool(ThreadPoolExecutor):
     def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
         """Have it done in a copy of the context at hand."""
         return super().submit(copy_context().run, fn, *args, **kwargs)
+
+
+def in_order(work: Callable[[S], T], items: Sequence[S], workers: int) -> Iterator[T]:
+    """What the work makes of the items, in their order, few of them ahead of what is taken."""
+    if workers == 1:
+        yield from map(work, items)
+        return
+    waiting: deque[Future[T]] = deque()
+    with Pool(workers) as pool:
+        try:
+            for item in items:
+                waiting.append(pool.submit(work, item))
+                if len(waiting) > workers:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
 
 
 class Queue:

@@ -133,7 +133,10 @@ def _begun(task: Task) -> tuple[Hierarchy, Goal]:
     def file_bytes(tree: Hierarchy) -> int:
         return encoded_size(*_described(task, tree))
 
-    return tree, Goal(task.plan.size, task.plan.snr, energy, file_bytes, lambda tree: _snr(task, tree, energy))
+    def snr_now(tree: Hierarchy) -> float:
+        return _snr(task, tree, energy)
+
+    return tree, Goal(task.plan.size, task.plan.snr, energy, file_bytes, snr_now, task.memory)
 
 
 def _descend(task: Task, tree: Hierarchy, above: LevelSpec, below: LevelSpec) -> None:

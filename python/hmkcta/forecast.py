@@ -9,13 +9,14 @@ from dataclasses import dataclass
 from math import prod
 from pathlib import Path
 
+from .disjoint import JUDGING
 from .fit import Effort
 from .measure import SLAB as MEASURED
 from .plan import LevelSpec, Plan
-from .predict import FLAT, WORKING, is_streamed, memory_limit
+from .predict import FLAT, MODEL, WORKING, is_streamed, memory_limit
 from .streamed import SLAB
 from .subdivision import CAP
-from .workset import check_worksets, workset
+from .workset import blocks, check_worksets, joint_bytes, worksets
 
 #: Bytes for each element of a tensor in memory: its residual lasts, the rest is `WORKING`; a saved residual for goals.
 _RESIDUAL, _SAVED = 4, 4
@@ -23,8 +24,10 @@ _RESIDUAL, _SAVED = 4, 4
 _MEASURING = 36
 #: Bytes of the interpreter with everything loaded; the share of what a stage took that its heaps keep from the next.
 _BASE, _KEPT = 56 * 2**20, 0.3
-#: Copies of a slab that are made while it is read and worked on.
-_SLAB_COPIES = 4
+#: Bytes for each element of a block that shares none with others, which is fitted in place.
+_BLOCK = 8
+#: Copies of a slab that are made while it is read and worked on, or cut into blocks.
+_SLAB_COPIES, _SLAB_CUT = 4, 3
 #: How much larger than the average the largest sub-tensors get for each mode of two, or of more clusters, where rows
 #: have one cluster each; where they have more, subdivision has a cap.
 _UNEVEN_TWO, _UNEVEN_MORE = 1.1, 1.8
@@ -60,7 +63,8 @@ def forecast(
     """The cost of a plan for a tensor of the given mode sizes, `memory` bytes allowed (None: half of what is free).
 
     `held` are the bytes of the source if it is in memory as a whole; `choosing` the most that the process took while it
-    chose the plan, 0 if it is given.
+    chose the plan, 0 if it is given. Memory is also for the model of a streamed tensor, unless an SNR decides how large
+    that will be.
     """
     limit, elements = memory_limit(plan, sizes, memory), prod(sizes)
     own, chosen = plan.levels[-1].own, max(0, choosing - held - _BASE)
@@ -69,17 +73,43 @@ def forecast(
         measuring = _RESIDUAL * elements + _MEASURING * min(elements, MEASURED)
         most = held + _peak(chosen, working * elements, measuring)
         return Forecast(most, 0, _seconds(plan, sizes, effort, threads))
-    cut = next((n for n, level in enumerate(plan.levels[:-1]) if level.cells > 1), None)
-    wholes = plan.levels if cut is None else plan.levels[: cut + 1]
-    fitted = max(workset(sizes, level, limit) for level in wholes)
     check_worksets(plan, sizes, limit, memory)
     if limit == elements:  # fitted in place
         return Forecast(held + _peak(chosen, FLAT * elements), 0, _seconds(plan, sizes, effort, threads))
-    pieces = 0 if cut is None else min(limit, threads * _largest(elements, plan.levels[cut]))
-    slabs = _SLAB_COPIES * 4 * SLAB * max(1, min(threads, limit // SLAB))
-    scratch = 0 if cut is None else 4 * elements * (2 if own else 1)
-    working = max(WORKING * fitted, slabs, 0 if cut is None else WORKING * pieces + _HEAPS)
+    cut = next((n for n, level in enumerate(plan.levels[:-1]) if level.cells > 1), None)
+    slabs = 4 * (_SLAB_CUT if plan.levels[0].disjoint else _SLAB_COPIES) * SLAB * max(1, min(threads, limit // SLAB))
+    working = max(slabs, _outside(plan, sizes, limit, threads, cut))
+    copies = int(cut is not None or any(level.disjoint or level.cuts for level in plan.levels))
+    scratch = 4 * elements * (copies + (1 if own and cut is not None else 0))
     return Forecast(held + _peak(chosen, working), scratch, _seconds(plan, sizes, effort, threads, cut=cut))
+
+
+def _outside(plan: Plan, sizes: Sequence[int], limit: int, threads: int, cut: int | None) -> int:
+    """Bytes for fitting the levels of a streamed tensor: on worksets, or on sub-tensors or blocks in memory."""
+    most, elements = 0, prod(sizes)
+    for number, (level, fitted) in enumerate(zip(plan.levels, worksets(plan, sizes, limit), strict=True)):
+        below = cut is not None and number > cut
+        together = fitted * max(1, min(threads, limit // max(1, fitted)))
+        each = WORKING * (together if below else fitted)
+        if level.disjoint and fitted <= limit:
+            each = _BLOCK * max(together, JUDGING * fitted if level.own else 0)
+        model = 2 * _numbers(sizes, level) if level.disjoint else 0
+        model = min(model, plan.size or 0) if level.own else model  # an SNR does not say how large
+        joint = joint_bytes(sizes, level, threads) if prod(sizes) > limit else 0
+        most = max(most, each + (_HEAPS if below else 0) + MODEL * model, joint)
+        if number == cut and not level.grid:
+            most = max(most, WORKING * min(limit, threads * _largest(elements, level)) + _HEAPS)
+        sizes = blocks(sizes, level)
+    return most
+
+
+def _numbers(sizes: Sequence[int], level: LevelSpec) -> int:
+    """Numbers of a level of disjoint cells on a node of these sizes, all ranks as high as they may be."""
+    spec = level.clamped(sizes)
+    parts = zip(sizes, spec.clusters, spec.ranks, strict=True)
+    bases = sum(size * spec.cells // count * rank for size, count, rank in parts if rank is not None)
+    ranks = (size if rank is None else rank for size, rank in zip(sizes, spec.ranks, strict=True))
+    return bases + spec.cells * prod(ranks)
 
 
 def peak_memory() -> int:

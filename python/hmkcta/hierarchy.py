@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import groupby, product
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from . import backends as kernels
 from .axes import Axis, Organisation
 from .cells import Cells
+from .disjoint import Told, fit_outside, refit_outside
 from .errors import invalid
 from .executors import Pool, Queue
 from .fit import Effort, Labels, fit_level, refit_level
@@ -22,14 +24,11 @@ from .pieces import Piece, Rows, SubTensor
 from .plan import LevelSpec
 from .streamed import Saved, Streamed, squared_norm, thinned_cells
 from .subdivision import subdivide
-from .workset import fit_streamed, refit_streamed, thinning
+from .workset import SAMPLED, thinning
 
 F32 = NDArray[np.float32]
 #: Called with a stage's name and the fraction of it that is done.
 Progress = Callable[[str, float], None]
-
-#: Elements of a tensor that memory does not hold by which its spectra and subdivisions are judged.
-SAMPLED = 1 << 23
 
 
 @dataclass(frozen=True)
@@ -113,7 +112,9 @@ def scatter(tensor: F32 | Streamed, node: Node, values: F32) -> None:
 
 def saved(tree: Hierarchy) -> F32 | Saved:
     """The residual as it is, to `restore` it."""
-    return tree.residual.saved() if isinstance(tree.residual, Streamed) else tree.residual.copy()
+    if not isinstance(tree.residual, Streamed):
+        return tree.residual.copy()
+    return tree.residual.saved(pieces=any(node.piece is not None for node in tree.levels[-1]))
 
 
 def restore(tree: Hierarchy, before: F32 | Saved) -> None:
@@ -165,6 +166,11 @@ def in_parallel(
         outside.settle()
 
 
+def within(nodes: Sequence[Node], stage: str, run: Run) -> Told:
+    """Whom to tell how much of a node is done: where it is the only one, that is how much of the stage is."""
+    return partial(run.progress, stage) if len(nodes) == 1 else lambda _: None
+
+
 def streamed(tree: Hierarchy, node: Node) -> Streamed | None:
     """The node's tensor, where it is not in memory: the whole one, or a piece that is too large."""
     residual = tree.residual
@@ -187,6 +193,7 @@ def fit_nodes(
     """
     _is_last(tree, last)
     nodes, depth, step = tree.levels[-1], len(tree.levels), run.journal.step()
+    told = within(nodes, f"level {depth}", run)
 
     def work(s: int) -> None:
         node, spec = nodes[s], specs[s]
@@ -198,7 +205,7 @@ def fit_nodes(
         finished = run.journal.recall(step, s, node.sizes, spec)
         if finished is None:
             if outside is not None:
-                cells = fit_streamed(outside, level, spec, run.effort, rng, labels(node))
+                cells = fit_outside(outside, level, spec, run.effort, rng, labels(node), told)
             elif tensor is not None and tensor.any():
                 cells = fit_level(tensor, spec, run.effort, rng, labels(node))
             else:
@@ -307,9 +314,9 @@ def backfit(tree: Hierarchy, run: Run, *, last: bool = False) -> None:
     """Refit every level in turn to what all the others leave; memberships stay. `last`: as of `fit_nodes`."""
     for number, nodes in enumerate(tree.levels, start=1):
         _is_last(tree, last and number == len(tree.levels))
-        step = run.journal.step()
+        step, told = run.journal.step(), within(nodes, f"back-fitting level {number}", run)
 
-        def work(s: int, nodes: list[Node] = nodes, step: int = step, number: int = number) -> None:
+        def work(s: int, nodes: list[Node] = nodes, step: int = step, number: int = number, told: Told = told) -> None:
             node = nodes[s]
             old = node.cells
             if old is None:
@@ -321,7 +328,7 @@ def backfit(tree: Hierarchy, run: Run, *, last: bool = False) -> None:
             if finished is not None:
                 cells = finished.cells
             elif outside is not None:
-                cells = refit_streamed(outside, level, old.copy()).rounded()
+                cells = refit_outside(outside, level, old.copy(), told).rounded()
             else:
                 cells = _refitted(old, gather(tree.residual, node))
             if finished is None:

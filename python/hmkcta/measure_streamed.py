@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import backends as kernels
+from .executors import in_order
 from .hierarchy import Hierarchy, Node, Progress
 from .measure import Sums
 from .packed import LevelQuality
 from .pieces import Rows, places_of, split
-from .streamed import Streamed, in_float64, in_order, squared_norm
+from .streamed import Streamed, in_float64, squared_norm
 from .transform import Transform
 
 F32 = NDArray[np.float32]

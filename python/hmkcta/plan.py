@@ -112,6 +112,16 @@ class LevelSpec:
         """PC R_n, all cells' basis columns of a mode, where those are most."""
         return self.cells * max((rank for rank in self.ranks if rank is not None), default=0)
 
+    @property
+    def disjoint(self) -> bool:
+        """Whether the cells are the blocks of a grid, which share no element."""
+        return self.cells > 1 and bool(self.grid) and max(self.mixture) == 1 and self.scheme != "uniform"
+
+    def alone(self, sizes: Sequence[int]) -> LevelSpec:
+        """The spec of one of the cells, of these sizes, as a node of its own."""
+        ones = (1,) * self.order
+        return replace(self, clusters=ones, mixture=ones, grid=()).clamped(sizes)
+
     def decode_cost(self) -> int:
         """Multiply-adds for one scattered element, prod R_n K_n; an undecomposed mode is only indexed.
 

@@ -14,6 +14,8 @@ WORKSET = 1 << 26
 SMALLEST = 1 << 20
 #: Bytes for each of them: the tensor, its residual, and what is made on the way; and bytes of the process itself.
 WORKING, PROCESS = 14, 200 * 2**20
+#: Bytes for each byte of a model in the file: its numbers in float32, rounded, and packed.
+MODEL = 4
 #: Bytes for each element of a tensor that is fitted in place, by sweeps alone.
 FLAT = 5
 

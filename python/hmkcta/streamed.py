@@ -7,9 +7,7 @@ leave is written to a scratch file in the order of the nodes, each in one *piece
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -24,7 +22,7 @@ from numpy.typing import NDArray
 from . import backends as kernels
 from .axes import Organisation, mode_sizes
 from .cells import Cells
-from .executors import Pool
+from .executors import in_order
 from .pieces import Piece, Rows, places_of, put, split
 from .scratch import Scratch
 from .slabs import slabs
@@ -53,9 +51,9 @@ class Saved:
     """A state of a streamed residual."""
 
     wholes: list[Cells | None]
-    stored: list[Cells | None]
-    energies: list[float]
-    scratch: Scratch | None
+    stored: list[Cells | None] = field(default_factory=list["Cells | None"])
+    energies: list[float] = field(default_factory=list[float])
+    scratch: Scratch | None = None
 
 
 @dataclass(eq=False)
@@ -70,6 +68,7 @@ class Streamed:
         wholes: the cells of the levels whose node is the whole tensor, as they are now.
         stored: of those, the cells that what lies in the pieces was computed with.
         pieces: empty as long as the source is read.
+        parts: what the pieces were cut by, for each mode the part of every row.
         lasting: False while nobody will read the pieces again: they are not written back, and gone afterwards.
     """
 
@@ -80,6 +79,7 @@ class Streamed:
     wholes: list[Cells | None] = field(default_factory=list["Cells | None"])
     stored: list[Cells | None] = field(default_factory=list["Cells | None"])
     pieces: list[Piece] = field(default_factory=list[Piece])
+    parts: list[NDArray[np.intp]] = field(default_factory=list["NDArray[np.intp]"])
     scratch: Scratch | None = None
     lasting: bool = True
     _held: local = field(default_factory=local)
@@ -173,7 +173,24 @@ class Streamed:
         return sum(self.each(lambda block: squared_norm(self.settled(block)), self.blocks()))
 
     def cut(self, parts: Sequence[NDArray[np.intp]], counts: Sequence[int]) -> list[Piece]:
-        """Write what `wholes` leave to a scratch file: a piece for each combination of parts of rows, in C order."""
+        """Write what `wholes` leave to a scratch file: a piece for each combination of parts of rows, in C order.
+
+        Pieces that are those already stay as they are.
+        """
+        if not (self.pieces and all(map(np.array_equal, self.parts, parts))):
+            self.scratch, self.pieces = self._written(parts, counts)
+            self.parts, self.stored = list(parts), list(self.wholes)
+        return self.pieces
+
+    def in_blocks(self, parts: Sequence[NDArray[np.intp]], counts: Sequence[int], number: int) -> Streamed:
+        """The tensor less all levels but `number`, which is to be fitted to such pieces one by one."""
+        self.wholes[number : number + 1] = [None] * len(self.wholes[number : number + 1])
+        self.cut(parts, counts)
+        return self
+
+    def _written(
+        self, parts: Sequence[NDArray[np.intp]], counts: Sequence[int], without: int | None = None
+    ) -> tuple[Scratch, list[Piece]]:
         lists = [[np.flatnonzero(part == c) for c in range(count)] for part, count in zip(parts, counts, strict=True)]
         places = [places_of(part) for part in parts]
         pieces, start = list[Piece](), 0
@@ -183,7 +200,7 @@ class Streamed:
         scratch = Scratch(start)
 
         def write(block: Block) -> list[tuple[int, float]]:
-            tensor, found = self.settled(block), list[tuple[int, float]]()
+            tensor, found = self.settled(block, without), list[tuple[int, float]]()
             for child, sub, rows in split(tensor, block.rows, parts):
                 number = int(np.ravel_multi_index(child, tuple(counts)))
                 put(scratch, pieces[number], [place[r] for place, r in zip(places, rows, strict=True)], sub)
@@ -193,8 +210,7 @@ class Streamed:
         for found in self.each(write, self.blocks()):
             for number, energy in found:
                 pieces[number].energy += energy
-        self.scratch, self.pieces, self.stored = scratch, pieces, list(self.wholes)
-        return pieces
+        return scratch, pieces
 
     @contextmanager
     def holding(self, piece: Piece) -> Generator[None]:
@@ -202,8 +218,11 @@ class Streamed:
 
         A large piece is left where it is.
         """
-        if self.large(piece) is not None:
+        if (large := self.large(piece)) is not None:
+            self._held.changed = False
             yield
+            if self.terms() and not self._held.changed:
+                large.rewrite()
             return
         tensor = self.settled(Block(piece.rows, self.read(piece)))
         self._held.piece, self._held.tensor, self._held.changed = piece, tensor, bool(self.terms())
@@ -229,6 +248,10 @@ class Streamed:
         assert piece is not None
         assert self._held.piece is piece
         kernels.scatter(self._held.tensor, self._within(rows, piece), values)
+        self.note_changed()
+
+    def note_changed(self) -> None:
+        """What this thread holds is not what it was."""
         self._held.changed = True
 
     def _within(self, rows: Rows, piece: Piece) -> list[NDArray[np.intp]]:
@@ -240,17 +263,20 @@ class Streamed:
         if not self.lasting:
             self._scratch.close()
 
-    def saved(self) -> Saved:
-        """All that changes, to go back to; what lies in pieces is copied to a second scratch file."""
-        scratch = None if self.scratch is None else self.scratch.copy()
-        return Saved(list(self.wholes), list(self.stored), [piece.energy for piece in self.pieces], scratch)
+    def saved(self, *, pieces: bool) -> Saved:
+        """All that changes, to go back to; what lies in `pieces`, if that will, is copied to a second scratch file."""
+        if not pieces or self.scratch is None:
+            return Saved(list(self.wholes))
+        energies = [piece.energy for piece in self.pieces]
+        return Saved(list(self.wholes), list(self.stored), energies, self.scratch.copy())
 
     def restore(self, saved: Saved) -> None:
-        """Go back, with the pieces there were then."""
-        self.wholes, self.stored = list(saved.wholes), list(saved.stored)
-        for piece, energy in zip(self.pieces, saved.energies, strict=True):
-            piece.energy = energy
+        """Go back, with the pieces there were then; or as they are, where they were not saved."""
+        self.wholes = list(saved.wholes)
         if saved.scratch is not None:
+            self.stored = list(saved.stored)
+            for piece, energy in zip(self.pieces, saved.energies, strict=True):
+                piece.energy = energy
             saved.scratch.copy_to(self._scratch)
 
     def large(self, piece: Piece) -> Large | None:
@@ -287,6 +313,12 @@ class Large(Streamed):
 
         return [partial(self._slab_above, part, steps) for part in slabs(self.shape, SLAB)]
 
+    def in_blocks(self, parts: Sequence[NDArray[np.intp]], counts: Sequence[int], number: int) -> Streamed:
+        """Its pieces in a scratch file of their own."""
+        cut = Streamed(self.source, self.organisation, self.threads, self.limit)
+        cut.scratch, cut.pieces = self._written(parts, counts, number)
+        return cut
+
     def _thinned_slab(self, part: tuple[slice, ...], steps: Sequence[int] | None) -> Block:
         return _thinned(self._slab(part), steps)
 
@@ -298,6 +330,10 @@ class Large(Streamed):
     def change(self, number: int, cells: Cells | None) -> None:
         """The piece's cells are these from now on; the piece is rewritten."""
         super().change(number, cells)
+        self.rewrite()
+
+    def rewrite(self) -> None:
+        """Store what is left now."""
         scratch = self._scratch
 
         def write(part: tuple[slice, ...]) -> float:
@@ -306,6 +342,7 @@ class Large(Streamed):
             return squared_norm(block.tensor)
 
         self.of.energy = sum(in_order(write, list(slabs(self.shape, SLAB)), self.workers(SLAB)))
+        self.above.note_changed()
         self.settle()
 
     def _slab(self, part: tuple[slice, ...]) -> Block:
@@ -335,25 +372,6 @@ def thinned_cells(cells: Cells, steps: Sequence[int] | None) -> Cells:
     if steps is None or max(steps) == 1:
         return cells
     return cells.part([np.arange(0, size, step) for size, step in zip(cells.sizes, steps, strict=True)])
-
-
-def in_order(work: Callable[[S], T], items: Sequence[S], workers: int) -> Iterator[T]:
-    """What the work makes of the items, in their order, few of them ahead of what is taken."""
-    if workers == 1:
-        yield from map(work, items)
-        return
-    waiting: deque[Future[T]] = deque()
-    with Pool(workers) as pool:
-        try:
-            for item in items:
-                waiting.append(pool.submit(work, item))
-                if len(waiting) > workers:
-                    yield waiting.popleft().result()
-            while waiting:
-                yield waiting.popleft().result()
-        except BaseException:
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
 
 
 def _thinned(block: Block, steps: Sequence[int] | None) -> Block:

@@ -34,6 +34,8 @@ T = TypeVar("T", np.float32, np.float64)
 
 #: Rows of a thinned mode for each cluster and each column of a basis: fewer would fit themselves.
 FEWEST = 8
+#: Elements by which spectra and subdivisions are judged.
+SAMPLED = 1 << 23
 #: Elements of a model that is projected in closed form at a time, where modes are undecomposed.
 PROJECTED = 1 << 22
 
@@ -75,27 +77,58 @@ def thinning(sizes: Sequence[int], spec: LevelSpec, limit: int) -> list[int]:
 
 
 def workset(sizes: Sequence[int], level: LevelSpec, limit: int) -> int:
-    """Elements of a node of these sizes that a level is fitted on."""
+    """Elements of a node of these sizes that a level is fitted on; of its largest block, if its blocks are disjoint."""
     spec = level.clamped(sizes)
     if spec.search == "fast":
         return limit
+    if spec.disjoint:
+        sizes = blocks(sizes, spec)
+        spec = spec.alone(sizes)
     return prod(-(-size // step) for size, step in zip(sizes, thinning(sizes, spec, limit), strict=True))
 
 
+def blocks(sizes: Sequence[int], level: LevelSpec) -> tuple[int, ...]:
+    """Sizes of the parts that a level's clusters cut a node into, were they equal."""
+    return tuple(-(-size // count) for size, count in zip(sizes, level.clamped(sizes).clusters, strict=True))
+
+
+def worksets(plan: Plan, sizes: Sequence[int], limit: int) -> list[int]:
+    """The `workset` of every level, on nodes as large as equal parts of those above are."""
+    found = list[int]()
+    for level in plan.levels:
+        found.append(workset(sizes, level, limit))
+        sizes = blocks(sizes, level)
+    return found
+
+
+def joint_bytes(sizes: Sequence[int], level: LevelSpec, threads: int = 1) -> int:
+    """Bytes that joint rows of a level take on a node of these sizes that is streamed.
+
+    They are for `sides` of the mode that has most, of the slabs at work and in all, and for the inner products.
+    """
+    spec = level.clamped(sizes)
+    if spec.disjoint or spec.search == "fast":
+        return 0
+    columns = [(size, spec.cells * rank) for size, rank in zip(sizes, spec.ranks, strict=True) if rank is not None]
+    most = max((size * count for size, count in columns), default=0)
+    return 8 * ((3 + threads) * most + sum(count**2 for _, count in columns))
+
+
 def check_worksets(plan: Plan, sizes: Sequence[int], limit: int, memory: int | None) -> None:
-    """Refuse a plan whose levels on the whole tensor cannot be fitted on as little as memory holds.
+    """Refuse a plan whose levels cannot be fitted on as little as memory holds.
 
     Raises:
         HmkctaError: one cannot.
     """
-    for number, level in enumerate(plan.levels, start=1):
-        most = workset(sizes, level, limit)
+    for number, (level, most) in enumerate(zip(plan.levels, worksets(plan, sizes, limit), strict=True), start=1):
+        what = f"level {number} ({level}) on {' x '.join(map(str, sizes))}"
         if most > limit:
-            what = f"level {number} ({level}) on {' x '.join(map(str, sizes))}"
             hint = "raise --max-memory, lower R, or leave no long mode undecomposed"
             check_memory(PROCESS + WORKING * most, what, hint, memory)
-        if level.cells > 1:
-            break
+        if prod(sizes) > limit:
+            joint = PROCESS // 2 + joint_bytes(sizes, level)
+            check_memory(joint, what, "raise --max-memory, lower R, or fewer clusters", memory)
+        sizes = blocks(sizes, level)
 
 
 def fit_streamed(

@@ -1,0 +1,90 @@
+"""Blocks that share no element, of a tensor that memory does not hold: fitted one by one, as in memory."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hmkcta import Model, compress, predict, streamed
+from hmkcta.errors import HmkctaError
+from hmkcta.synthetic import material
+
+
+@pytest.fixture(autouse=True)
+def small_slabs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Slabs that small data are larger than."""
+    monkeypatch.setattr(streamed, "SLAB", 15_000)
+    monkeypatch.setattr("hmkcta.measure_streamed.SLAB", 40_000)
+
+
+@pytest.fixture(scope="module")
+def cloth() -> Any:
+    return material(lights=6, views=8, size=32)
+
+
+def fitted(data: Any, monkeypatch: pytest.MonkeyPatch, workset: int, plan: str, **options: Any) -> Model:
+    """With tensors of up to `workset` elements held in memory."""
+    monkeypatch.setattr(predict, "WORKSET", workset)
+    settings: dict[str, Any] = {"scheme": "most", "quality": "fast", "threads": 2, **options}
+    return compress(data.values, plan, axes=data.axes, organisation="light+rgb, view, y, x", **settings)
+
+
+GRIDS: list[tuple[str, dict[str, Any]]] = [
+    ("R=2 grid=view:2,x:3", {}),
+    ("R<=8 grid=y:2,x:3", {"snr": 14.5}),
+    ("R<=8 grid=y:2,x:3", {"size": 13_000}),
+    ("R<=*,8,8,8 grid=y:2,x:3", {"size": 13_000}),
+]
+
+
+@pytest.mark.parametrize(("plan", "goal"), GRIDS)
+def test_blocks_that_share_no_element_are_fitted_as_in_memory(
+    cloth: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, plan: str, goal: dict[str, Any]
+) -> None:
+    """To the byte, whatever the threads, and without joint rows, which would take numbers for every row and cell."""
+    files: list[bytes] = []
+    for share, threads in [(1, 2), (3, 1), (3, 3)]:
+        monkeypatch.setattr("hmkcta.workset.solve_rows", None)
+        model = fitted(cloth, monkeypatch, cloth.values.size // share, plan, threads=threads, **goal)
+        model.save(tmp_path / f"{share},{threads}.hmk")
+        files.append((tmp_path / f"{share},{threads}.hmk").read_bytes())
+    assert files[0] == files[1] == files[2]
+
+
+def test_progress_moves_while_blocks_are_fitted(cloth: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[tuple[str, float]] = []
+
+    def progress(stage: str, share: float) -> None:
+        told.append((stage, share))
+
+    fitted(cloth, monkeypatch, cloth.values.size // 3, "R<=8 grid=y:2,x:3", size=13_000, progress=progress)
+    for stage in ("ranks of each node", "level 1"):
+        assert len({share for name, share in told if name == stage}) > 5
+
+
+@pytest.mark.parametrize("plan", ["R<=8 grid=y:2", "R=1 grid=y:2 / R<=8", "R=1 grid=y:2 / R<=8 cut<=x:2"])
+def test_blocks_too_large_for_memory_are_streamed_themselves(
+    cloth: Any, monkeypatch: pytest.MonkeyPatch, plan: str
+) -> None:
+    """What is left of each is known all the while, or the goal would be missed or exceeded."""
+    inside, outside = (
+        fitted(cloth, monkeypatch, cloth.values.size // share, plan, quality="medium", snr=14.5) for share in (1, 5)
+    )
+    assert 14.5 <= outside.snr < 15.2
+    assert outside.nbytes < 1.1 * inside.nbytes
+
+
+def test_back_fitting_of_blocks_is_as_in_memory(cloth: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = "R=2,2,3,3 grid=y:2,x:2 / R=2,2,2,2 C=1,1,2,2 K=1"
+    snrs = [fitted(cloth, monkeypatch, cloth.values.size // share, plan, quality="medium").snr for share in (1, 3, 7)]
+    assert snrs == pytest.approx(3 * [snrs[0]], abs=0.02)
+
+
+def test_a_model_that_memory_does_not_hold_is_refused(cloth: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(predict, "SMALLEST", 1000)
+    monkeypatch.setattr("hmkcta.adaptive.MODEL", 1e6)
+    memory = predict.PROCESS + predict.WORKING * cloth.values.size // 3
+    with pytest.raises(HmkctaError, match=r"memory for a model of .*--max-memory"):
+        fitted(cloth, monkeypatch, cloth.values.size // 3, "R<=8 grid=y:2,x:3", snr=14.5, max_memory=memory)
