@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from hmkcta import Model, compress, predict, streamed
 from hmkcta import backends as kernels
 from hmkcta.backends import reference
-from hmkcta.cells import Cells
 from hmkcta.errors import HmkctaError
 from hmkcta.fit import EFFORTS
 from hmkcta.forecast import forecast
@@ -230,22 +229,6 @@ def test_slabs_make_up_the_tensor(source: Source, steps: tuple[int, ...], limit:
         if block.size:
             found[np.ix_(*rows)] = block
     assert np.array_equal(found, expected)
-
-
-def random_cells(sizes: tuple[int, ...], spec: LevelSpec, seed: int) -> Cells:
-    rng = np.random.default_rng(seed)
-    members = [
-        np.sort(np.argsort(rng.random((size, c)), axis=1)[:, :k], axis=1).astype(np.uint16)
-        for size, c, k in zip(sizes, spec.clusters, spec.mixture, strict=True)
-    ]
-    ranks = [size if rank is None else rank for size, rank in zip(sizes, spec.ranks, strict=True)]
-    bases = [
-        np.zeros(0, np.float32)
-        if spec.ranks[n] is None
-        else rng.standard_normal((size, spec.mixture[n], spec.cells // spec.clusters[n], ranks[n]), np.float32)
-        for n, size in enumerate(sizes)
-    ]
-    return Cells(sizes, spec, members, bases, rng.standard_normal((spec.cells, *ranks), np.float32))
 
 
 PAIRS = [
