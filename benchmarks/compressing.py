@@ -11,8 +11,8 @@ import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from benchmarks.machine import peak_memory
 from benchmarks.report import Row
+from hmkcta.forecast import peak_memory
 
 #: Axes and organisation of the paper's tensors.
 SHEET = ("light,view,y,x,rgb", "light+rgb, view, y, x")

@@ -1,11 +1,9 @@
-"""What the machine can do at best, copy bandwidth and the rate of large float32 matrix products; memory taken."""
+"""What the machine can do at best: copy bandwidth and the rate of large float32 matrix products."""
 
 from __future__ import annotations
 
 import os
 import platform
-import resource
-import sys
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -37,15 +35,6 @@ def limits(threads: Sequence[int]) -> Limits:
     """Measure both for each number of threads."""
     name = f"{_processor()}, {os.cpu_count()} cores, {platform.system()}"
     return Limits(name, {count: _copy(count) for count in threads}, {count: _sgemm(count) for count in threads})
-
-
-def peak_memory() -> int:
-    """Most resident bytes of this program. In `ru_maxrss` Linux counts the process that started it as well."""
-    try:
-        lines = Path("/proc/self/status").read_text().splitlines()
-        return 1024 * int(next(line.split()[1] for line in lines if line.startswith("VmHWM")))
-    except (OSError, StopIteration):
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
 def _copy(threads: int) -> float:

@@ -32,7 +32,7 @@ MODES = tuple((f"axis{n}",) for n in range(4))
 #: Fits a file and says what it took.
 PROGRAM = """
 import json, sys
-from benchmarks.machine import peak_memory
+from hmkcta.forecast import peak_memory
 from hmkcta import compress
 from hmkcta.readers import open_array
 path, plan, memory, goal = sys.argv[1:]
@@ -125,7 +125,7 @@ def test_what_takes_more_memory_than_given_is_refused_before_the_work(
 
 COMMAND = """
 import sys
-from benchmarks.machine import peak_memory
+from hmkcta.forecast import peak_memory
 from hmkcta.cli import main
 main(sys.argv[1:], standalone_mode=False)
 print(peak_memory())
@@ -224,7 +224,7 @@ def test_notes_on_a_mapped_file_keep_little_of_it(waves: Path) -> None:
     program = """
 import sys
 import numpy as np
-from benchmarks.machine import peak_memory
+from hmkcta.forecast import peak_memory
 from hmkcta import compress
 from hmkcta.cli.notes import notes
 array, model = np.load(sys.argv[1], mmap_mode="r"), compress(np.eye(40), "R=2")
@@ -290,7 +290,7 @@ compress(open_array(sys.argv[1]), "R=1", quality="fast").save(sys.argv[2])
 MEASURE = """
 import sys
 import hmkcta
-from benchmarks.machine import peak_memory
+from hmkcta.forecast import peak_memory
 from hmkcta.measure import measure
 from hmkcta.readers import open_array
 measure(hmkcta.open(sys.argv[2]), open_array(sys.argv[1]), slab=1 << 18)
@@ -309,7 +309,7 @@ def test_measuring_lets_go_of_what_it_has_read(waves: Path, tmp_path: Path) -> N
 def test_choosing_a_plan_keeps_within_the_memory_given(waves: Path, memory: int) -> None:
     program = """
 import sys
-from benchmarks.machine import peak_memory
+from hmkcta.forecast import peak_memory
 from hmkcta import choose_plan
 from hmkcta.readers import open_array
 choose_plan(open_array(sys.argv[1]), size=1_000_000, threads=2, max_memory=int(sys.argv[2]))
