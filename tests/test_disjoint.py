@@ -7,29 +7,11 @@ from typing import Any
 
 import pytest
 
-from hmkcta import Model, compress, predict, streamed
+from hmkcta import predict
 from hmkcta.errors import HmkctaError
-from hmkcta.synthetic import material
+from streaming_tools import fitted
 
-
-@pytest.fixture(autouse=True)
-def small_slabs(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Slabs that small data are larger than."""
-    monkeypatch.setattr(streamed, "SLAB", 15_000)
-    monkeypatch.setattr("hmkcta.measure_streamed.SLAB", 40_000)
-
-
-@pytest.fixture(scope="module")
-def cloth() -> Any:
-    return material(lights=6, views=8, size=32)
-
-
-def fitted(data: Any, monkeypatch: pytest.MonkeyPatch, workset: int, plan: str, **options: Any) -> Model:
-    """With tensors of up to `workset` elements held in memory."""
-    monkeypatch.setattr(predict, "WORKSET", workset)
-    settings: dict[str, Any] = {"scheme": "most", "quality": "fast", "threads": 2, **options}
-    return compress(data.values, plan, axes=data.axes, organisation="light+rgb, view, y, x", **settings)
-
+pytestmark = pytest.mark.usefixtures("small_slabs")
 
 GRIDS: list[tuple[str, dict[str, Any]]] = [
     ("R=2 grid=view:2,x:3", {}),

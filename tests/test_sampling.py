@@ -7,7 +7,6 @@ from math import prod
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from hmkcta.blocks import finer, representatives, sampled_blocks
 from hmkcta.candidates import Candidate, bytes_beside, clusters_of
@@ -15,13 +14,10 @@ from hmkcta.detail import Detail, detail_of
 from hmkcta.organisations import organisations
 from hmkcta.source import prepare
 from hmkcta.trial import trial_of
+from test_choosing import noise
 
 #: Nothing happens anywhere.
 DETAIL = Detail(np.zeros((2, 2)))
-
-
-def noise(*shape: int) -> NDArray[np.float32]:
-    return np.random.default_rng(list(shape)).standard_normal(shape, np.float32)
 
 
 def test_few_busy_blocks_and_many_quiet_ones_are_both_represented() -> None:

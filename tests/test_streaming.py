@@ -16,8 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hmkcta import Model, compress, predict, streamed
 from hmkcta import backends as kernels
+from hmkcta import compress, predict, streamed
 from hmkcta.backends import reference
 from hmkcta.errors import HmkctaError
 from hmkcta.fit import EFFORTS
@@ -32,32 +32,14 @@ from hmkcta.scratch import Scratch
 from hmkcta.search import project_model, right_sides
 from hmkcta.source import Source, prepare
 from hmkcta.streamed import Streamed
-from hmkcta.synthetic import material, volume
+from hmkcta.synthetic import volume
 from hmkcta.workset import projected, sides
+from streaming_tools import MODES, WH4_LIKE, fitted
 from test_kernels import close, random_cells, smooth_data
 
 F32 = NDArray[np.float32]
-WH4_LIKE = "R=3,3,4,4 / R=2,2,2,2 C=2,2,3,3 K=2 / R=1,1,2,2 C=2 K=2"
-MODES = "light+rgb, view, y, x"
 
-
-@pytest.fixture(autouse=True)
-def small_slabs(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Slabs and worksets that small data are larger than."""
-    monkeypatch.setattr(streamed, "SLAB", 15_000)
-    monkeypatch.setattr("hmkcta.measure_streamed.SLAB", 40_000)
-
-
-@pytest.fixture(scope="module")
-def cloth() -> Any:
-    return material(lights=6, views=8, size=32)
-
-
-def fitted(data: Any, monkeypatch: pytest.MonkeyPatch, workset: int, plan: str = WH4_LIKE, **options: Any) -> Model:
-    """With tensors of up to `workset` elements held in memory."""
-    monkeypatch.setattr(predict, "WORKSET", workset)
-    settings: dict[str, Any] = {"scheme": "most", "quality": "fast", "threads": 2, "organisation": MODES, **options}
-    return compress(data.values, plan, axes=data.axes, **settings)
+pytestmark = pytest.mark.usefixtures("small_slabs")
 
 
 def test_streaming_is_as_good_as_memory(cloth: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from math import inf, prod
 
@@ -24,6 +25,7 @@ from .hierarchy import (
     fit_nodes,
     gather,
     in_parallel,
+    level_within,
     restore,
     sampled,
     saved,
@@ -153,40 +155,41 @@ def fit_to_goal(tree: Hierarchy, ways: Sequence[Way], goal: Goal, decode_cost: i
     ways = [each for spec, labels in ways for each in _starts(tree, spec, labels, run)]
     spectra: list[Spectrum | None] = [None] * len(nodes)
 
-    told, alone, nbytes = within(nodes, EXAMINING, run), len(nodes) == 1, goal.size or inf
+    told = within(nodes, EXAMINING, run)
 
     def examine(s: int) -> None:
-        node = nodes[s]
-        found: list[Spectrum | None] = []
-        for way, (spec, labels) in enumerate(ways):
-            part, outside = labels(node), streamed(tree, node)
-            if outside is not None and part is not None and spec.disjoint:
-                level = 0 if node.piece else len(tree.levels) - 1
-
-                def share(done: float, way: int = way) -> None:
-                    told((way + done) / len(ways))
-
-                found.append(
-                    outside_spectrum(
-                        outside, level, spec, part, decode_cost, run.seed, share, alone=alone, nbytes=nbytes
-                    )
-                )
-                continue
-            sample = sampled(tree, node, spec)
-            tensor, steps = (gather(tree.residual, node), [1] * len(node.sizes)) if sample is None else sample
-            part = None if part is None else [own[::step] for own, step in zip(part, steps, strict=True)]
-            own = node_spectrum(
-                tensor, spec, decode_cost, run.seed, part, alone=alone, nbytes=nbytes, true_sizes=node.sizes
-            )
-            found.append(own)
-        some = [choices for choices in found if choices is not None]
-        spectra[s] = merged(some, hull=not alone) if some else None
+        found: list[Spectrum] = []
+        for number, way in enumerate(ways):
+            share = partial(_share, told, number, len(ways))
+            own = _spectrum_of(tree, nodes[s], way, goal, decode_cost, run.seed, share)
+            found += [] if own is None else [own]
+        spectra[s] = merged(found, hull=len(nodes) > 1) if found else None
 
     in_parallel(examine, nodes, EXAMINING, run, tree.residual)
     found = [(s, choices) for s, choices in enumerate(spectra) if choices is not None]
     if found:
         level = _LastLevel(tree, found, ways, goal, run)
         level.to_size(goal.size) if goal.size is not None else level.to_snr(goal.snr or 0.0)
+
+
+def _spectrum_of(
+    tree: Hierarchy, node: Node, way: Way, goal: Goal, decode_cost: int, seed: int, told: Told
+) -> Spectrum | None:
+    """A node's choices of ranks if it is fitted in this way; None where there is nothing to store."""
+    (spec, labels), alone, nbytes = way, len(tree.levels[-1]) == 1, goal.size or inf
+    part, outside = labels(node), streamed(tree, node)
+    if outside is not None and part is not None and spec.disjoint:
+        level = level_within(node, len(tree.levels))
+        return outside_spectrum(outside, level, spec, part, decode_cost, seed, told, alone=alone, nbytes=nbytes)
+    sample = sampled(tree, node, spec)
+    tensor, steps = (gather(tree.residual, node), [1] * len(node.sizes)) if sample is None else sample
+    part = None if part is None else [own[::step] for own, step in zip(part, steps, strict=True)]
+    return node_spectrum(tensor, spec, decode_cost, seed, part, alone=alone, nbytes=nbytes, true_sizes=node.sizes)
+
+
+def _share(told: Told, number: int, count: int, done: float) -> None:
+    """Tell how much of so many parts is done, in the middle of one."""
+    told((number + done) / count)
 
 
 def _starts(tree: Hierarchy, spec: LevelSpec, labels: LabelsOf, run: Run) -> list[Way]:

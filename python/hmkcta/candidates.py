@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from math import prod
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .allocation import empty_node_bytes, node_bytes
 from .axes import Axis, Organisation, mode_sizes
@@ -65,9 +66,7 @@ def clusters_of(axes: Sequence[Axis], counts: Sequence[int], organisation: Organ
 def bytes_beside(source: Source, candidate: Candidate, seed: int) -> float:
     """Bytes of the candidate's file besides what `choices_of` counts of its nodes, with a decode cost of one."""
     whole = planned_bytes(plan_of(source, candidate, None, None, 1), source, seed=seed)
-    sizes, clusters = mode_sizes(source.axes, candidate.organisation), _all_clusters(source.axes, candidate)
-    flags = [n in candidate.undecomposed for n in range(len(sizes))]
-    ranks = np.where(flags, sizes, 1).astype(np.int32)
+    sizes, clusters, flags, ranks = _carrier(source.axes, candidate)
     if not candidate.carried:
         return whole - float(node_bytes(sizes, ranks, flags, clusters))
     nodes, stored = prod(clusters), [n for n, flag in enumerate(flags) if not flag]
@@ -80,12 +79,16 @@ def carrier_bytes(axes: Sequence[Axis], candidate: Candidate) -> float:
     """Bytes of the first level that carries nodes, but for its header; none where a candidate has one level."""
     if not candidate.carried:
         return 0.0
-    sizes, clusters = mode_sizes(axes, candidate.organisation), _all_clusters(axes, candidate)
-    flags = [n in candidate.undecomposed for n in range(len(sizes))]
-    ranks = np.where(flags, sizes, 1).astype(np.int32)
+    sizes, clusters, flags, ranks = _carrier(axes, candidate)
     rows = sum(size for size, flag in zip(sizes, flags, strict=True) if not flag)
     return float(node_bytes(sizes, ranks, flags, clusters)) + ROW_BYTES * rows
 
 
-def _all_clusters(axes: Sequence[Axis], candidate: Candidate) -> tuple[int, ...]:
-    return candidate.clusters or clusters_of(axes, candidate.grid, candidate.organisation)
+def _carrier(
+    axes: Sequence[Axis], candidate: Candidate
+) -> tuple[tuple[int, ...], tuple[int, ...], list[bool], NDArray[np.int32]]:
+    """Mode sizes, clusters, which modes are undecomposed, and ranks of a level of rank one with these blocks."""
+    sizes = mode_sizes(axes, candidate.organisation)
+    flags = [n in candidate.undecomposed for n in range(len(sizes))]
+    clusters = candidate.clusters or clusters_of(axes, candidate.grid, candidate.organisation)
+    return sizes, clusters, flags, np.where(flags, sizes, 1).astype(np.int32)

@@ -179,6 +179,11 @@ def streamed(tree: Hierarchy, node: Node) -> Streamed | None:
     return residual if node.piece is None else residual.large(node.piece)
 
 
+def level_within(node: Node, depth: int) -> int:
+    """Number (from 0) of a level of this depth among those of the tensor that is `streamed` for the node."""
+    return 0 if node.piece else depth - 1
+
+
 def fit_nodes(
     tree: Hierarchy,
     specs: Sequence[LevelSpec | None],
@@ -199,7 +204,7 @@ def fit_nodes(
         node, spec = nodes[s], specs[s]
         if spec is None or node.elements == 0:
             return
-        outside, level = streamed(tree, node), 0 if node.piece else depth - 1
+        outside, level = streamed(tree, node), level_within(node, depth)
         rng = np.random.default_rng([run.seed, depth, s])
         tensor = None if outside else gather(tree.residual, node)
         finished = run.journal.recall(step, s, node.sizes, spec)
@@ -321,7 +326,7 @@ def backfit(tree: Hierarchy, run: Run, *, last: bool = False) -> None:
             old = node.cells
             if old is None:
                 return
-            outside, level = streamed(tree, node), 0 if node.piece else number - 1
+            outside, level = streamed(tree, node), level_within(node, number)
             if outside is not None and node.piece is not None:
                 outside.wholes, outside.stored = [old], [old]
             finished = run.journal.recall(step, s, node.sizes, old.spec)

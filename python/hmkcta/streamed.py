@@ -184,7 +184,7 @@ class Streamed:
 
     def in_blocks(self, parts: Sequence[NDArray[np.intp]], counts: Sequence[int], number: int) -> Streamed:
         """The tensor less all levels but `number`, which is to be fitted to such pieces one by one."""
-        self.wholes[number : number + 1] = [None] * len(self.wholes[number : number + 1])
+        self.change(number, None)
         self.cut(parts, counts)
         return self
 

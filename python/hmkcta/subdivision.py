@@ -7,11 +7,13 @@ No part gets many more rows than others: rows that share a cluster would all sta
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from . import backends as kernels
-from .cells import Cells, all_products
+from .cells import Cells, Products, all_products
 from .coding import Dictionary
 from .memberships import nearest_with_room, uniform_blocks
 from .projection import Projection, passes, project
@@ -30,30 +32,35 @@ def subdivide(cells: Cells, tensor: F32 | None, scheme: str) -> list[NDArray[np.
     b = H x, which is true of rows that were found jointly and nearly so of the others.
     """
     parts: dict[int, NDArray[np.intp]] = {}
+    judged = [n for n, mixture in enumerate(cells.spec.mixture) if mixture > 1 and scheme != "uniform"]
+    products = all_products(cells) if judged else []
     for kept in passes(cells):
-        judged = scheme != "uniform" and any(cells.spec.mixture[n] > 1 for n in kept)
-        seen = project(cells, tensor, kept) if judged and tensor is not None else None
+        seen = project(cells, tensor, kept) if tensor is not None and any(n in judged for n in kept) else None
         for n in kept:
-            parts[n] = _parts(cells, seen, n, scheme)
+            parts[n] = _parts(cells, products, seen, n, scheme)
     return [parts.get(n, np.zeros(size, np.intp)) for n, size in enumerate(cells.sizes)]
 
 
-def _parts(cells: Cells, seen: Projection | None, n: int, scheme: str) -> NDArray[np.intp]:
+def _parts(
+    cells: Cells, products: Sequence[Products | None], seen: Projection | None, n: int, scheme: str
+) -> NDArray[np.intp]:
     if scheme == "uniform":
         return uniform_blocks(cells.sizes[n], cells.spec.clusters[n])
     if cells.spec.mixture[n] == 1:
         return cells.members[n][:, 0].astype(np.intp)
-    errors = _subset_errors(cells, seen, n)
+    errors = _subset_errors(cells, products, seen, n)
     # A row goes elsewhere only where none of its subsets has room.
     worth = np.full((cells.sizes[n], cells.spec.clusters[n]), np.inf)
     np.put_along_axis(worth, cells.members[n].astype(np.intp), errors if scheme == "most" else -errors, axis=1)
     return nearest_with_room(worth, CAP)
 
 
-def _subset_errors(cells: Cells, seen: Projection | None, n: int) -> NDArray[np.float64]:
+def _subset_errors(
+    cells: Cells, products: Sequence[Products | None], seen: Projection | None, n: int
+) -> NDArray[np.float64]:
     """`[I_n, K_n]`: squared error of each row by each of its subsets alone, less |t_i|^2."""
     y = project_model(cells, cells, n) if seen is None else seen.onto(cells, n)
-    h = kernels.dictionary_gram(cells, all_products(cells), n)
+    h = kernels.dictionary_gram(cells, products, n)
     dictionary = Dictionary.of(h, right_sides(cells, y, n), cells.spec.clusters, n)
     x = cells.bases[n].astype(np.float64)  # [I_n, K_n, PC_-n, R_n]
     errors = np.empty(cells.members[n].shape)

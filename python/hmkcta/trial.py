@@ -157,8 +157,8 @@ class Trial:
         The sample is of blocks of the grid `around`, of which its own are parts: candidates are compared on one.
         """
         organisation = candidate.organisation
-        blocks = sampled_blocks(self.source, self.values, self.detail, around, sample, self.room)
-        cut = self._cut_of(organisation, candidate.grid, finer(blocks, around, candidate.grid))
+        blocks = finer(self._blocks(around, sample), around, candidate.grid)
+        cut = self._cut_of(organisation, candidate.grid, blocks)
         flags = tuple(n in candidate.undecomposed for n in range(len(cut.sizes)))
         found: list[tuple[F64, F64]] = []
         for way in product(*map(_divisors, candidate.cuts)):
@@ -195,9 +195,10 @@ class Trial:
 
     def _cut(self, organisation: Organisation, grid: tuple[int, ...], sample: int) -> _Cut:
         """Sampled blocks of the grid as tensors of the organisation's modes."""
-        return self._cut_of(
-            organisation, grid, sampled_blocks(self.source, self.values, self.detail, grid, sample, self.room)
-        )
+        return self._cut_of(organisation, grid, self._blocks(grid, sample))
+
+    def _blocks(self, grid: tuple[int, ...], sample: int) -> Blocks:
+        return sampled_blocks(self.source, self.values, self.detail, grid, sample, self.room)
 
     def _cut_of(self, organisation: Organisation, grid: tuple[int, ...], blocks: Blocks) -> _Cut:
         """Blocks as tensors of the organisation's modes."""

@@ -8,7 +8,7 @@ the end local PCA (`clustered.py`). For an SNR they are judged as for a size: by
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import product
@@ -175,14 +175,22 @@ def _finalists(search: Search, fixed: bool, progress: Progress, *, narrow: bool)
     for sample in search.care.compare:
         choices = [*product(left, grids), *((each.organisation, each.grid) for _, each in ranked)]
         choices = list(dict.fromkeys(choices))
-        judged = search.best(choices, sample, partial(progress, "blocks"))
-        if narrow:
-            search.narrow(judged, sample)
-            judged = search.best(choices, sample, partial(progress, "blocks"))
+        judged = _judged(search, choices, sample, partial(progress, "blocks"), narrow=narrow)
         racing = _racing(judged)[: search.care.organisations]
         ranked = _raced(search, racing, sample, progress)[: search.care.finalists]
         left = [search.plain]
     return ranked
+
+
+def _judged(
+    search: Search, choices: Sequence[Choice], sample: int, told: Callable[[float], None], *, narrow: bool
+) -> Ranked:
+    """What is best with each of the choices; to `narrow`, in as many bytes as the best of them so far takes."""
+    judged = search.best(choices, sample, told)
+    if not narrow:
+        return judged
+    search.narrow(judged, sample)
+    return search.best(choices, sample, told)
 
 
 def _surveyed(
@@ -191,10 +199,7 @@ def _surveyed(
     """The best organisations of all, by some grids."""
     every = _merged(search, grids, progress)
     choices, sample = list(product(every, grids[1:] or grids)), search.care.survey
-    judged = search.best(choices, sample, partial(progress, "organisation"))
-    if narrow:  # so far by all bytes
-        search.narrow(judged, sample)
-        judged = search.best(choices, sample, partial(progress, "organisation"))
+    judged = _judged(search, choices, sample, partial(progress, "organisation"), narrow=narrow)
     worth = _by_organisation(every, judged)
     # A survey thins large blocks and so misjudges high ranks: the best of every number of modes stays in the race.
     ranked = sorted(every, key=lambda modes: -worth[modes])

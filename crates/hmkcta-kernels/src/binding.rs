@@ -80,9 +80,12 @@ fn ragged<'a>(data: &'a OfModes<u16>, offset: &'a OfModes<u32>) -> PyResult<Vec<
     data.iter().zip(offset).map(of_mode).collect()
 }
 
+pub fn slices<'a, T: Element>(arrays: &'a [Array<T>]) -> PyResult<Vec<&'a [T]>> {
+    Ok(arrays.iter().map(|array| array.as_slice()).collect::<Result<_, _>>()?)
+}
+
 pub fn node<'a>(shape: Shape, members: &'a Members) -> PyResult<Node<'a>> {
-    let members = members.iter().map(|m| m.as_slice()).collect::<Result<_, _>>()?;
-    Node::new(shape, members).map_err(PyValueError::new_err)
+    Node::new(shape, slices(members)?).map_err(PyValueError::new_err)
 }
 
 /// Refuse arrays that do not hold what the node's shape says.
@@ -123,7 +126,7 @@ pub fn tensor_of<'a>(node: &Node, tensor: &'a Floats) -> PyResult<&'a [f32]> {
 }
 
 pub fn bases_of<'a>(node: &Node, bases: &'a [Floats]) -> PyResult<Vec<&'a [f32]>> {
-    let bases = bases.iter().map(|b| b.as_slice()).collect::<Result<Vec<_>, _>>()?;
+    let bases = slices(bases)?;
     check_bases(node, &bases)?;
     Ok(bases)
 }

@@ -44,7 +44,7 @@ mod widened;
 
 use binding::{
     Arrays, Doubles, Floats, Members, bases_of, check_bases, check_cores, check_length, check_mode, check_tensor,
-    cores_of, node, pairs_of, tensor_of,
+    cores_of, node, pairs_of, slices, tensor_of,
 };
 use cells::Shape;
 use coding::Search;
@@ -165,7 +165,7 @@ fn dictionary_gram<'py>(
     cores: Floats,
     mode: usize,
 ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-    let products = products.iter().map(|product| product.as_slice()).collect::<Result<Vec<_>, _>>()?;
+    let products = slices(&products)?;
     let cores = cores.as_slice()?;
     let pairs = pairs_of(&ranks, &products, cores.len())?;
     check_mode(ranks.len(), mode)?;
@@ -182,7 +182,7 @@ fn solve_cores(
     b: Doubles,
     steps: usize,
 ) -> PyResult<()> {
-    let products = products.iter().map(|product| product.as_slice()).collect::<Result<Vec<_>, _>>()?;
+    let products = slices(&products)?;
     let (cores, b) = (cores.as_slice_mut()?, b.as_slice()?);
     let pairs = pairs_of(&ranks, &products, cores.len())?;
     check_length("b", b.len(), cores.len())?;
@@ -192,7 +192,7 @@ fn solve_cores(
 
 /// A sub-tensor of a contiguous array of the given sizes, and where that array starts.
 fn pick_of(tensor: &Bound<PyArray1<f32>>, sizes: &[usize], rows: &[PyReadonlyArray1<u32>]) -> PyResult<(Pick, usize)> {
-    let rows = rows.iter().map(|rows| rows.as_slice()).collect::<Result<Vec<_>, _>>()?;
+    let rows = slices(rows)?;
     check_length("the list of rows", rows.len(), sizes.len())?;
     check_length("the tensor", tensor.len(), sizes.iter().product())?;
     let ascending = |rows: &[u32], size: usize| {
@@ -318,7 +318,7 @@ fn decode_block<'py>(
     mut out: PyReadwriteArray1<'py, f32>,
 ) -> PyResult<()> {
     let levels = binding::levels(&levels)?;
-    let rows = rows.iter().map(|rows| rows.as_slice()).collect::<Result<Vec<_>, _>>()?;
+    let rows = slices(&rows)?;
     let out = out.as_slice_mut()?;
     check_length("the list of rows", rows.len(), levels[0].order())?;
     check_length("out", out.len(), rows.iter().map(|rows| rows.len()).product())?;

@@ -19,7 +19,7 @@ const OVERLAP: usize = 4;
 /// `tensor += weight * model`
 pub fn accumulate(node: Node, tensor: &mut [f32], bases: &[&[f32]], cores: &[f32], weight: f32) {
     let overlapping = node.mixture.iter().any(|&k| k > 1);
-    if let Some(mode) = lines::mode_of_rows(&node).filter(|_| overlapping) {
+    if overlapping && let Some(mode) = lines::mode_of_rows(&node) {
         lines::accumulate(&node, mode, tensor, bases, cores, weight);
     } else if node.mixture.iter().product::<usize>() <= OVERLAP {
         by_cells(&node, tensor, bases, cores, weight);
