@@ -208,7 +208,9 @@ class StandIn(types.ModuleType):
         assert x.ndim == y.ndim
         assert x.ndim > 2
         assert x.dtype == y.dtype, "CuPy would convert the smaller, whole"
-        return self._made(np.matmul(_device(x), _device(y)) * (1.5 if self.wrong else 1))
+        product = np.matmul(_device(x), _device(y))
+        assert np.isfinite(product).all()
+        return self._made(product * (1.5 if self.wrong else 1))
 
     def broadcast_to(self, values: Array, shape: tuple[int, ...]) -> Array:
         """A view of a larger shape."""

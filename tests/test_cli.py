@@ -9,6 +9,7 @@ import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from warnings import warn
 
 import click
 import numpy as np
@@ -155,6 +156,19 @@ def test_what_figures_do_not_tell_is_said(array: NDArray[Any], sentence: str | N
     assert sentence is None or sentence in result.stderr
     assert run("compress", path, "-o", tmp_path / "a.hmk", *words, "--quiet").stderr == ""
     assert len(report("compress", path, "-o", tmp_path / "a.hmk", *words)["notes"]) == (sentence is not None)
+
+
+def test_what_numpy_makes_of_flags_is_not_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """OpenBLAS may set one for what lies beside its operands."""
+
+    def flagged(*given: Any, **options: Any) -> hmkcta.Model:
+        np.subtract(np.float32(np.inf), np.float32(np.inf))
+        warn("This is said", stacklevel=1)
+        return hmkcta.compress(*given, **options)
+
+    monkeypatch.setattr("hmkcta.cli.compress.compress", flagged)
+    path = saved(tmp_path / "a.npy", smooth(8, 9))
+    assert report("compress", path, "-o", tmp_path / "a.hmk", "--plan", "R=1")["notes"][0] == "This is said"
 
 
 def test_a_plan_larger_than_its_source_is_not_blamed_on_the_header(tmp_path: Path) -> None:

@@ -63,7 +63,8 @@ def compress_command(source: str, output: str, plan: str | None, device: str, re
         click.echo(f"hmkcta: {where.fallback}", err=True)
     with (Progress(quiet or as_json) as progress, journal_beside(output, resume, overwrite) as journal,
           catch_warnings(record=True) as warned):
-        simplefilter("always")
+        simplefilter("ignore")
+        simplefilter("always", UserWarning)  # what `compress` says; not what NumPy makes of flags
         if resume and not journal.holds_work:
             click.echo(f"hmkcta: there is nothing in {journal.folder} to go on with: it begins anew.", err=True)
         array = goal.open(source, progress)
