@@ -46,6 +46,15 @@ def test_npy_of_version_two(tmp_path: Path) -> None:
     assert np.array_equal(open_array(tmp_path / "a.npy"), VALUES)
 
 
+def test_npy_of_an_unknown_version(tmp_path: Path) -> None:
+    path = saved(tmp_path / "a.npy", VALUES)
+    path.write_bytes(path.read_bytes()[:6] + b"\x09\x01" + path.read_bytes()[8:])
+    assert str(refusal(path)) == (
+        f"{path}: found version 9.1 of the .npy format, allowed 1.0 or 2.0. "
+        "Next: load it with what wrote it, and save it with numpy.save. [Io/source-format]"
+    )
+
+
 def test_array_of_one_element(tmp_path: Path) -> None:
     assert open_array(saved(tmp_path / "a.npy", np.ones(1))).tolist() == [1.0]
 
@@ -157,6 +166,26 @@ def test_archive_with_a_damaged_member(tmp_path: Path) -> None:
     data[len(data) // 2] ^= 0xFF
     (tmp_path / "a.npz").write_bytes(data)
     assert refusal(tmp_path / "a.npz").reason == "source-damaged"
+
+
+def test_stored_members_that_end_before_their_numbers(tmp_path: Path) -> None:
+    """Because the archive holds less of them, or says that it does."""
+    path, whole = tmp_path / "a.npz", saved(tmp_path / "a.npy", VALUES).read_bytes()
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("wood.npy", whole[:-4])
+    said = "allowed 96 bytes for 2 x 3 x 4 of float32"
+    assert f"{path}:wood: found 92 bytes of numbers, {said}, as its header says. Next: fetch" in str(refusal(path))
+    longer = np.lib.format.header_data_from_array_1_0(VALUES) | {"shape": (2, 3, 4000)}
+    with open(tmp_path / "b.npy", "wb") as file:
+        np.lib.format.write_array_header_1_0(file, longer)
+        header = file.tell()
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("wood.npy", (tmp_path / "b.npy").read_bytes() + VALUES.tobytes())
+        archive.getinfo("wood.npy").file_size = header + 96_000  # as its directory says, which is written at the end
+    assert str(refusal(path)) == (
+        f"{path}:wood: found the end of the file within it, allowed 96000 bytes for 2 x 3 x 4000 of float32. "
+        "Next: fetch it again. [Io/source-truncated]"
+    )
 
 
 def test_archive_without_arrays(tmp_path: Path) -> None:

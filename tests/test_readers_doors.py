@@ -213,9 +213,12 @@ def test_commands_show_that_they_unpack(tmp_path: Path, monkeypatch: pytest.Monk
         stages.append(f"{stage} {fraction:g}")
 
     monkeypatch.setattr(Progress, "__call__", note)
+    monkeypatch.setattr("hmkcta.serve.installed_page", dict)
+    monkeypatch.setattr("hmkcta.serve.Server.wait", hmkcta.serve.Server.close)
     source, output = tmp_path / "a.h5", tmp_path / "a.hmk"
     for words in (("compress", source, "-o", output), ("plan", source), ("verify", output, "--against", source),
-                  ("render", output, "--against", source, "--split", 0, "-o", tmp_path / "a.png")):
+                  ("render", output, "--against", source, "--split", 0, "-o", tmp_path / "a.png"),
+                  ("view", output, "--original", source, "--no-browser")):
         run(*words)
         assert stages[0] == "unpacking 1", words
         stages.clear()

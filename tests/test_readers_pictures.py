@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -72,6 +73,24 @@ def test_series_of_tiff_are_members(tmp_path: Path) -> None:
     same(f"{tmp_path}/a.tif:1", VALUES[1, :2], mapped=True)
 
 
+def test_tiff_whose_axes_are_not_those_of_its_pages(tmp_path: Path) -> None:
+    path = tiff(tmp_path / "a.tif", VALUES[..., np.newaxis], compression="zlib")
+    with needed("tifffile").TiffFile(path) as file:
+        assert file.series[0].shape[1:] != file.series[0].pages[0].shape
+    same(path, VALUES[..., np.newaxis])
+
+
+def test_tiff_of_which_pages_are_missing_is_refused(tmp_path: Path) -> None:
+    """The library would make them zeros."""
+    path = tiff(tmp_path / "a.ome.tif", VALUES, compression="zlib", ome=True, metadata={"axes": "ZYX"})
+    same(path, VALUES)
+    path.write_bytes(path.read_bytes().replace(b'SizeZ="3"', b'SizeZ="4"'))
+    assert str(refusal(path)) == (
+        f"{path}: found 3 pages, allowed 4, as it says. "
+        "Next: fetch it again, or write the pages that are there as a file of their own. [Io/source-incomplete]"
+    )
+
+
 def test_a_missing_codec_of_tiff_is_named(tmp_path: Path) -> None:
     needed("imagecodecs")
     path = tiff(tmp_path / "a.tif", VALUES.astype("u2"), compression="lzw")
@@ -110,6 +129,19 @@ def test_exr_channels_come_as_colours(tmp_path: Path) -> None:
     error = refusal(f"{path}:shadow")
     assert error.reason == "source-member"
     assert "light, light.B, light.R" in str(error)
+
+
+def test_exr_channels_of_several_sizes_are_opened_one_by_one(tmp_path: Path) -> None:
+    library, path = needed("OpenEXR"), tmp_path / "a.exr"
+    channels = {"Y": library.Channel("Y", VALUES[0, :, :4].copy(), 1, 1),
+                "RY": library.Channel("RY", VALUES[1, :, :4].copy(), 2, 2)}
+    library.File({"compression": library.NO_COMPRESSION, "type": library.scanlineimage}, channels).write(str(path))
+    assert str(refusal(path)) == (
+        f"{path}: found channels of 4 x 4, 2 x 2, allowed channels of one size. "
+        f"Next: choose one by {path}:NAME, or resample them. [Io/source-format]"
+    )
+    same(f"{path}:Y", VALUES[0, :, :4])
+    assert open_array(f"{path}:RY").shape == (2, 2)
 
 
 def test_damaged_exr_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -241,6 +273,22 @@ def test_folders_of_several_formats_or_of_none(tmp_path: Path) -> None:
     assert error.reason == "series-mixed"
     assert "found files of .bmp, .png" in str(error)
     same(f"{folder}/*.bmp", COLOURS[np.newaxis] + np.uint8(1))
+
+
+@pytest.mark.parametrize("mode", [0, 0o400])
+def test_a_folder_that_may_not_be_read(tmp_path: Path, mode: int) -> None:
+    """Neither listed nor, with 0o400, entered."""
+    folder = shots(tmp_path / "shots", ["1.png"])
+    folder.chmod(mode)
+    try:
+        if os.access(folder, os.X_OK):
+            pytest.skip("this user may read everything")
+        assert str(refusal(folder)) == (
+            f"{folder}: found Permission denied, allowed a readable folder. "
+            "Next: check its permissions. [Io/unreadable]"
+        )
+    finally:
+        folder.chmod(0o700)
 
 
 def test_a_file_of_a_patterns_name_comes_first(tmp_path: Path) -> None:

@@ -165,6 +165,23 @@ def test_an_original_is_a_model_that_decodes_to_itself(model: Model, file: Path)
         assert ask(running, "/original/original.hmk")[1] == b"".join(encode(metadata, (level,)))
 
 
+def test_originals_that_are_unpacked_say_how_far_they_are(model: Model, file: Path) -> None:
+    source, told = file.parent / "source.npz", list[tuple[str, float]]()
+    np.savez_compressed(source, model[...])
+
+    def note(stage: str, fraction: float) -> None:
+        told.append((stage, fraction))
+
+    with serve(file, original=source, page=PAGE, progress=note):
+        assert told[-1] == ("unpacking", 1.0)
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        serve(file, original=source, page=PAGE, progress=interrupted)
+
+
 def test_originals_of_zeros_and_tiny_numbers(model: Model) -> None:
     for scale in (0.0, 1e-30, 1e30):
         values = np.full(model.shape, scale, np.float32)

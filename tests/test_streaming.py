@@ -17,13 +17,14 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from hmkcta import backends as kernels
-from hmkcta import compress, predict, streamed
+from hmkcta import compress, predict, workset
 from hmkcta.backends import reference
 from hmkcta.errors import HmkctaError
 from hmkcta.fit import EFFORTS
 from hmkcta.forecast import forecast
 from hmkcta.hierarchy import Run, backfit, descend, fit_nodes, whole
 from hmkcta.measure import measure
+from hmkcta.metrics import squared_norm
 from hmkcta.pieces import Piece, put
 from hmkcta.plan import LevelSpec, parse_plan
 from hmkcta.projection import project_one
@@ -95,7 +96,7 @@ def test_back_fitting_lowers_the_error(cloth: Any) -> None:
                 block = np.ascontiguousarray(left[np.ix_(*node.rows)])
                 kernels.accumulate(node.cells, block, -1.0)
                 left[np.ix_(*node.rows)] = block
-    assert errors[-1] == pytest.approx(streamed.squared_norm(left), rel=1e-4)
+    assert errors[-1] == pytest.approx(squared_norm(left), rel=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -262,7 +263,29 @@ def test_projections_are_summed_over_slabs_and_pieces(source: Source) -> None:
         np.testing.assert_allclose(projected(residual, 1, cells, n), expected[n], rtol=1e-4, atol=1e-4)
         b = right_sides(cells, expected[n], n)
         np.testing.assert_allclose(sides(residual, 1, cells, n, [1] * 4), b, rtol=1e-4, atol=1e-4 * np.abs(b).max())
-    assert residual.error == pytest.approx(streamed.squared_norm(left), rel=1e-5)
+    assert residual.error == pytest.approx(squared_norm(left), rel=1e-5)
+
+
+def test_projections_of_undecomposed_modes_stay_small(source: Source, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where they are summed up: of a slab they would be as many as it has elements, for every cell."""
+    organisation, most = source.organisation(MODES), 500
+    tensor = source.tensor(organisation)
+    cells = random_cells(tensor.shape, LevelSpec((2, None, 2, None), (3, 1, 2, 1), (1, 1, 1, 1)), 1)
+    sizes = list[int]()
+
+    def watched(*given: Any) -> NDArray[np.float32]:
+        made = project_one(*given)
+        sizes.append(made.size)
+        return made
+
+    monkeypatch.setattr(workset, "PROJECTED", most)
+    monkeypatch.setattr(workset, "project_one", watched)
+    for n in (0, 2):
+        b = right_sides(cells, kernels.project_cells(cells, tensor, n), n)
+        found = sides(Streamed(source, organisation, 2, tensor.size // 3), 0, cells, n, [1] * 4)
+        np.testing.assert_allclose(found, b, rtol=1e-4, atol=1e-4 * np.abs(b).max())
+    assert len(sizes) > 4
+    assert max(sizes) <= most
 
 
 @settings(max_examples=60, deadline=None)

@@ -17,8 +17,9 @@ PACKAGE = ROOT / "python" / "hmkcta"
 
 #: Modules and subpackages from the lowest layer up; an import goes to a lower layer, or stays in its subpackage.
 LAYERS = (
-    ("_version", "errors", "executors", "metrics", "recordlog", "slabs", "spectra", "temporaries", "tucker", "_native"),
-    ("axes", "grids", "growth", "memory", "transform", "indexing"),
+    ("_version", "errors", "executors", "metrics", "progress", "recordlog", "slabs", "spectra", "temporaries",
+     "_native"),
+    ("axes", "grids", "growth", "memory", "transform", "tucker", "indexing"),
     ("plan", "organisations", "packed", "scratch"),
     ("cells", "coding", "pieces", "predict", "storage", "hmkfile", "source", "_example"),
     ("backends", "detail", "memberships", "decode_scattered"),
@@ -28,7 +29,7 @@ LAYERS = (
     ("workset", "decode"),
     ("disjoint",),
     ("hierarchy",),
-    ("pack", "allocation", "blocks", "filesize", "model", "verbatim"),
+    ("pack", "allocation", "blocks", "filesize", "finer", "model", "verbatim"),
     ("adaptive", "candidates", "measure"),
     ("trial", "measure_streamed"),
     ("clustered", "judging"),

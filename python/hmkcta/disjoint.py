@@ -16,16 +16,16 @@ from . import backends as kernels
 from .cells import Cells, empty_cells
 from .executors import Pool, Queue, in_order
 from .fit import COLD, WARM, Effort, Labels
+from .metrics import squared_norm
 from .pieces import Piece
 from .plan import LevelSpec
-from .streamed import Block, Streamed, squared_norm
+from .progress import Told
+from .streamed import Block, Streamed
 from .tucker import core_energies
 from .workset import SAMPLED, fit_streamed, refit_streamed, thinning
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
-#: Called with the fraction that is done.
-Told = Callable[[float], None]
 #: Ranks up to which blocks of some sizes are judged; None for an undecomposed mode.
 LimitsOf = Callable[[Sequence[int]], Sequence[int | None]]
 

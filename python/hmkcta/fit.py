@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from . import backends as kernels
 from .cells import Cells, empty_cells
 from .memberships import start_candidates, strided_sample
+from .metrics import squared_norm
 from .plan import LevelSpec
 from .search import OVER_RELAXED, extend, sweep
-from .streamed import squared_norm
 from .tucker import st_hosvd
 
 F32 = NDArray[np.float32]

@@ -16,7 +16,7 @@ from .plan import LevelSpec, Plan
 from .predict import FLAT, MODEL, WORKING, is_streamed, memory_limit
 from .streamed import SLAB
 from .subdivision import CAP
-from .workset import blocks, check_worksets, joint_bytes, worksets
+from .workset import blocks, check_worksets, fitting_bytes, joint_bytes, projected_share, worksets
 
 #: Bytes for each element of a tensor in memory: its residual lasts, the rest is `WORKING`; a saved residual for goals.
 _RESIDUAL, _SAVED = 4, 4
@@ -26,8 +26,8 @@ _MEASURING = 36
 _BASE, _KEPT = 56 * 2**20, 0.3
 #: Bytes for each element of a block that shares none with others, which is fitted in place.
 _BLOCK = 8
-#: Copies of a slab that are made while it is read and worked on, or cut into blocks.
-_SLAB_COPIES, _SLAB_CUT = 4, 3
+#: Copies of a slab that are made while it is read and worked on, or cut into blocks; and of its projections.
+_SLAB_COPIES, _SLAB_CUT, _SLAB_SEEN = 4, 3, 2
 #: How much larger than the average the largest sub-tensors get for each mode of two, or of more clusters, where rows
 #: have one cluster each; where they have more, subdivision has a cap.
 _UNEVEN_TWO, _UNEVEN_MORE = 1.1, 1.8
@@ -77,8 +77,7 @@ def forecast(
     if limit == elements:  # fitted in place
         return Forecast(held + _peak(chosen, FLAT * elements), 0, _seconds(plan, sizes, effort, threads))
     cut = next((n for n, level in enumerate(plan.levels[:-1]) if level.cells > 1), None)
-    slabs = 4 * (_SLAB_CUT if plan.levels[0].disjoint else _SLAB_COPIES) * SLAB * max(1, min(threads, limit // SLAB))
-    working = max(slabs, _outside(plan, sizes, limit, threads, cut))
+    working = _outside(plan, sizes, limit, threads, cut)
     copies = int(cut is not None or any(level.disjoint or level.cuts for level in plan.levels))
     scratch = 4 * elements * (copies + (1 if own and cut is not None else 0))
     return Forecast(held + _peak(chosen, working), scratch, _seconds(plan, sizes, effort, threads, cut=cut))
@@ -86,13 +85,17 @@ def forecast(
 
 def _outside(plan: Plan, sizes: Sequence[int], limit: int, threads: int, cut: int | None) -> int:
     """Bytes for fitting the levels of a streamed tensor: on worksets, or on sub-tensors or blocks in memory."""
-    most, elements = 0, prod(sizes)
+    most = slabs = _slabs(plan, sizes, limit, threads, cut)
+    elements = prod(sizes)
     for number, (level, fitted) in enumerate(zip(plan.levels, worksets(plan, sizes, limit), strict=True)):
         below = cut is not None and number > cut
         together = fitted * max(1, min(threads, limit // max(1, fitted)))
-        each = WORKING * (together if below else fitted)
         if level.disjoint and fitted <= limit:
             each = _BLOCK * max(together, JUDGING * fitted if level.own else 0)
+        elif below or level.own or level.disjoint:
+            each = WORKING * (together if below else fitted)
+        else:
+            each = fitting_bytes(sizes, level, limit) + int(_KEPT * slabs)
         model = 2 * _numbers(sizes, level) if level.disjoint else 0
         model = min(model, plan.size or 0) if level.own else model  # an SNR does not say how large
         joint = joint_bytes(sizes, level, threads) if prod(sizes) > limit else 0
@@ -101,6 +104,15 @@ def _outside(plan: Plan, sizes: Sequence[int], limit: int, threads: int, cut: in
             most = max(most, WORKING * min(limit, threads * _largest(elements, level)) + _HEAPS)
         sizes = blocks(sizes, level)
     return most
+
+
+def _slabs(plan: Plan, sizes: Sequence[int], limit: int, threads: int, cut: int | None) -> int:
+    """Bytes for the slabs of a streamed tensor that are at work together."""
+    outside = plan.levels[: None if cut is None else cut + 1]
+    copies: float = _SLAB_CUT
+    if not outside[0].disjoint:
+        copies = _SLAB_COPIES + _SLAB_SEEN * max(projected_share(sizes, level) for level in outside)
+    return int(4 * copies * SLAB * max(1, min(threads, limit // SLAB)))
 
 
 def _numbers(sizes: Sequence[int], level: LevelSpec) -> int:
@@ -138,11 +150,12 @@ def _largest(elements: int, level: LevelSpec) -> int:
 
 def _seconds(plan: Plan, sizes: Sequence[int], effort: Effort, threads: int, cut: int | None = None) -> float:
     each = _SOURCE_NS + (0 if cut is None else _PIECE_NS * (1 + effort.backfits))
-    for level in plan.levels:
+    for number, level in enumerate(plan.levels, start=1):
         if level.cells == 1:
             each += _HOOI_NS * (1 + effort.hooi)
         else:
-            each += _START_NS + _SWEEP_NS * effort.sweeps
+            own = effort if number == len(plan.levels) else effort.above
+            each += _START_NS + _SWEEP_NS * own.sweeps
         if len(plan.levels) > 1:
             each += effort.backfits * (_SWEEP_NS + 10)
     return each * 1e-9 * prod(sizes) / threads

@@ -14,21 +14,21 @@ from numpy.typing import NDArray
 from . import backends as kernels
 from .axes import Axis, Organisation
 from .cells import Cells
-from .disjoint import Told, fit_outside, refit_outside
+from .disjoint import fit_outside, refit_outside
 from .errors import invalid
 from .executors import Pool, Queue
 from .fit import Effort, Labels, fit_level, refit_level
 from .journal import NoJournal
 from .memberships import uniform_blocks
+from .metrics import squared_norm
 from .pieces import Piece, Rows, SubTensor
 from .plan import LevelSpec
-from .streamed import Saved, Streamed, squared_norm, thinned_cells
+from .progress import Progress, Told
+from .streamed import Saved, Streamed, thinned_cells
 from .subdivision import subdivide
 from .workset import SAMPLED, thinning
 
 F32 = NDArray[np.float32]
-#: Called with a stage's name and the fraction of it that is done.
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -16,11 +15,11 @@ from .memory import drop_pages
 from .metrics import snr_db
 from .model import Model
 from .packed import LevelQuality
+from .progress import Progress
 from .slabs import slabs
 from .transform import from_json
 
 F64 = NDArray[np.float64]
-Progress = Callable[[str, float], None]
 
 #: Elements measured at once: some 40 bytes each.
 SLAB = 1 << 21

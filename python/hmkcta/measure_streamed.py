@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 
 from . import backends as kernels
 from .executors import in_order
-from .hierarchy import Hierarchy, Node, Progress
+from .hierarchy import Hierarchy, Node
 from .measure import Sums
+from .metrics import in_float64, squared_norm
 from .packed import LevelQuality
 from .pieces import Rows, places_of, split
-from .streamed import Streamed, in_float64, squared_norm
+from .progress import Progress
+from .streamed import Streamed
 from .transform import Transform
 
 F32 = NDArray[np.float32]

@@ -28,6 +28,7 @@ from .errors import HmkctaError, Kind, invalid
 from .hmkfile import encode
 from .model import open as open_model
 from .packed import Metadata
+from .progress import Progress
 from .readers import open_array
 from .verbatim import verbatim
 
@@ -107,15 +108,18 @@ class Server:
 
 
 def serve(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | NDArray[Any] | None = None, port: int = 0,
-          page: Mapping[str, Resource] | None = None) -> Server:
+          page: Mapping[str, Resource] | None = None, progress: Progress | None = None) -> Server:
     """Serve the viewer and a file on 127.0.0.1.
 
     Args:
         path: the `.hmk` file. It is checked here as `hmkcta.open` does, and again by the page, which reads it anew
             at each reload.
-        original: what to compare with: an array of the model's shape, its `.npy` file, or another `.hmk` file.
+        original: what to compare with: an array of the model's shape, a file that `hmkcta.open_array` opens as one, or
+            another `.hmk` file.
         port: 0 takes a free one.
         page: the page's files by path; by default the one that is installed.
+        progress: called with a stage's name and the fraction of it done, while the original is unpacked. What it raises
+            ends the call before anything is served.
 
     Raises:
         HmkctaError: the file cannot be read or is no `.hmk` file, as `hmkcta.open` has it; the original does not fit,
@@ -127,13 +131,13 @@ def serve(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | ND
     table[f"/files/{file.name}"] = Resource("application/octet-stream", file)
     query = f"?file=files/{quote(file.name)}"
     if original is not None:
-        table["/original/original.hmk"] = _original(metadata, original)
+        table["/original/original.hmk"] = _original(metadata, original, progress)
         query += "&original=original/original.hmk"
     return Server(table, query, port)
 
 
 def view(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | NDArray[Any] | None = None, port: int = 0,
-         browser: bool = True) -> Server:
+         browser: bool = True, progress: Progress | None = None) -> Server:
     """Serve a file and open the page in the browser; the server runs until it is closed or the program ends.
 
     Args:
@@ -141,11 +145,12 @@ def view(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | NDA
         original: what to compare with, as `serve` takes it.
         port: 0 takes a free one.
         browser: whether to open it.
+        progress: as `serve` takes it.
 
     Raises:
         HmkctaError: as `serve`.
     """
-    server = serve(path, original=original, port=port)
+    server = serve(path, original=original, port=port, progress=progress)
     if browser:
         webbrowser.open(server.url)
     return server
@@ -176,7 +181,9 @@ def _files(folder: Traversable, prefix: str) -> list[tuple[str, Traversable]]:
     return found
 
 
-def _original(like: Metadata, original: str | os.PathLike[str] | NDArray[Any]) -> Resource:
+def _original(
+    like: Metadata, original: str | os.PathLike[str] | NDArray[Any], progress: Progress | None
+) -> Resource:
     """The original as a file that the page's decoder reads."""
     if isinstance(original, str | os.PathLike):
         if os.fspath(original).endswith(".hmk"):
@@ -184,7 +191,7 @@ def _original(like: Metadata, original: str | os.PathLike[str] | NDArray[Any]) -
             if shape != wanted:
                 raise invalid("original-shape", "original", shape, f"{wanted}, the model's")
             return Resource("application/octet-stream", Path(original))
-        original = open_array(os.fspath(original))
+        original = open_array(os.fspath(original), progress=progress)
     metadata, level = verbatim(original, like)
     return Resource("application/octet-stream", data=b"".join(encode(metadata, (level,))))
 

@@ -23,6 +23,7 @@ from . import backends as kernels
 from .axes import Organisation, mode_sizes
 from .cells import Cells
 from .executors import in_order
+from .metrics import squared_norm
 from .pieces import Piece, Rows, places_of, put, split
 from .scratch import Scratch
 from .slabs import slabs
@@ -34,8 +35,6 @@ T = TypeVar("T")
 
 #: Elements of a slab: 16 MiB, which the allocator keeps instead of asking the system for zeroed pages each time.
 SLAB = 1 << 22
-#: Numbers turned to float64 at a time: they stay in the cache.
-_WIDE = 1 << 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -354,17 +353,6 @@ class Large(Streamed):
     def _start(self, part: tuple[slice, ...]) -> int:
         strides = [prod(self.shape[n + 1 :]) for n in range(len(part))]
         return self.of.start + sum(span.start * stride for span, stride in zip(part, strides, strict=True))
-
-
-def squared_norm(tensor: F32) -> float:
-    """Sum of squares in float64, piece by piece."""
-    return sum(float(wide @ wide) for wide in in_float64(tensor))
-
-
-def in_float64(tensor: F32) -> Iterator[NDArray[np.float64]]:
-    """The numbers of a tensor in C order, some at a time."""
-    flat = tensor.reshape(-1)
-    return (flat[start : start + _WIDE].astype(np.float64) for start in range(0, flat.size, _WIDE))
 
 
 def thinned_cells(cells: Cells, steps: Sequence[int] | None) -> Cells:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from .metrics import squared_norm
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -91,40 +92,33 @@ def st_hosvd(tensor: F32, ranks: Sequence[int | None], rng: np.random.Generator)
     return bases, np.ascontiguousarray(core)
 
 
-@dataclass(frozen=True, eq=False)
-class Core:
-    """A tensor rotated into the singular vectors of its unfoldings, the strongest first: its untruncated HOSVD core.
+def core_energies(tensor: F32, limits: Sequence[int | None], rng: np.random.Generator) -> F64:
+    """Energy that HOSVD captures at every choice of ranks up to the limits: ``table[R_1 - 1, .., R_N - 1]``.
 
-    Attributes:
-        values: of the tensor's order; along a mode longer than its unfolding has columns, as long as those are many.
-        complete: whether all energy is there along a mode. Of modes too long for that only the leading rows are.
-        scale: of energies, the tensor's squared norm by that of its rotation.
+    A mode of limit None is left undecomposed, and has one entry. The energy is that of the truncated core, the error of
+    the truncated reconstruction.
+
+    >>> core_energies(np.outer([1, 2], [2, 0]).astype(np.float32), (2, 1), np.random.default_rng(0)).round(3).tolist()
+    [[20.0], [20.0]]
     """
-
-    values: F32
-    complete: tuple[bool, ...]
-    scale: float
-
-    def energies(self, limits: Sequence[int | None]) -> F64:
-        """Energy that HOSVD captures at every choice of ranks up to the limits: ``table[R_1 - 1, .., R_N - 1]``.
-
-        A mode of limit None is left undecomposed, has one entry, and must be complete. Beyond what the limits keep
-        nothing is promised: the energy is that of the truncated core, the error of the truncated reconstruction.
-        """
-        # Sums over rows do not depend on how the rows are rotated: an undecomposed mode needs no core of its own.
-        kept = np.square(self.values[tuple(slice(limit) for limit in limits)])
-        undecomposed = tuple(n for n, limit in enumerate(limits) if limit is None)
-        table = self.scale * kept.sum(axis=undecomposed, keepdims=True, dtype=np.float64)
-        for n, limit in enumerate(limits):
-            if limit is not None:
-                np.cumsum(table, axis=n, out=table)
-        return table
+    core, scale = full_core(tensor, limits, rng)
+    kept = np.square(core[tuple(slice(limit) for limit in limits)])
+    undecomposed = tuple(n for n, limit in enumerate(limits) if limit is None)
+    table = scale * kept.sum(axis=undecomposed, keepdims=True, dtype=np.float64)
+    for n, limit in enumerate(limits):
+        if limit is not None:
+            np.cumsum(table, axis=n, out=table)
+    return table
 
 
-def full_core(tensor: F32, limits: Sequence[int | None], rng: np.random.Generator) -> Core:
-    """Rotate a tensor mode by mode; a mode of limit None is left as it is.
+def full_core(tensor: F32, limits: Sequence[int | None], rng: np.random.Generator) -> tuple[F32, float]:
+    """The tensor rotated into the singular vectors of its unfoldings, the strongest first: its HOSVD core.
 
-    Every mode is complete but those that are long and of which few vectors are wanted: these come with as many.
+    A mode of limit None is left as it is; one longer than its unfolding has columns comes as long as those are many,
+    one that is long and of which few vectors are wanted with as many. Other modes keep their length.
+
+    Returns:
+        The core, and the scale of its energies: the tensor's squared norm by that of its rotation.
     """
     order, sizes = tensor.ndim, tensor.shape
     # A mode longer than its unfolding has columns comes first, as the tensor is smaller afterwards.
@@ -141,20 +135,13 @@ def full_core(tensor: F32, limits: Sequence[int | None], rng: np.random.Generato
             rotated = matrix.T if found is None else found
         core = np.ascontiguousarray(rotated).reshape(*core.shape[1:], rotated.shape[1])
     # Rotations keep the norm: what float32 sums lose of it would look like error, or hide it.
-    scale = _norm(tensor) / max(_norm(core), 1e-300)
+    scale = squared_norm(tensor) / max(squared_norm(core), 1e-300)
     for at in left:
         basis = leading_subspace(core, at, limits[turn[at]] or 0, rng)
         others = [size for n, size in enumerate(core.shape) if n != at]
         core = np.moveaxis(_projected(unfold(core, at), basis).reshape(-1, *others), 0, at)
     back = sorted(range(order), key=turn.__getitem__)
-    return Core(core.transpose(back), tuple(at not in left for at in back), scale)
-
-
-def _norm(tensor: F32) -> float:
-    """Squared norm, summed in float64."""
-    flat = tensor.reshape(-1)
-    parts = (flat[start : start + 2**18].astype(np.float64) for start in range(0, flat.size, 2**18))
-    return sum(float(wide @ wide) for wide in parts)
+    return core.transpose(back), scale
 
 
 def _rotated(matrix: F32, rank: int) -> F32 | None:
@@ -168,12 +155,3 @@ def _rotated(matrix: F32, rank: int) -> F32 | None:
         return matrix.T @ vectors[:, ::-1].astype(np.float32)
     energies, vectors = np.linalg.eigh(_gram(matrix.T))
     return (vectors * np.sqrt(np.maximum(energies, 0)))[:, ::-1].astype(np.float32)
-
-
-def core_energies(tensor: F32, limits: Sequence[int | None], rng: np.random.Generator) -> F64:
-    """`Core.energies` of a tensor.
-
-    >>> core_energies(np.outer([1, 2], [2, 0]).astype(np.float32), (2, 1), np.random.default_rng(0)).round(3).tolist()
-    [[20.0], [20.0]]
-    """
-    return full_core(tensor, limits, rng).energies(limits)

@@ -36,7 +36,7 @@ T = TypeVar("T", np.float32, np.float64)
 FEWEST = 8
 #: Elements by which spectra and subdivisions are judged.
 SAMPLED = 1 << 23
-#: Elements of a model that is projected in closed form at a time, where modes are undecomposed.
+#: Numbers of projections at a time, of slabs and of models in closed form, where modes are undecomposed.
 PROJECTED = 1 << 22
 
 
@@ -111,7 +111,37 @@ def joint_bytes(sizes: Sequence[int], level: LevelSpec, threads: int = 1) -> int
         return 0
     columns = [(size, spec.cells * rank) for size, rank in zip(sizes, spec.ranks, strict=True) if rank is not None]
     most = max((size * count for size, count in columns), default=0)
-    return 8 * ((3 + threads) * most + sum(count**2 for _, count in columns))
+    return 8 * (3 + threads) * most + _products_bytes(spec)
+
+
+def fitting_bytes(sizes: Sequence[int], level: LevelSpec, limit: int) -> int:
+    """Bytes that fitting a level to the workset of a node of these sizes takes, once that is read.
+
+    They are for the workset, and for what is left of it and inner products where cells overlap, or else for the largest
+    cell; of an HOSVD also for what the first projection leaves.
+    """
+    spec = level.clamped(sizes)
+    steps = thinning(sizes, spec, limit)
+    elements = prod(-(-size // step) for size, step in zip(sizes, steps, strict=True))
+    if spec.cells == 1:
+        shares = [rank * step / size for rank, size, step in zip(spec.ranks, sizes, steps, strict=True) if rank]
+        return int(4 * elements * (2 + 2 * min(1.0, *shares)))
+    if max(spec.mixture) == 1:
+        return int(4 * elements * (1 + 1 / spec.cells))
+    return 8 * elements + _products_bytes(spec)
+
+
+def projected_share(sizes: Sequence[int], level: LevelSpec) -> float:
+    """Numbers of a slab's projections for each of its elements: next to none where every mode is decomposed."""
+    spec = level.clamped(sizes)
+    shares = [1.0 if rank is None else rank / size for rank, size in zip(spec.ranks, sizes, strict=True)]
+    seen = (prod(share for m, share in enumerate(shares) if m != n) for n, r in enumerate(spec.ranks) if r is not None)
+    return min(1.0, spec.cells * max(seen, default=0.0))
+
+
+def _products_bytes(spec: LevelSpec) -> int:
+    """Bytes of `all_products`."""
+    return 8 * sum((spec.cells * rank) ** 2 for rank in spec.ranks if rank is not None)
 
 
 def check_worksets(plan: Plan, sizes: Sequence[int], limit: int, memory: int | None) -> None:
@@ -207,7 +237,15 @@ def solve_rows(residual: Streamed, number: int, cells: Cells, n: int, search: st
 def sides(residual: Streamed, number: int, cells: Cells, n: int, steps: Sequence[int]) -> F64:
     """`right_sides` of the tensor less all levels but `number`, thinned as the cells are: `[PC, R_n, I_n]`."""
     total = np.zeros((cells.spec.cells, cells.ranks[n], cells.sizes[n]))
-    for rows, b in _over_blocks(residual, cells, n, steps, right_sides):
+
+    def summed(part: Cells, tensor: F32) -> F64:
+        b = np.zeros((part.spec.cells, part.ranks[n], part.sizes[n]))
+        for rows in _stretches(part, n):
+            some, inner = part.part(rows), np.ascontiguousarray(tensor[tuple(slice(r[0], r[-1] + 1) for r in rows)])
+            b += right_sides(some, project_one(some, inner, n), n)
+        return b
+
+    for rows, b in _over_blocks(residual, cells, steps, summed):
         total[:, :, rows[n]] += b
     for weight, other in residual.terms(number):
         for rows in _stretches(cells, n):
@@ -222,7 +260,7 @@ def projected(residual: Streamed, number: int, cells: Cells, n: int) -> F64:
     kept = [m == n or cells.undecomposed[m] for m in order]  # modes that are not summed over
     sizes = [cells.sizes[m] if whole else cells.ranks[m] for m, whole in zip(order, kept, strict=True)]
     total = np.zeros([cells.spec.cells, *sizes])
-    for rows, y in _over_blocks(residual, cells, n, [1] * cells.order, lambda _part, y, _n: y):
+    for rows, y in _over_blocks(residual, cells, [1] * cells.order, lambda part, tensor: project_one(part, tensor, n)):
         places = [rows[m] if whole else np.arange(cells.ranks[m]) for m, whole in zip(order, kept, strict=True)]
         total[np.ix_(np.arange(len(total)), *places)] += y.reshape([len(y), *map(len, places)])
     flat = total.reshape(len(total), cells.sizes[n], -1)
@@ -232,15 +270,14 @@ def projected(residual: Streamed, number: int, cells: Cells, n: int) -> F64:
 
 
 def _over_blocks(
-    residual: Streamed, cells: Cells, n: int, steps: Sequence[int], use: Callable[[Cells, F32, int], NDArray[T]]
+    residual: Streamed, cells: Cells, steps: Sequence[int], use: Callable[[Cells, F32], NDArray[T]]
 ) -> Iterator[tuple[Rows, NDArray[T]]]:
-    """What is made of the projections of every block that is not empty, and its rows."""
+    """What is made of the cells' rows of every block that is not empty and its elements, and which rows these are."""
 
     def work(block: Block) -> tuple[Rows, NDArray[T] | None]:
         if not block.tensor.size:
             return block.rows, None
-        part = cells.part(block.rows)
-        return block.rows, use(part, project_one(part, block.tensor, n), n)
+        return block.rows, use(cells.part(block.rows), block.tensor)
 
     for rows, made in residual.each(work, residual.blocks(steps)):
         if made is not None:
@@ -248,7 +285,7 @@ def _over_blocks(
 
 
 def _stretches(cells: Cells, n: int) -> Iterator[list[NDArray[np.intp]]]:
-    """All rows of every mode, of undecomposed ones so many at a time that a model's projections stay small."""
+    """All rows of every mode, of undecomposed ones so many at a time that projections stay small."""
     skipped = [m for m, skip in enumerate(cells.undecomposed) if skip]
     each = cells.spec.cells * cells.sizes[n] * prod(r for m, r in enumerate(cells.spec.ranks) if m != n and r)
     for part in slabs([cells.sizes[m] for m in skipped], max(1, PROJECTED // each)):

@@ -34,7 +34,9 @@ def open_exr(path: Path, member: str | None) -> NDArray[Any]:
         names = _ordered(_layer(channels, str(path), member))
         sizes = {channels[name].shape for name in names}
         if len(sizes) != 1:
-            raise io_error("source-format", str(path), "channels of several sizes", "one size", "resample them first")
+            found = ", ".join(" x ".join(map(str, size)) for size in sorted(sizes, reverse=True))
+            raise io_error("source-format", str(path), f"channels of {found}", "channels of one size",
+                           f"choose one by {path}:NAME, or resample them")
         picture = np.stack([channels[name] for name in names], axis=-1)
         check_layout(Layout(picture.shape, picture.dtype), str(path))
         return picture if len(names) > 1 else picture[..., 0]

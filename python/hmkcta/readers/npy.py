@@ -62,7 +62,9 @@ def _read_layout(file: BinaryIO, where: str) -> Layout:
     try:
         version = cast("tuple[int, int]", tuple(np.lib.format.read_magic(file)))
         if version not in _HEADER_READERS:  # 3.0 is for field names of structured arrays only
-            raise ValueError(f"version {version[0]}.{version[1]} of the .npy format")
+            raise io_error("source-format", where, f"version {version[0]}.{version[1]} of the .npy format",
+                           " or ".join(f"{major}.{minor}" for major, minor in _HEADER_READERS),
+                           "load it with what wrote it, and save it with numpy.save")
         shape, fortran, dtype = _HEADER_READERS[version](file)
     except (ValueError, TypeError, SyntaxError, EOFError, RecursionError, TokenError) as error:
         sentence = str(error).splitlines()[0].rstrip(".") if str(error) else type(error).__name__
@@ -97,7 +99,8 @@ def _map_member(path: Path, file: BinaryIO, info: zipfile.ZipInfo, where: str) -
     _check_length(layout, start + info.file_size - file.tell(), where)
     numbers = file.tell()
     if file.seek(0, 2) < numbers + layout.nbytes:
-        raise io_error("source-truncated", where, "the end of the file within it", "a complete .npz archive")
+        raise io_error("source-truncated", where, "the end of the file within it",
+                       f"{layout.nbytes} bytes for {layout}", "fetch it again")
     return mapped(path, layout, numbers)
 
 

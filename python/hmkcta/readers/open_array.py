@@ -11,11 +11,12 @@ from typing import Any
 from numpy.typing import DTypeLike, NDArray
 
 from ..errors import invalid
+from ..progress import Progress
 from .formats import FORMATS, PAGES, format_of
 from .raw import open_raw
 from .series import natural, open_series, pictures_of
 from .source import io_error
-from .unpacked import Progress, Unpacker
+from .unpacked import Unpacker
 from .zarr_store import is_zarr, open_zarr
 
 #: Endings behind which ``:member`` is told apart even if there is no such file.

@@ -36,10 +36,12 @@ def pictures_of(folder: Path, endings: Sequence[str]) -> list[Path]:
         files = [path for path in folder.iterdir() if path.suffix.lower() in endings and path.is_file()
                  and not path.name.startswith(".")]
     except OSError as error:
-        raise io_error("unreadable", str(folder), error.strerror, "a readable folder") from error
+        hint = "check its permissions"
+        raise io_error("unreadable", str(folder), error.strerror, "a readable folder", hint) from error
     found = sorted({path.suffix.lower() for path in files})
     if not found:
-        raise io_error("unreadable", str(folder), "a folder without pictures", "a file, or a folder of pictures")
+        raise io_error("unreadable", str(folder), "a folder without pictures", "a file, or a folder of pictures",
+                       f"name a file in it, or a pattern: '{folder}/*.npy'")
     if len(found) > 1:
         raise invalid("series-mixed", str(folder), f"files of {', '.join(found)}", "one format",
                       f"choose by a pattern, '{folder}/*{found[0]}'")

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import HmkctaError, invalid
-from .source import Layout, choose, guarded, library, map_part
+from .source import Layout, choose, guarded, io_error, library, map_part
 from .unpacked import Part, Unpacker, block_parts
 
 MAGICS = ((0, b"II*\0"), (0, b"MM\0*"), (0, b"II+\0"), (0, b"MM\0+"))
@@ -60,7 +60,11 @@ def _pages(series: Any, layout: Layout, where: str, unpacker: Unpacker) -> NDArr
     """The pages of a series, of which each is decoded at once."""
     pages, page = list(series.pages), tuple(series.pages[0].shape)
     lead = layout.shape[:len(layout.shape) - len(page)]
-    paged = layout.shape[len(lead):] == page and prod(lead) == len(pages) and None not in pages
+    if None in pages:  # which the library would fill with zeros
+        found, said = f"{len(pages) - pages.count(None)} pages", f"{len(pages)}, as it says"
+        raise io_error("source-incomplete", where, found, said,
+                       "fetch it again, or write the pages that are there as a file of their own")
+    paged = layout.shape[len(lead):] == page and prod(lead) == len(pages)
     once = Layout(page, layout.dtype) if paged else layout
     unpacker.check_memory(once, f"a page of {where}", "write it uncompressed: that is mapped")
 

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..memory import check_memory, memory_budget
+from ..progress import Progress
 from ..scratch import scratch_folder, unnamed_file
 from .conventions import Packing
 from .source import Layout, check_layout, check_numbers, io_error
 
 Part = tuple[slice, ...]
-Progress = Callable[[str, float], None]
 #: Elements that are unpacked at once, and the share of the memory for fitting that they, and the whole, may take.
 BLOCK, BLOCK_SHARE, WHOLE_SHARE = 1 << 24, 8, 2
 

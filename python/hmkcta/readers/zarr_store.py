@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import os
 import struct
 import zipfile
 from pathlib import Path
@@ -22,7 +23,7 @@ MARKS = ("zarr.json", ".zarray", ".zgroup")
 def is_zarr(path: Path) -> bool:
     """Whether a folder or a zip archive is a Zarr array or group."""
     if path.is_dir():
-        return any((path / mark).is_file() for mark in MARKS)
+        return any(os.path.isfile(path / mark) for mark in MARKS)  # False also where the folder may not be read
     return _root(path) is not None
 
 

@@ -1,0 +1,10 @@
+"""Whom to tell how much is done."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+#: Called with a stage's name and the fraction of it that is done.
+Progress = Callable[[str, float], None]
+#: Called with the fraction that is done of whatever it was handed to.
+Told = Callable[[float], None]
