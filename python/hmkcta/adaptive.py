@@ -6,14 +6,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
-from math import inf, prod
+from math import inf, isfinite, prod
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .allocation import Allocation, Spectrum, allocate, merged, spectrum, trimmed
 from .cells import zero_cells
-from .disjoint import Told, energies, summed
+from .disjoint import energies, summed
 from .errors import invalid
 from .fit import Labels
 from .hierarchy import (
@@ -34,17 +34,20 @@ from .hierarchy import (
 )
 from .memberships import start_candidates
 from .memory import check_memory, format_bytes
+from .metrics import snr_db, squared_norm
 from .plan import MOST_RANKS, LevelSpec
 from .predict import MODEL, PROCESS
-from .streamed import Streamed, squared_norm
+from .progress import Told
+from .streamed import Streamed
 from .tucker import core_energies
 
 F32 = NDArray[np.float32]
 
 #: Most entries of the table of choices of a node, and of one alone in its level.
 TABLE_ENTRIES, LONE_ENTRIES = 60_000, 400_000
-#: How far above an SNR goal a fit may end, in dB, and how often a fit is repeated to land there.
-OVERSHOOT, ATTEMPTS = 0.25, 16
+#: How far above an SNR goal a fit may end, in dB, how often a fit is repeated to land there, and how far above many
+#: nodes, whose choices come in small steps, aim.
+OVERSHOOT, ATTEMPTS, MARGIN = 0.25, 16, 0.05
 
 
 @dataclass
@@ -233,29 +236,35 @@ class _LastLevel:
                 return
 
     def to_snr(self, snr: float) -> None:
-        """The fewest bytes that were found to reach `snr`; the search ends where they exceed it by little."""
-        target, best, tried = snr, None, set[bytes]()
+        """The fewest bytes that were found to reach `snr`; the search ends where they exceed it by little.
+
+        What a fit gains or loses against its choices' promise, the next choice, which is nearby, is taken to gain too.
+        """
+        aim, best, tried = snr, None, set[bytes]()
         for _ in range(ATTEMPTS):
-            error = self.goal.energy * 10 ** (-target / 10)
-            error = max(error - self.elsewhere, 0.0)
+            error = max(self.goal.energy * 10 ** (-aim / 10) - self.elsewhere, 0.0)
             chosen = trimmed(self.spectra, allocate(self.spectra, error=error), error)
             if chosen.choice.tobytes() in tried:
                 if best is not None:
                     break
-                target += OVERSHOOT  # the next step of ranks is further away than the error was off
+                aim += OVERSHOOT  # the next step of ranks is further away than the error was off
                 continue
             tried.add(chosen.choice.tobytes())
             self._fit(chosen)
-            over = self.goal.snr_now(self.tree) - snr
-            if over >= 0 and (best is None or chosen.nbytes < best.nbytes):
+            reached = self.goal.snr_now(self.tree)
+            if reached >= snr and (best is None or chosen.nbytes < best.nbytes):
                 best = chosen
-            if 0 <= over <= OVERSHOOT:
+            if snr <= reached <= snr + OVERSHOOT:
                 break
-            # Land a little above: HOOI and back-fitting gain about as much at the next, nearby, choice of ranks.
-            target -= over - 0.4 * OVERSHOOT
+            gained = reached - self._promised(chosen)
+            aim = snr - (gained if isfinite(gained) else 0.0) + (MARGIN if len(self.spectra) > 1 else 0.0)
         last = best or allocate(self.spectra, error=0.0)
         if last.choice.tobytes() != self.fitted:
             self._fit(last)
+
+    def _promised(self, chosen: Allocation) -> float:
+        """SNR in dB that the choices leave by their own errors, in the domain of the fit."""
+        return snr_db(self.goal.energy, max(self.elsewhere + chosen.error, 0.0))
 
     def _fit(self, chosen: Allocation) -> None:
         self.fitted = chosen.choice.tobytes()

@@ -15,15 +15,17 @@ from . import backends as kernels
 from .axes import Axis, mode_sizes
 from .backends import Device
 from .errors import invalid
+from .finer import SMALL, finer
 from .fit import EFFORTS
 from .follow import Task, follow, follow_any
-from .hierarchy import Progress, Run
+from .hierarchy import Run
 from .hmkfile import KINDS
 from .journal import Journal, decisive
 from .memory import keep_freed_memory
 from .model import Model
 from .plan import SCHEMES, Plan, parse_plan
 from .predict import check_least_memory
+from .progress import Progress
 from .source import Source, prepare
 from .tuning import tune
 
@@ -243,7 +245,8 @@ def _chosen(source: Source, run: Run, wanted: Wanted) -> list[Plan]:
         rows = sum(source.shape if fixed is None else mode_sizes(source.axes, fixed))
         size = max(4 * prod(source.shape) // DEFAULT_RATIO, SMALLEST_DEFAULT, ROW_BYTES * rows)
         ceiling = DEFAULT_SNR
-    return tune(
+    plans = tune(
         source, run, snr=snr, size=size, ceiling=ceiling, decode_cost=wanted.decode_cost, organisation=fixed,
         memory=wanted.max_memory,
     )
+    return [finer(plan, source.axes) or plan for plan in plans] if prod(source.shape) <= SMALL else plans

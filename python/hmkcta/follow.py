@@ -12,6 +12,7 @@ from .adaptive import Goal, fit_to_goal
 from .axes import mode_sizes
 from .errors import invalid
 from .filesize import metadata_of, undecomposed_in
+from .finer import finer, is_coarse
 from .fit import EFFORTS
 from .hierarchy import (
     Hierarchy,
@@ -91,9 +92,12 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
     """The model of the task's plan; where it misses its SNR, of the first further plan that does not, or the best.
 
     Further are the same plan with a level more, for what float16 or the ranks of one leave, and then the `others`;
-    `missed` is told of every plan that missed.
+    `missed` is told of every plan that missed. Where ranks are such large steps that a model lies far beyond its
+    goal, the same plan with a `finer` choice of blocks is tried, and for an SNR the first of the others.
     """
     model = best = follow(task)
+    if is_coarse(task.plan, model.snr, model.nbytes):
+        return _nearer(task, model, others)
     further = list(others)
     if (deeper := _deeper(task, model)) is not None:
         further.insert(0, deeper)
@@ -106,10 +110,21 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
     return best
 
 
+def _nearer(task: Task, model: Model, others: Sequence[Plan]) -> Model:
+    """The best of a model beyond its goal and those of plans that may come nearer to it."""
+    own = finer(task.plan, task.source.axes)
+    plans = ([] if own is None else [own]) + list(others[: 1 if task.plan.snr is not None else 0])
+    models = [model, *(follow(replace(task, plan=plan)) for plan in plans)]
+    snr = task.plan.snr
+    if snr is None:
+        return max(models, key=lambda each: each.snr)
+    return min((each for each in models if each.snr >= snr), key=lambda each: each.nbytes)
+
+
 def _deeper(task: Task, model: Model) -> Plan | None:
     """A plan of one level as it was fitted, and below it a second with ranks of its own; None where that cannot be."""
-    own, *more = task.plan.levels
-    found = model.bounds[0].ranks
+    (own, *more), top = task.plan.levels, model.bounds[0]
+    own, found = next((way for way in own.ways(task.plan.organisation) if way.clusters == top.clusters), own), top.ranks
     if more or not own.own or model.decode_cost >= task.decode_cost or 0 in found:  # 0: nothing was stored
         return None
     ranks = tuple(None if most is None else rank for most, rank in zip(own.ranks, found, strict=True))

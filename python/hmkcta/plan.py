@@ -6,7 +6,7 @@ one number stands for all modes, ``R=*`` leaves a mode undecomposed.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from math import comb, prod
@@ -38,6 +38,7 @@ class LevelSpec:
 
     `grid` lists axes that are cut into equal blocks, which then are the clusters; with `own` set every node gets
     ranks of its own up to R, by one Lagrange multiplier over the level (`allocation.py`), as the plan's goal allows.
+    `fewest` are numbers of blocks for axes of the grid: of so many up to those of the grid the goal takes what pays.
     `cuts` lists axes that each such node may be cut along into so many equal blocks, or a divisor of that, as pays: its
     cells, which then all have the same ranks.
 
@@ -52,6 +53,7 @@ class LevelSpec:
     grid: tuple[tuple[str, int], ...] = ()
     own: bool = False
     cuts: tuple[tuple[str, int], ...] = ()
+    fewest: tuple[tuple[str, int], ...] = ()
 
     def __post_init__(self) -> None:
         if self.scheme not in SCHEMES:
@@ -82,16 +84,27 @@ class LevelSpec:
         return len(self.ranks)
 
     def ways(self, organisation: Organisation) -> list[LevelSpec]:
-        """What a node may become: one spec, or with `cuts` one for each choice of blocks, not cut first.
+        """What a node may become: one spec, or one for each choice of blocks, the fewest first.
 
         >>> [way.clusters for way in parse_level("R<=8 cut<=y:4", (("y",), ("x",))).ways((("y",), ("x",)))]
         [(1, 1), (2, 1), (4, 1)]
+        >>> [way.clusters for way in parse_level("R<=8 grid=y:3-4,x:2", (("y",), ("x",))).ways((("y",), ("x",)))]
+        [(3, 2), (4, 2)]
         """
-        if not self.cuts:
+        if not self.cuts and not self.fewest:
             return [self]
         counts = [[(axis, n) for n in range(1, most + 1) if most % n == 0] for axis, most in self.cuts]
+        if self.fewest:
+            least = dict(self.fewest)
+            counts = [[(axis, n) for n in range(least.get(axis, most), most + 1)] for axis, most in self.grid]
         grids = (tuple((axis, n) for axis, n in grid if n > 1) for grid in product(*counts))
-        return [replace(self, clusters=_clusters(grid, organisation), grid=grid, cuts=()) for grid in grids]
+        return [replace(self, cuts=()).cut_into(grid, organisation) for grid in grids]
+
+    def cut_into(
+        self, grid: tuple[tuple[str, int], ...], organisation: Organisation, fewest: tuple[tuple[str, int], ...] = ()
+    ) -> LevelSpec:
+        """The spec with these blocks, or as many as pay from the `fewest` on."""
+        return replace(self, clusters=_clusters(grid, organisation), grid=grid, fewest=fewest)
 
     @property
     def search(self) -> str:
@@ -152,7 +165,7 @@ class LevelSpec:
         if self.cuts:
             return f"{text} cut<={_grid_text(self.cuts)}"
         if self.grid:
-            return f"{text} grid={_grid_text(self.grid)}"
+            return f"{text} grid={_grid_text(self.grid, dict(self.fewest))}"
         if self.cells > 1:
             text += f" C={','.join(map(str, self.clusters))}"
         if max(self.mixture) > 1:
@@ -160,12 +173,13 @@ class LevelSpec:
         return text
 
 
-def _grid_text(grid: Sequence[tuple[str, int]]) -> str:
-    return ",".join(f"{axis}:{count}" for axis, count in grid)
+def _grid_text(grid: Sequence[tuple[str, int]], fewest: Mapping[str, int] | None = None) -> str:
+    least = fewest or {}
+    return ",".join(f"{axis}:{f'{least[axis]}-' if axis in least else ''}{count}" for axis, count in grid)
 
 
 def _clusters(grid: Sequence[tuple[str, int]], organisation: Organisation) -> tuple[int, ...]:
-    """Blocks of each mode."""
+    """Blocks of each mode, of the counts along axes."""
     counts = dict(grid)
     return tuple(prod(counts.get(axis, 1) for axis in mode) for mode in organisation)
 
@@ -207,7 +221,10 @@ def parse_level(text: str, organisation: Organisation, scheme: str = "most") -> 
     ranks = tuple(
         None if word == "*" else _number("R", word) for word in _words("R", words.get("R", words.get("R<", "")), order)
     )
-    grid, cuts = (_grid(words.get(key, ""), organisation) for key in ("grid", "cut<"))
+    grid, fewest = _grid(words.get("grid", ""), organisation)
+    cuts, none = _grid(words.get("cut<", ""), organisation)
+    if none or (fewest and not own):
+        raise invalid("plan-grid", "blocks of the plan", repr(text.strip()), "ranges, AXIS:FEWEST-MOST, with R<= grid=")
     clusters = _clusters(grid, organisation)
     if "C" in words:
         clusters = tuple(_number("C", word) for word in _words("C", words["C"], order))
@@ -215,19 +232,28 @@ def parse_level(text: str, organisation: Organisation, scheme: str = "most") -> 
     mixture = tuple(_number("K", word) for word in given)
     if len(set(given)) == 1:
         mixture = tuple(min(k, c) for k, c in zip(mixture, clusters, strict=True))
-    return LevelSpec(ranks, clusters, mixture, "most" if grid else scheme, grid, own, cuts)
+    return LevelSpec(ranks, clusters, mixture, "most" if grid else scheme, grid, own, cuts, fewest)
 
 
-def _grid(text: str, organisation: Organisation) -> tuple[tuple[str, int], ...]:
+def _grid(
+    text: str, organisation: Organisation
+) -> tuple[tuple[tuple[str, int], ...], tuple[tuple[str, int], ...]]:
+    """Most blocks along each axis, and the fewest along those that have a range."""
     axes = [axis for mode in organisation for axis in mode]
     grid: list[tuple[str, int]] = []
+    fewest: list[tuple[str, int]] = []
     for word in text.split(",") if text else []:
         axis, _, count = word.partition(":")
+        least, dash, most = count.partition("-")
         if axis not in axes or axis in dict(grid):
             allowed = f"AXIS:COUNT, each axis of {', '.join(axes)} at most once"
             raise invalid("plan-grid", "blocks of the plan", repr(word), allowed)
-        grid.append((axis, _number("grid", count)))
-    return tuple(grid)
+        grid.append((axis, _number("grid", most if dash else least)))
+        if dash:
+            fewest.append((axis, _number("grid", least)))
+            if not 1 <= fewest[-1][1] <= grid[-1][1]:
+                raise invalid("plan-grid", "blocks of the plan", repr(word), "AXIS:FEWEST-MOST, the smaller one first")
+    return tuple(grid), tuple(fewest)
 
 
 def _words(key: str, text: str, order: int) -> list[str]:

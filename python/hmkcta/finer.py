@@ -1,0 +1,57 @@
+"""Plans whose ranks come in smaller steps: one node may be cut into a block more or less along some axes.
+
+A rank of a node costs every row of its modes and every one of its cells. Where that is a large step, a goal lies
+between two ranks, and the ranks of another number of blocks between those.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import isinf, prod
+
+from .axes import Axis
+from .grids import SMALLEST_EDGE
+from .plan import Plan
+
+#: Arrays of up to so many elements are tried so at once: a step is large there, and trying takes a second at the most.
+#: Of more than so many a step is small, and trying takes long.
+SMALL, LARGE = 1 << 18, 1 << 24
+#: Axes along which numbers of blocks are tried.
+MOST_AXES = 3
+#: A goal counts as hit by up to so many dB above an SNR, or by so much of a size.
+ABOVE, USED = 0.3, 0.95
+
+
+def finer(plan: Plan, axes: Sequence[Axis]) -> Plan | None:
+    """The plan of one node with one block more or less along the axes that are cut most, or else the longest.
+
+    None for plans of more nodes, of clusters of the data, of large arrays, and where there is nothing to cut.
+
+    >>> from hmkcta import parse_plan
+    >>> axes = [Axis("y", 40), Axis("x", 60)]
+    >>> str(finer(parse_plan("R<=8,8 grid=x:3", [("y",), ("x",)]), axes))
+    'R<=8,8 grid=x:2-4,y:1-2'
+    """
+    (level, *more), modes = plan.levels, plan.organisation
+    if more or not level.own or level.cuts or level.fewest or (level.cells > 1 and not level.grid):
+        return None
+    if prod(axis.size for axis in axes) > LARGE:
+        return None
+    decomposed = {name for rank, mode in zip(level.ranks, modes, strict=True) if rank is not None for name in mode}
+    counts = dict(level.grid)
+    cut = [axis for axis in axes if axis.name in decomposed]
+    cut = [axis for axis in cut if (counts.get(axis.name, 1) + 1) * SMALLEST_EDGE <= axis.size]
+    cut = sorted(cut, key=lambda axis: (counts.get(axis.name, 1), axis.size), reverse=True)[:MOST_AXES]
+    if not cut:
+        return None
+    most = counts | {axis.name: counts.get(axis.name, 1) + 1 for axis in cut}
+    fewest = tuple((axis.name, max(1, counts.get(axis.name, 1) - 1)) for axis in cut)
+    return replace(plan, levels=(level.cut_into(tuple(most.items()), modes, fewest),))
+
+
+def is_coarse(plan: Plan, snr: float, nbytes: int) -> bool:
+    """Whether what a fit came to lies far from the plan's goal, on the right side of it."""
+    if plan.snr is not None:
+        return plan.snr + ABOVE < snr and not isinf(snr)
+    return plan.size is not None and nbytes < USED * plan.size
