@@ -24,29 +24,34 @@ PAPERS_MODES = "light+rgb, view, y, x"
 
 
 @cache
-def wh4_like(scheme: str, quality: str, *, shuffled: bool) -> Model:
+def wh4_like(scheme: str, quality: str, *, shuffled: bool, seed: int = 0) -> Model:
     """Of a material; shuffled: in an order of texels and directions that tells nothing."""
     data = material(lights=8, views=12, size=48)
     values = data.values
     if shuffled:
         rng = np.random.default_rng(1)
         values = values[np.ix_(*(rng.permutation(size) for size in values.shape[:4]))]
-    names = data.names
-    return compress(values, WH4_LIKE, axes=names, organisation=PAPERS_MODES, scheme=scheme, quality=quality, threads=1)
+    settings: dict[str, Any] = {"organisation": PAPERS_MODES, "scheme": scheme, "quality": quality, "seed": seed}
+    return compress(values, WH4_LIKE, axes=data.names, threads=1, **settings)
+
+
+def mean_snr(scheme: str, *, shuffled: bool) -> float:
+    """Of fast fits from five starts, each of which ends half a decibel higher or lower."""
+    return float(np.mean([wh4_like(scheme, "fast", shuffled=shuffled, seed=seed).snr for seed in range(5)]))
 
 
 def test_most_significant_beats_least_significant() -> None:
     """The paper's order of WH4 and WH5, at the same bytes."""
     most, least = (wh4_like(scheme, "fast", shuffled=False) for scheme in ("most", "least"))
     assert abs(most.nbytes - least.nbytes) < 200
-    assert most.snr > least.snr + 0.3
+    assert mean_snr("most", shuffled=False) > mean_snr("least", shuffled=False) + 0.2
 
 
 def test_most_significant_is_best_where_order_tells_nothing() -> None:
     """The paper's order of WH4, WH5 and WH6."""
-    most, least, uniform = (wh4_like(scheme, "fast", shuffled=True) for scheme in ("most", "least", "uniform"))
-    assert most.snr > least.snr + 0.3
-    assert most.snr > uniform.snr + 0.3
+    most, least, uniform = (mean_snr(scheme, shuffled=True) for scheme in ("most", "least", "uniform"))
+    assert most > least + 0.3
+    assert most > uniform + 0.2
 
 
 @pytest.mark.parametrize("shuffled", [False, True])
@@ -95,6 +100,18 @@ def test_back_fitting_never_lowers_the_snr(text: str) -> None:
     assert errors[-1] < 0.95 * errors[0]
 
 
+def test_a_level_that_others_follow_is_fitted_longer() -> None:
+    """What it leaves they have to make up for."""
+    data = volume((16, 28, 28), frames=6)
+    level = "R=2 C=1,3,3,3 K=1,2,2,2"
+
+    def first(plan: str) -> float:
+        model = compress(data.values, plan, axes=data.axes, scheme="most", quality="fast", threads=1)
+        return model.at_level(1).snr
+
+    assert first(f"{level} / R=1 C=1,2,2,2 K=1,2,2,2") > first(level) + 0.3
+
+
 def test_efforts_are_ordered() -> None:
     for name in ("candidates", "sweeps", "hooi", "backfits"):
         values = [int(getattr(effort, name)) for effort in (EFFORTS["fast"], EFFORTS["medium"], EFFORTS["thorough"])]
@@ -120,7 +137,7 @@ def test_snr_at_a_size(name: str, make: Any, size: int, least: float) -> None:
 
 
 EXPLICIT = [
-    ("WH4-like", WH4_LIKE, 214_500, 23.4),
+    ("WH4-like", WH4_LIKE, 214_500, 23.8),
     ("flat", "R=2,2,3,3 C=4,3,4,4 K=2", 93_000, 22.5),
     ("pca of texels", "R=6 grid=y:4,x:4", 95_000, 34.6),
 ]

@@ -78,8 +78,9 @@ def follow(task: Task) -> Model:
             fit_to_goal(tree, ways, goal, max(1, task.decode_cost - above), run)
         else:
             labels = grid_labels(spec, axes, plan.organisation)
-            last = number == len(plan.levels) - 1 and rounds == 0
-            fit_nodes(tree, [spec] * len(tree.levels[-1]), run, labels, last=last)
+            deepest = number == len(plan.levels) - 1
+            own = run if deepest else replace(run, effort=run.effort.above)
+            fit_nodes(tree, [spec] * len(tree.levels[-1]), own, labels, last=deepest and rounds == 0)
             if plan.snr is not None and goal.snr_now(tree) >= plan.snr:
                 break
     if len(tree.levels) > 1:
