@@ -172,6 +172,15 @@ def test_a_plan_costs_more_time_the_more_it_does() -> None:
     assert seconds == sorted(set(seconds))
 
 
+def test_sweeps_take_little_of_the_time_where_they_are_of_a_workset() -> None:
+    def longer(size: int) -> float:
+        sizes, plan = (size, size, size, size), parse_plan("R=2 C=2 K=2", MODES)
+        fast, thorough = (forecast(plan, sizes, EFFORTS[each], 2, 2_000_000_000) for each in ("fast", "thorough"))
+        return thorough.seconds / fast.seconds
+
+    assert longer(90) > 2 > 1.2 > longer(300)
+
+
 BYTES = [
     "R=3",
     "R=2 C=2 K=2",

@@ -16,7 +16,7 @@ from .plan import LevelSpec, Plan
 from .predict import FLAT, MODEL, WORKING, is_streamed, memory_limit
 from .streamed import SLAB
 from .subdivision import CAP
-from .workset import blocks, check_worksets, fitting_bytes, joint_bytes, projected_share, worksets
+from .workset import blocks, check_worksets, fitting_bytes, joint_bytes, projected_share, workset, worksets
 
 #: Bytes for each element of a tensor in memory: its residual lasts, the rest is `WORKING`; a saved residual for goals.
 _RESIDUAL, _SAVED = 4, 4
@@ -36,6 +36,8 @@ _HEAPS = 40 * 2**20
 #: Nanoseconds of one core for each element: to read, hash, look at and measure the source; to find a start; of a
 #: sweep; of HOOI; to write a piece and read it. One core of a 2023 server.
 _SOURCE_NS, _START_NS, _SWEEP_NS, _HOOI_NS, _PIECE_NS = 35.0, 25.0, 15.0, 10.0, 15.0
+#: What each further thread does of the work of one.
+_SECOND = 0.7
 
 
 @dataclass(frozen=True)
@@ -72,15 +74,15 @@ def forecast(
         working = WORKING + (_SAVED if own else 0)
         measuring = _RESIDUAL * elements + _MEASURING * min(elements, MEASURED)
         most = held + _peak(chosen, working * elements, measuring)
-        return Forecast(most, 0, _seconds(plan, sizes, effort, threads))
+        return Forecast(most, 0, _seconds(plan, sizes, effort, threads, limit))
     check_worksets(plan, sizes, limit, memory)
     if limit == elements:  # fitted in place
-        return Forecast(held + _peak(chosen, FLAT * elements), 0, _seconds(plan, sizes, effort, threads))
+        return Forecast(held + _peak(chosen, FLAT * elements), 0, _seconds(plan, sizes, effort, threads, limit))
     cut = next((n for n, level in enumerate(plan.levels[:-1]) if level.cells > 1), None)
     working = _outside(plan, sizes, limit, threads, cut)
     copies = int(cut is not None or any(level.disjoint or level.cuts for level in plan.levels))
     scratch = 4 * elements * (copies + (1 if own and cut is not None else 0))
-    return Forecast(held + _peak(chosen, working), scratch, _seconds(plan, sizes, effort, threads, cut=cut))
+    return Forecast(held + _peak(chosen, working), scratch, _seconds(plan, sizes, effort, threads, limit, cut))
 
 
 def _outside(plan: Plan, sizes: Sequence[int], limit: int, threads: int, cut: int | None) -> int:
@@ -148,14 +150,18 @@ def _largest(elements: int, level: LevelSpec) -> int:
     return int(uneven * elements / level.cells)
 
 
-def _seconds(plan: Plan, sizes: Sequence[int], effort: Effort, threads: int, cut: int | None = None) -> float:
-    each = _SOURCE_NS + (0 if cut is None else _PIECE_NS * (1 + effort.backfits))
+def _seconds(
+    plan: Plan, sizes: Sequence[int], effort: Effort, threads: int, limit: int, cut: int | None = None
+) -> float:
+    elements, each = prod(sizes), _SOURCE_NS + (0 if cut is None else _PIECE_NS * (1 + effort.backfits))
     for number, level in enumerate(plan.levels, start=1):
-        if level.cells == 1:
-            each += _HOOI_NS * (1 + effort.hooi)
-        else:
-            own = effort if number == len(plan.levels) else effort.above
-            each += _START_NS + _SWEEP_NS * own.sweeps
+        own = effort if number == len(plan.levels) else effort.above
+        sweep = _HOOI_NS if level.cells == 1 else _SWEEP_NS
+        fit = sweep * (1 + own.hooi) if level.cells == 1 else _START_NS + sweep * own.sweeps
+        if prod(sizes) > limit and not level.disjoint:  # on a workset, and two passes for all rows
+            fit = fit * workset(sizes, level, limit) / prod(sizes) + 2 * sweep
+        each += fit
         if len(plan.levels) > 1:
             each += effort.backfits * (_SWEEP_NS + 10)
-    return each * 1e-9 * prod(sizes) / threads
+        sizes = blocks(sizes, level)
+    return each * 1e-9 * elements / (1 + _SECOND * (threads - 1))
