@@ -15,7 +15,7 @@ from hmkcta import backends
 from hmkcta.readers import open_array
 
 KERNELS = ("fit_cells", "project_cells", "project_pair", "contract_lanes", "accumulate", "dictionary_gram", "code_rows",
-           "gather", "scatter")  # fmt: skip
+           "solve_cores", "gather", "scatter")  # fmt: skip
 
 
 def profile(case: Case) -> str:

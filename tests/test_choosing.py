@@ -13,16 +13,18 @@ from numpy.typing import NDArray
 from dense_reference import energy, snr, tucker_product
 from hmkcta import HmkctaError, choose_plan, compress, parse_plan
 from hmkcta.allocation import allocate, choices_of, pareto, ration, spectrum
+from hmkcta.axes import Organisation
 from hmkcta.candidates import Candidate
 from hmkcta.fit import EFFORTS
 from hmkcta.grids import allowed, few_grids
 from hmkcta.growth import growth_of
+from hmkcta.judging import Search
 from hmkcta.source import prepare
 from hmkcta.spectra import captured, cores, energies, ladders
 from hmkcta.synthetic import light_field
 from hmkcta.trial import Trial, trial_of
 from hmkcta.tucker import core_energies, full_core
-from hmkcta.tuning import CARES
+from hmkcta.tuning import CARES, _racing  # pyright: ignore[reportPrivateUsage]
 
 SHAPES = [(5, 6, 7), (60, 3, 4), (3, 4, 60), (4, 9), (9, 4), (7,), (1, 5, 1), (3, 3, 3, 3)]
 
@@ -249,7 +251,7 @@ def test_a_choice_does_not_depend_on_threads(snr: float | None, size: int | None
     assert plans[0] == plans[1] == plans[2]
 
 
-def judged(monkeypatch: pytest.MonkeyPatch, array: NDArray[np.floating]) -> list[tuple[Any, ...]]:
+def judged(monkeypatch: pytest.MonkeyPatch, array: NDArray[np.floating], **goal: float) -> list[tuple[Any, ...]]:
     """What was judged to choose a plan for the array: organisations, grids and samples."""
     seen: list[tuple[Any, ...]] = []
     worths = Trial.worths
@@ -259,7 +261,7 @@ def judged(monkeypatch: pytest.MonkeyPatch, array: NDArray[np.floating]) -> list
         return worths(trial, *what)
 
     monkeypatch.setattr(Trial, "worths", counted)
-    choose_plan(array)
+    choose_plan(array, **goal)  # pyright: ignore[reportArgumentType]
     return seen
 
 
@@ -339,3 +341,56 @@ def test_modes_that_are_far_worse_undecomposed_are_not_tried_so_again(monkeypatc
     assert seen[0][3] == ()
     assert compared
     assert all(kinds and set(kinds) < {(), (0,), (1,), (2,)} for kinds in compared)
+
+
+def low_matrix() -> tuple[NDArray[np.float64], Organisation, Organisation]:
+    """A matrix of rank two of four axes, two of them merged into each mode; and those modes, and a mode for each axis.
+
+    Of it four modes tell little.
+    """
+    rng = np.random.default_rng(0)
+    low = rng.standard_normal((576, 2)) @ rng.standard_normal((2, 576))
+    merged, plain = (("axis0", "axis2"), ("axis1", "axis3")), tuple((f"axis{n}",) for n in range(4))
+    return low.reshape(24, 24, 24, 24).transpose(0, 2, 1, 3), merged, plain
+
+
+def test_what_lies_far_behind_on_small_samples_is_not_looked_at_on_large_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    array, merged, plain = low_matrix()
+    care = replace(CARES[EFFORTS["medium"]], compare=(1 << 16,))
+    monkeypatch.setitem(CARES, EFFORTS["medium"], care)
+    seen = judged(monkeypatch, array)
+    assert {merged, plain} <= {what[0] for what in seen if what[2] == care.survey}
+    last = {what[0] for what in seen if what[2] == array.size}
+    assert merged in last
+    assert plain not in last
+
+
+@pytest.mark.parametrize(("goal", "doubted"), [({"size": 20_000}, False), ({"snr": 50.0}, True)], ids=str)
+def test_only_a_race_for_an_snr_lets_grids_far_behind_change(
+    monkeypatch: pytest.MonkeyPatch, goal: dict[str, float], doubted: bool
+) -> None:
+    """The bytes that it judges by come from a survey; and in every race few grids of unmerged modes are tried again."""
+    array, _, plain = low_matrix()
+    samples = 1 << 16, 1 << 17
+    monkeypatch.setitem(CARES, EFFORTS["medium"], replace(CARES[EFFORTS["medium"]], compare=samples))
+    seen, few = judged(monkeypatch, array, **goal), set(few_grids(array.shape))
+    first, second = ({what[1] for what in seen if (what[0], what[2]) == (plain, sample)} for sample in samples)
+    assert first >= few
+    assert (first > few) == doubted
+    assert second >= few
+
+
+def test_a_race_begins_with_modes_undecomposed_in_other_ways() -> None:
+    """A grid that suits all modes decomposed would be lost where another kind is the best with every grid it has."""
+    plain, grids = (("axis0",), ("axis1",), ("axis2",)), [(1, 1, 1), (1, 2, 2)]
+    trial = trial_of(prepare(noise(8, 24, 24), None, "identity", None), 4000, None, 4096, 0)
+    search = Search(trial, trial, plain, 1, CARES[EFFORTS["medium"]], 1 << 20, 0)
+    kinds = [Candidate(plain, grid, undecomposed) for grid, undecomposed in product(grids, [(0,), (), (1,)])]
+    for number, grid in enumerate(grids):
+        found = [(worth, kinds[3 * number + n]) for n, worth in enumerate((30.0 - number, 29.2 + number / 2, 28.9))]
+        search.seen[plain, grid, 4608, 4000] = found
+    racing = _racing(search.every(list(product([plain], grids)), 4608))
+    assert [(worth, each.grid, each.undecomposed) for worth, each in racing] == [
+        (30.0, (1, 1, 1), (0,)),
+        (29.7, (1, 2, 2), ()),
+    ]

@@ -24,7 +24,7 @@ class Care:
 
     Attributes:
         survey: elements looked at of each candidate to rank organisations; the best `organisations` go on.
-        compare: elements to rank grids; the best `finalists` go on, and as many `matrices`.
+        compare: elements to rank grids in races; the best `finalists` of each go on, and as many `matrices`.
         refine: elements to settle the blocks, from the best; and from a second start that lies no more than `far`, in
             dB or octaves of bytes, behind it, or one of another kind. No climb begins another round after so
             many `steps`.
@@ -70,7 +70,9 @@ class Search:
     together: int
     clustered: int
     highest: float = -inf
-    hopeless: set[tuple[Organisation, int, bool]] = field(default_factory=set[tuple[Organisation, int, bool]])
+    losses: dict[tuple[Organisation, tuple[int, ...], int, bool], float] = field(
+        default_factory=dict[tuple[Organisation, tuple[int, ...], int, bool], float]
+    )
     seen: dict[Judged, Ranked] = field(default_factory=dict["Judged", Ranked])
 
     def best(
@@ -102,6 +104,18 @@ class Search:
                 raise
         nothing = {choice: (0.0, Candidate(*choice)) for choice in choices}
         return [max(self.seen[(*each, sample, size)], key=worth_of, default=nothing[each]) for each in choices]
+
+    def every(self, choices: Sequence[Choice], sample: int) -> Ranked:
+        """All candidates with these organisations and grids, judged before on this sample."""
+        key = min(sample, self.most), self.trial.size
+        return [item for choice in dict.fromkeys(choices) for item in self.seen[(*choice, *key)]]
+
+    def near(self, modes: Organisation, far: float) -> bool:
+        """Whether the organisation was no more than so `far` behind the best on the largest sample it was judged by."""
+        last = max(key[2:] for key in self.seen if key[0] == modes)
+        found = {key: max(map(worth_of, ranked)) for key, ranked in self.seen.items() if key[2:] == last and ranked}
+        own = [worth for key, worth in found.items() if key[0] == modes]
+        return bool(own) and max(own) > max(found.values()) - far
 
     def kinds(self, modes: Organisation) -> Kinds:
         """Sets of undecomposed modes that came near the best with some grid and sample."""

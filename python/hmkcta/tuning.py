@@ -8,7 +8,7 @@ the end local PCA (`clustered.py`). For an SNR they are judged as for a size: by
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import product
@@ -41,9 +41,15 @@ TOGETHER, FEWEST, EACH = 1 << 24, 1 << 20, 40
 #: In dB or octaves of bytes: twice as many blocks are tried where one more loses no more than the first, and none again
 #: where one loses more than the second.
 STEEP, HOPELESS = 0.05, 0.5
-#: Small samples must tell of a loss of so much; by them, with other modes undecomposed an organisation may be so far
-#: behind its best. A second climb ends that is so far behind after its first round.
-SURELY_WORSE, OTHERWISE, BEHIND = 5.0, 1.5, 0.05
+#: With other modes undecomposed an organisation may lie so far behind its best, in so many ways.
+OTHERWISE, KINDS = 1.5, 2
+#: Small samples tell up to so much too little of large blocks, and of matrices: what lies further behind is left. A way
+#: along an axis that lost so much is not gone again in a race, and one that lost so much more in no climb after it.
+LAGGING, NEVER, WORSE, SURELY_WORSE = 2.0, 6.0, 1.5, 5.0
+#: How far behind is left, and which loss is final, in a race; and where bytes for an SNR come from a survey alone.
+TRUSTED, DOUBTED = (LAGGING, WORSE), (inf, SURELY_WORSE)
+#: No climb begins so far behind what those before it reached; it ends that is so far behind after its first round.
+LATE, BEHIND = 0.3, 0.05
 #: Blocks that may be cut further are no fewer than these, and are cut into no more than so many parts.
 FEWEST_BLOCKS, MOST_CUTS = 4, 8
 #: A start of another kind may lie so many times as far behind.
@@ -108,8 +114,6 @@ def _found(search: Search, fixed: bool, progress: Progress, *, narrow: bool) -> 
     """The best candidate; to `narrow`, of those that reach the ceiling at the bytes of the best, or nearly."""
     finalists = _finalists(search, fixed, progress, narrow=narrow)
     search.highest = finalists[0][0]
-    if narrow:
-        search.narrow(finalists, search.care.compare[-1])
     found = _settled(search, [candidate for _, candidate in finalists], progress, narrow=narrow)
     if not narrow:
         return max([found, *_clustered(search, found)], key=worth_of)
@@ -168,39 +172,40 @@ def _spare(search: Search, best: Candidate) -> list[Candidate]:
 
 
 def _finalists(search: Search, fixed: bool, progress: Progress, *, narrow: bool) -> Ranked:
-    """Organisations by a survey over few grids, then races of the best of them on samples that grow."""
-    grids = few_grids(search.trial.source.shape)
+    """Organisations by a survey over few grids, then what races of the best of them end with, on samples that grow."""
+    grids, care = few_grids(search.trial.source.shape), search.care
     left = [search.plain] if fixed else _surveyed(search, grids, progress, narrow=narrow)
-    ranked: Ranked = []
-    for sample in search.care.compare:
-        choices = [*product(left, grids), *((each.organisation, each.grid) for _, each in ranked)]
-        choices = list(dict.fromkeys(choices))
-        judged = _judged(search, choices, sample, partial(progress, "blocks"), narrow=narrow)
-        racing = _racing(judged)[: search.care.organisations]
-        ranked = _raced(search, racing, sample, progress)[: search.care.finalists]
-        left = [search.plain]
-    return ranked
+    choices, found = list(product(left, grids)), list[tuple[float, Candidate]]()
+    if narrow:
+        search.narrow(search.best(choices, care.survey), care.compare[0])
+    for sample in care.compare:
+        margins = DOUBTED if narrow and not found else TRUSTED
+        judged = search.best(choices, sample, partial(progress, "blocks"))
+        racing = _racing(judged + search.every(choices, sample))
+        choices = [*product([search.plain], grids), *((each.organisation, each.grid) for _, each in racing)]
+        racing = _near(racing, margins[0])[: care.organisations]
+        ended = _near(_raced(search, racing, sample, margins, progress), margins[0])[: care.finalists]
+        choices += [(each.organisation, each.grid) for _, each in ended]
+        found = ended + found
+        if narrow:
+            search.narrow(ended, sample)
+    return found
 
 
-def _judged(
-    search: Search, choices: Sequence[Choice], sample: int, told: Callable[[float], None], *, narrow: bool
-) -> Ranked:
-    """What is best with each of the choices; to `narrow`, in as many bytes as the best of them so far takes."""
-    judged = search.best(choices, sample, told)
-    if not narrow:
-        return judged
-    search.narrow(judged, sample)
-    return search.best(choices, sample, told)
+def _near(ranked: Ranked, far: float) -> Ranked:
+    """Those that are not `far` behind the best, which comes first."""
+    return [item for item in ranked if item[0] > ranked[0][0] - far]
 
 
 def _surveyed(
     search: Search, grids: Sequence[tuple[int, ...]], progress: Progress, *, narrow: bool
 ) -> list[Organisation]:
     """The best organisations of all, by some grids."""
+    if narrow:
+        search.narrow(search.best([(search.plain, grid) for grid in grids], search.care.survey), search.care.survey)
     every = _merged(search, grids, progress)
-    choices, sample = list(product(every, grids[1:] or grids)), search.care.survey
-    judged = _judged(search, choices, sample, partial(progress, "organisation"), narrow=narrow)
-    worth = _by_organisation(every, judged)
+    choices = list(product(every, grids[1:] or grids))
+    worth = _by_organisation(every, search.best(choices, search.care.survey, partial(progress, "organisation")))
     # A survey thins large blocks and so misjudges high ranks: the best of every number of modes stays in the race.
     ranked = sorted(every, key=lambda modes: -worth[modes])
     firsts = {len(modes): modes for modes in reversed(ranked)}
@@ -209,45 +214,46 @@ def _surveyed(
 
 def _racing(judged: Ranked) -> Ranked:
     """The best of every organisation, and of it with other modes undecomposed if near: that likes other blocks."""
-    best = dict[Organisation, float]()
-    kinds = dict[tuple[Organisation, tuple[int, ...]], tuple[float, Candidate]]()
+    kinds = dict[Organisation, dict[tuple[int, ...], tuple[float, Candidate]]]()
     for worth, each in sorted(judged, key=worth_of, reverse=True):
-        if worth > best.setdefault(each.organisation, worth) - OTHERWISE:
-            kinds.setdefault((each.organisation, each.undecomposed), (worth, each))
-    return list(kinds.values())
+        own = kinds.setdefault(each.organisation, {})
+        if not own or (len(own) < KINDS and worth > next(iter(own.values()))[0] - OTHERWISE):
+            own.setdefault(each.undecomposed, (worth, each))
+    return sorted((item for own in kinds.values() for item in own.values()), key=worth_of, reverse=True)
 
 
-def _raced(search: Search, racing: Ranked, sample: int, progress: Progress) -> Ranked:
+def _raced(search: Search, racing: Ranked, sample: int, margins: tuple[float, float], progress: Progress) -> Ranked:
     """The organisations' grids cut twice or half as often along each axis in turn, while that helps; the best first.
 
     In every round fewer go on.
     """
-    ended: Ranked = []
+    ended, (far, worse) = list[tuple[float, Candidate]](), margins
     while racing:
         before = racing
         for n in range(len(search.trial.source.shape)):
-            racing = _stepped(search, racing, n, sample)
+            racing = _stepped(search, racing, n, sample, worse)
         gained = [now[0] > then[0] + WORTHWHILE for now, then in zip(racing, before, strict=True)]
+        best = max(map(worth_of, racing))
         ended += [now for now, on in zip(racing, gained, strict=True) if not on]
         racing = sorted((now for now, on in zip(racing, gained, strict=True) if on), key=worth_of, reverse=True)
-        fewer = (len(before) + 1) // 2
+        fewer = min((len(before) + 1) // 2, sum(worth > best - far for worth, _ in racing))
         ended, racing = ended + racing[fewer:], racing[:fewer]
         progress("blocks", len(ended) / (len(ended) + len(racing)))
     return list(dict.fromkeys(sorted(ended, key=worth_of, reverse=True)))
 
 
-def _stepped(search: Search, racing: Ranked, n: int, sample: int) -> Ranked:
+def _stepped(search: Search, racing: Ranked, n: int, sample: int, worse: float) -> Ranked:
     """Each candidate, or what is better with twice or half as many blocks along axis n."""
     tried: list[tuple[int, bool, Choice]] = []
     for (number, (_, each)), more in product(enumerate(racing), (True, False)):
         count = 2 * each.grid[n] if more else each.grid[n] // 2
-        hopeless = (each.organisation, n, more) in search.hopeless
-        if not hopeless and allowed(count, n, each.grid, search.trial.source.shape):
+        lost = search.losses.get((each.organisation, each.undecomposed, n, more), 0.0)
+        if lost < worse and allowed(count, n, each.grid, search.trial.source.shape):
             tried.append((number, more, (each.organisation, changed(each.grid, n, count))))
     found = list(racing)
     for (number, more, _), item in zip(tried, search.best([choice for *_, choice in tried], sample), strict=True):
-        if item[0] < racing[number][0] - SURELY_WORSE:
-            search.hopeless.add((item[1].organisation, n, more))
+        way = (item[1].organisation, racing[number][1].undecomposed, n, more)
+        search.losses[way] = max(search.losses.get(way, 0.0), racing[number][0] - item[0])
         found[number] = max(found[number], item, key=worth_of)
     return found
 
@@ -285,20 +291,20 @@ def _settled(
     shape = search.trial.source.shape
     whole = (1,) * len(shape)
     again = [(c.organisation, c.grid) for c in finalists]
-    again += [(search.plain, grid) for grid in few_grids(shape)[:2]]
-    again += [(modes, whole) for modes in search.matrices()]
+    again += [(search.plain, grid) for grid in few_grids(shape)[:2] if search.near(search.plain, LAGGING)]
+    again += [(modes, whole) for modes in search.matrices() if search.near(modes, NEVER)]
     again = list(dict.fromkeys(again))
     told = partial(_third, progress)
     judged = search.best(again, search.care.refine, told)
     if narrow and max(map(worth_of, judged)) < (search.goal.ceiling or 0.0) - SHORT:
         search.narrow(judged, search.care.refine)
         judged = search.best(again, search.care.refine, told)
-    climbed: Ranked = []
-    starts = _starts(judged, search.care.far)
-    for number, (_, candidate) in enumerate(starts, start=1):
-        climbed.append(_climbed(search, candidate, search.care.refine, max(map(worth_of, climbed), default=-inf)))
+    best, starts = (-inf, finalists[0]), _starts(judged, search.care.far)
+    for number, (worth, candidate) in enumerate(starts, start=1):
+        if worth > best[0] - LATE:
+            best = max(best, _climbed(search, candidate, search.care.refine, best[0]), key=worth_of)
         progress("finer choice of blocks", 1 / 3 + 2 * number / (3 * len(starts)))
-    return max(climbed, key=worth_of)
+    return best
 
 
 def _third(progress: Progress, share: float) -> None:
@@ -321,7 +327,9 @@ def _climbed(search: Search, start: Candidate, sample: int, reached: float) -> t
     around = search.seen[start.organisation, start.grid, min(sample, search.most), search.trial.size]
     kinds = tuple(dict.fromkeys(each.undecomposed for worth, each in around if worth > now[0] - HOPELESS))
     idle, n, before = 0, 0, len(search.seen)
-    hopeless = {(n, 1 if more else -1) for modes, n, more in search.hopeless if modes == start.organisation}
+    own = (start.organisation, start.undecomposed)
+    lost = {(n, 1 if more else -1): loss for (*kind, n, more), loss in search.losses.items() if tuple(kind) == own}
+    hopeless = {way for way, loss in lost.items() if loss > SURELY_WORSE}
     while idle < len(start.grid) and len(search.seen) - before < search.care.steps:
         found = max([now, *_around(search, now, n, sample, hopeless, kinds)], key=worth_of)
         if found[0] > now[0] + WORTHWHILE:
