@@ -25,7 +25,7 @@ from .memory import keep_freed_memory
 from .model import Model
 from .plan import SCHEMES, Plan, parse_plan
 from .predict import check_least_memory
-from .progress import Progress
+from .progress import Progress, nobody
 from .source import Source, prepare
 from .tuning import tune
 
@@ -45,10 +45,6 @@ class Wanted:
     decode_cost: int
     organisation: str | None
     max_memory: int | None
-
-
-def _silent(stage: str, fraction: float) -> None:
-    """Progress for nobody."""
 
 
 def choose_plan(
@@ -203,7 +199,7 @@ def _run(quality: str, scheme: str, decode_cost: int, seed: int, threads: int | 
         raise invalid("decode-cost", "decode_cost", decode_cost, "1 or more multiply-adds")
     if not 0 <= seed < 2**53:
         raise invalid("seed", "seed", seed, "0 to 2^53 - 1")
-    return Run(EFFORTS[quality], int(seed), threads or os.cpu_count() or 1, progress or _silent)
+    return Run(EFFORTS[quality], int(seed), threads or os.cpu_count() or 1, progress or nobody)
 
 
 def _expect(name: str, value: object, types: Any, words: str) -> None:

@@ -39,14 +39,14 @@ def finer(plan: Plan, axes: Sequence[Axis]) -> Plan | None:
     if prod(axis.size for axis in axes) > LARGE:
         return None
     decomposed = {name for rank, mode in zip(level.ranks, modes, strict=True) if rank is not None for name in mode}
-    counts = dict(level.grid)
+    counts = {axis.name: dict(level.grid).get(axis.name, 1) for axis in axes}
     cut = [axis for axis in axes if axis.name in decomposed]
-    cut = [axis for axis in cut if (counts.get(axis.name, 1) + 1) * SMALLEST_EDGE <= axis.size]
-    cut = sorted(cut, key=lambda axis: (counts.get(axis.name, 1), axis.size), reverse=True)[:MOST_AXES]
+    cut = [axis for axis in cut if (counts[axis.name] + 1) * SMALLEST_EDGE <= axis.size]
+    cut = sorted(cut, key=lambda axis: (counts[axis.name], axis.size), reverse=True)[:MOST_AXES]
     if not cut:
         return None
-    most = counts | {axis.name: counts.get(axis.name, 1) + 1 for axis in cut}
-    fewest = tuple((axis.name, max(1, counts.get(axis.name, 1) - 1)) for axis in cut)
+    most = dict(level.grid) | {axis.name: counts[axis.name] + 1 for axis in cut}
+    fewest = tuple((axis.name, max(1, counts[axis.name] - 1)) for axis in cut)
     return replace(plan, levels=(level.cut_into(tuple(most.items()), modes, fewest),))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from math import inf, prod
@@ -10,6 +10,7 @@ from math import inf, prod
 from .axes import Organisation
 from .candidates import Candidate
 from .fit import EFFORTS
+from .progress import Told, nobody
 from .trial import Kinds, Trial
 
 #: Modes are left undecomposed on trial again if that came so near before, in dB or octaves of bytes.
@@ -54,10 +55,6 @@ Choice = tuple[Organisation, tuple[int, ...]]
 Judged = tuple[Organisation, tuple[int, ...], int, int]
 
 
-def _silent(fraction: float) -> None:
-    """Progress for nobody."""
-
-
 @dataclass
 class Search:
     """Everything judged so far, each at the sample and the bytes it was judged on; `plain` merges least."""
@@ -76,7 +73,7 @@ class Search:
     seen: dict[Judged, Ranked] = field(default_factory=dict["Judged", Ranked])
 
     def best(
-        self, choices: Sequence[Choice], sample: int, told: Callable[[float], None] = _silent, kinds: Kinds = ()
+        self, choices: Sequence[Choice], sample: int, told: Told = nobody, kinds: Kinds = ()
     ) -> Ranked:
         """The best candidate with each organisation and grid; `told` hears which share of them is judged.
 

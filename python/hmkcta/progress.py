@@ -8,3 +8,7 @@ from collections.abc import Callable
 Progress = Callable[[str, float], None]
 #: Called with the fraction that is done of whatever it was handed to.
 Told = Callable[[float], None]
+
+
+def nobody(*_: object) -> None:
+    """Either, where nobody listens."""

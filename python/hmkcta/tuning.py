@@ -22,12 +22,13 @@ from .errors import invalid
 from .filesize import planned_bytes
 from .fit import EFFORTS
 from .grids import SMALLEST_EDGE, allowed, changed, few_grids
-from .hierarchy import Progress, Run
+from .hierarchy import Run
 from .judging import CARES, Choice, Ranked, Search, worth_of
 from .memory import check_memory, memory_budget
 from .organisations import merges, organisations
 from .plan import Plan
 from .predict import PROCESS, WORKING, is_streamed
+from .progress import Progress
 from .source import Source
 from .trial import OUT_OF_REACH, Kinds, trial_of
 

@@ -66,7 +66,7 @@ def thinning(sizes: Sequence[int], spec: LevelSpec, limit: int) -> list[int]:
     def thinnable(n: int) -> bool:
         return sizes[n] / further(n) >= FEWEST * max(spec.clusters[n], spec.ranks[n] or most)
 
-    while prod(-(-size // step) for size, step in zip(sizes, steps, strict=True)) > limit:
+    while _seen(sizes, steps) > limit:
         choices = ([n for n in modes if thinnable(n)] for modes in (opened, longest, decomposed))
         choice = next((modes for modes in choices if modes), None)
         if choice is None:
@@ -84,7 +84,12 @@ def workset(sizes: Sequence[int], level: LevelSpec, limit: int) -> int:
     if spec.disjoint:
         sizes = blocks(sizes, spec)
         spec = spec.alone(sizes)
-    return prod(-(-size // step) for size, step in zip(sizes, thinning(sizes, spec, limit), strict=True))
+    return _seen(sizes, thinning(sizes, spec, limit))
+
+
+def _seen(sizes: Sequence[int], steps: Sequence[int]) -> int:
+    """Elements that steps leave."""
+    return prod(-(-size // step) for size, step in zip(sizes, steps, strict=True))
 
 
 def blocks(sizes: Sequence[int], level: LevelSpec) -> tuple[int, ...]:
@@ -122,7 +127,7 @@ def fitting_bytes(sizes: Sequence[int], level: LevelSpec, limit: int) -> int:
     """
     spec = level.clamped(sizes)
     steps = thinning(sizes, spec, limit)
-    elements = prod(-(-size // step) for size, step in zip(sizes, steps, strict=True))
+    elements = _seen(sizes, steps)
     if spec.cells == 1:
         shares = [rank * step / size for rank, size, step in zip(spec.ranks, sizes, steps, strict=True) if rank]
         return int(4 * elements * (2 + 2 * min(1.0, *shares)))
