@@ -19,7 +19,7 @@ from hmkcta.cells import Cells, all_products, dense_basis, empty_cells
 from hmkcta.fit import EFFORTS, fit_level, left_by
 from hmkcta.memberships import start_candidates
 from hmkcta.plan import GRAM_CELLS, OPTIMAL_SUBSETS, LevelSpec, parse_level
-from hmkcta.search import OVER_RELAXED, choose_rows, extend, orthonormalise, refit_cores, right_sides
+from hmkcta.search import OVER_RELAXED, choose_rows, extend, refit_cores, right_sides
 from hmkcta.subdivision import CAP, subdivide
 from test_special_cases import MODES, shuffled, smooth
 
@@ -128,7 +128,7 @@ def test_no_search_raises_the_error(shape: Sequence[int], text: str, search: str
             assert np.array_equal(cells.members[n], members)
             assert {tuple(row) for row in cells.members[n]} == subsets
         assert after <= before * 1.0001
-        orthonormalise(cells, n)
+        kernels.orthonormalise(cells, n)
         assert energy(left_by(cells, tensor)) == pytest.approx(after, rel=1e-4)
         before = energy(left_by(cells, tensor))
 

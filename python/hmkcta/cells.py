@@ -149,16 +149,3 @@ def inner_products(cells: Cells, m: int) -> Products | None:
 def all_products(cells: Cells) -> list[Products | None]:
     """The `inner_products` of every mode."""
     return [inner_products(cells, m) for m in range(cells.order)]
-
-
-def store_basis(cells: Cells, n: int, dense: NDArray[np.floating]) -> None:
-    """Keep the member rows of a dense basis `[PC, I_n, R_n]`."""
-    clusters = cells.spec.clusters
-    before, after = prod(clusters[:n]), prod(clusters[n + 1 :])
-    size, rank = cells.sizes[n], cells.ranks[n]
-    view = dense.reshape(before, clusters[n], after, size, rank)
-    rows = np.arange(size)
-    slots = [view[:, cells.members[n][:, k], :, rows] for k in range(cells.members[n].shape[1])]
-    cells.bases[n] = np.ascontiguousarray(
-        np.stack(slots, axis=1).reshape(size, len(slots), before * after, rank), np.float32
-    )

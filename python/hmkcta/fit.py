@@ -92,8 +92,8 @@ def fit_level(
         return _sequential(tensor if own else tensor.copy(), spec, effort, labels, rng)
     cells = _start(tensor, spec, effort, labels, rng)
     joint = effort.sweeps if _joint_pays(cells) else (effort.sweeps + 1) // 2
-    for number in range(2, joint + 1):
-        sweep(cells, tensor, spec.mixture, spec.search, OVER_RELAXED if number < effort.sweeps else 1.0)
+    omegas = [OVER_RELAXED if number < effort.sweeps else 1.0 for number in range(2, joint + 1)]
+    sweep(cells, tensor, spec.mixture, spec.search, omegas)
     if joint < effort.sweeps:
         kernels.fit_cells(cells, left_by(cells, tensor), IN_PLACE * (effort.sweeps - joint), WARM)
     return cells
@@ -122,8 +122,7 @@ def refit_level(cells: Cells, residual: F32) -> None:
         kernels.fit_cells(cells, residual, IN_PLACE, WARM)
         return
     kernels.accumulate(cells, residual, 1.0)
-    for omega in (OVER_RELAXED, 1.0):
-        sweep(cells, residual, cells.spec.mixture, "fixed", omega)
+    sweep(cells, residual, cells.spec.mixture, "fixed", (OVER_RELAXED, 1.0))
     kernels.accumulate(cells, residual, -1.0)
 
 

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import backends as kernels
-from .cells import Cells, Products, all_products, dense_basis, inner_products, store_basis
+from .cells import Cells, Products, all_products, dense_basis, inner_products
 from .projection import passes, project
 
 F32 = NDArray[np.float32]
@@ -25,16 +26,21 @@ OVER_RELAXED = 1.75
 CORE_STEPS = 2
 
 
-def sweep(cells: Cells, tensor: F32, mixture: Sequence[int], search: str, omega: float = 1.0) -> None:
-    """`choose_rows` for one mode after another, their columns orthonormal again, then cores: never raises the error."""
-    products = all_products(cells)
+def sweep(
+    cells: Cells, tensor: F32, mixture: Sequence[int], search: str, omegas: Sequence[float] = (1.0,)
+) -> None:
+    """`choose_rows` for one mode after another, their columns orthonormal again, then cores; once for each of `omegas`.
+
+    The error never rises.
+    """
+    products = all_products(cells) if omegas else []
     last = passes(cells)[-1][-1]
-    for kept in passes(cells):
+    for omega, kept in product(omegas, passes(cells)):
         seen = project(cells, tensor, kept)
         for n in kept:
             y = seen.onto(cells, n)
             choose_rows(cells, products, right_sides(cells, y, n), n, mixture[n], search, omega)
-            orthonormalise(cells, n)
+            kernels.orthonormalise(cells, n)
             products[n] = inner_products(cells, n)
             if n == last:
                 refit_cores(cells, products, y, n)
@@ -129,20 +135,3 @@ def extend(cells: Cells, residual: F32, n: int) -> None:
     )
     cells.members[n] = np.take_along_axis(joined, order, axis=1)
     cells.spec = replace(cells.spec, mixture=(*cells.spec.mixture[:n], joined.shape[1], *cells.spec.mixture[n + 1 :]))
-
-
-def orthonormalise(cells: Cells, n: int) -> None:
-    """U_n = Q S for every cell with orthonormal Q, S into the core; dependent columns become zero and stay so.
-
-    Symmetric: S comes from the eigenvectors of U^T U, so that rows outside a cell stay zero.
-    """
-    dense = dense_basis(cells, n).astype(np.float64)  # [PC, I_n, R_n]
-    values, vectors = np.linalg.eigh(dense.transpose(0, 2, 1) @ dense)
-    root = np.sqrt(np.maximum(values, 0.0))
-    keep = root > 1e-6 * np.maximum(root[:, -1:], np.finfo(np.float64).tiny)
-    inverse = np.where(keep, 1.0 / np.where(keep, root, 1.0), 0.0)
-    store_basis(cells, n, dense @ (vectors * inverse[:, None]))
-    factor = (vectors * root[:, None]).transpose(0, 2, 1)
-    cores = np.moveaxis(cells.cores, n + 1, 1)  # [PC, R_n, others]
-    mixed = np.matmul(factor, cores.reshape(*cores.shape[:2], -1).astype(np.float64)).reshape(cores.shape)
-    cells.cores = np.ascontiguousarray(np.moveaxis(mixed, 1, n + 1), np.float32)

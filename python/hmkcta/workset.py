@@ -17,6 +17,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from . import backends as kernels
 from .cells import Cells, all_products
 from .fit import Effort, Labels, fit_level
 from .memory import check_memory
@@ -24,7 +25,7 @@ from .pieces import Rows
 from .plan import LevelSpec, Plan
 from .predict import PROCESS, WORKING
 from .projection import project_one
-from .search import choose_rows, orthonormalise, project_model, right_sides
+from .search import choose_rows, project_model, right_sides
 from .slabs import slabs
 from .streamed import Block, Streamed, thinned_cells
 
@@ -235,7 +236,7 @@ def solve_rows(residual: Streamed, number: int, cells: Cells, n: int, search: st
     seen = thinned_cells(cells, [step if whole else 1 for step, whole in zip(steps, full, strict=True)])
     b = sides(residual, number, seen, n, steps)
     choose_rows(seen, all_products(seen), b, n, cells.spec.mixture[n], search)
-    orthonormalise(seen, n)
+    kernels.orthonormalise(seen, n)
     cells.members[n], cells.bases[n], cells.cores = seen.members[n], seen.bases[n], seen.cores
 
 

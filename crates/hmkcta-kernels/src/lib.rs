@@ -22,6 +22,7 @@ mod layout;
 mod leading;
 mod lines;
 mod machine;
+mod orthonormal;
 mod packed;
 mod pair;
 mod pairs;
@@ -190,6 +191,28 @@ fn solve_cores(
     Ok(())
 }
 
+/// Orthonormal bases of a mode, in place, with cores that keep the model.
+#[pyfunction]
+fn orthonormalise(
+    py: Python,
+    shape: Shape,
+    members: Members,
+    mode: usize,
+    mut basis: PyReadwriteArray1<f32>,
+    mut cores: PyReadwriteArray1<f32>,
+) -> PyResult<()> {
+    let node = node(shape, &members)?;
+    let (basis, cores) = (basis.as_slice_mut()?, cores.as_slice_mut()?);
+    check_mode(node.order(), mode)?;
+    check_length("the basis", basis.len(), node.basis_size(mode))?;
+    check_cores(&node, cores.len())?;
+    if node.undecomposed[mode] {
+        return Err(PyValueError::new_err("a decomposed mode is needed"));
+    }
+    py.detach(|| orthonormal::orthonormalise(&node, mode, basis, cores));
+    Ok(())
+}
+
 /// A sub-tensor of a contiguous array of the given sizes, and where that array starts.
 fn pick_of(tensor: &Bound<PyArray1<f32>>, sizes: &[usize], rows: &[PyReadonlyArray1<u32>]) -> PyResult<(Pick, usize)> {
     let rows = slices(rows)?;
@@ -343,6 +366,7 @@ fn _native(module: &Bound<PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(contract_lanes, module)?)?;
     module.add_function(wrap_pyfunction!(dictionary_gram, module)?)?;
     module.add_function(wrap_pyfunction!(solve_cores, module)?)?;
+    module.add_function(wrap_pyfunction!(orthonormalise, module)?)?;
     module.add_function(wrap_pyfunction!(gather, module)?)?;
     module.add_function(wrap_pyfunction!(scatter, module)?)?;
     module.add_function(wrap_pyfunction!(code_rows, module)?)?;

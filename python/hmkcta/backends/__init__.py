@@ -22,8 +22,8 @@ from .device import Device, Kernels
 from .reference import F64, Rows
 
 __all__ = ["Device", "Kernels", "accumulate", "code_rows", "contract_lanes", "dictionary_gram", "find_device",
-           "fit_cells", "gather", "name", "project_cells", "project_pair", "scatter", "set_threads", "solve_cores",
-           "threads", "use"]  # fmt: skip
+           "fit_cells", "gather", "name", "orthonormalise", "project_cells", "project_pair", "scatter", "set_threads",
+           "solve_cores", "threads", "use"]  # fmt: skip
 
 #: Where the kernels of the work at hand run; None: on the CPU.
 _device: ContextVar[Kernels | None] = ContextVar("device", default=None)
@@ -155,6 +155,11 @@ def dictionary_gram(cells: Cells, products: Sequence[Products | None], n: int) -
 def solve_cores(cells: Cells, products: Sequence[Products | None], b: F64, steps: int) -> None:
     """Cores of all cells that leave less of a tensor together, in place; see `reference.solve_cores`."""
     _kernels().solve_cores(cells, products, b, steps)
+
+
+def orthonormalise(cells: Cells, n: int) -> None:
+    """Orthonormal bases of mode n for all cells, in place, with cores that keep the model."""
+    _kernels().orthonormalise(cells, n)
 
 
 def code_rows(

@@ -112,6 +112,10 @@ class Cuda:
         """Cores of all cells that leave less together, in place, on the CPU."""
         self._cpu.solve_cores(cells, products, b, steps)
 
+    def orthonormalise(self, cells: Cells, n: int) -> None:
+        """Orthonormal bases of mode n for all cells, in place, with cores that keep the model, on the CPU."""
+        self._cpu.orthonormalise(cells, n)
+
     def code_rows(
         self, h: F64, b: F64, clusters: Sequence[int], n: int, kept: U16 | None, mixture: int, search: str
     ) -> tuple[U16, F32]:

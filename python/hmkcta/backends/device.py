@@ -55,6 +55,10 @@ class Kernels(Protocol):
         """Cores of all cells that leave less together, in place."""
         ...
 
+    def orthonormalise(self, cells: Cells, n: int) -> None:
+        """Orthonormal bases of mode n for all cells, in place, with cores that keep the model."""
+        ...
+
     def code_rows(
         self, h: F64, b: F64, clusters: Sequence[int], n: int, kept: U16 | None, mixture: int, search: str
     ) -> tuple[U16, F32]:

@@ -101,6 +101,12 @@ def solve_cores(cells: Cells, products: Sequence[Products | None], b: F64, steps
     _native.solve_cores(cells.ranks, _products(products), cells.cores.reshape(-1), right, steps)
 
 
+def orthonormalise(cells: Cells, n: int) -> None:
+    """Orthonormal bases of mode n for all cells, in place, with cores that keep the model."""
+    cells.bases[n], cells.cores = (np.require(array, np.float32, ["C", "W"]) for array in (cells.bases[n], cells.cores))
+    _native.orthonormalise(*_node(cells), n, cells.bases[n].reshape(-1), cells.cores.reshape(-1))
+
+
 def code_rows(
     h: F64, b: F64, clusters: Sequence[int], n: int, kept: U16 | None, mixture: int, search: str
 ) -> tuple[U16, F32]:

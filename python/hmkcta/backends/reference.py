@@ -178,6 +178,19 @@ def solve_cores(cells: Cells, products: Sequence[Products | None], b: F64, steps
     cells.cores = z.astype(np.float32)
 
 
+def orthonormalise(cells: Cells, n: int) -> None:
+    """`U_n = Q S` for every cell, in place: Q takes the place of the basis, and the core becomes `Z x_n S`.
+
+    Q is orthonormal in the order of its columns; those that depend on earlier ones become zero, and stay so.
+    """
+    for cell in _each_cell(cells, whole=[m for m in range(cells.order) if m != n]):
+        u = cell.bases[n]
+        assert u is not None
+        cell.bases[n] = q = _orthonormal(u)
+        cell.core = np.moveaxis(np.tensordot(q.T @ u, cell.core, (1, n)), 0, n)
+        _store(cells, cell)
+
+
 def _multiplied(x: F64, matrices: Sequence[F64 | None]) -> F64:
     """`x_d x_m M_d` over all modes m: every core `[PC, R_1, .., R_N]` by matrices of its own, `[R_m, PC, new R_m]`."""
     for m, matrix in enumerate(matrices):
