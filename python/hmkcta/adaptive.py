@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import product
 from math import inf, isfinite, prod
 
@@ -37,7 +36,7 @@ from .memory import check_memory, format_bytes
 from .metrics import snr_db, squared_norm
 from .plan import MOST_RANKS, LevelSpec
 from .predict import MODEL, PROCESS
-from .progress import Told
+from .progress import Told, share_of
 from .streamed import Streamed
 from .tucker import core_energies
 
@@ -163,8 +162,7 @@ def fit_to_goal(tree: Hierarchy, ways: Sequence[Way], goal: Goal, decode_cost: i
     def examine(s: int) -> None:
         found: list[Spectrum] = []
         for number, way in enumerate(ways):
-            share = partial(_share, told, number, len(ways))
-            own = _spectrum_of(tree, nodes[s], way, goal, decode_cost, run.seed, share)
+            own = _spectrum_of(tree, nodes[s], way, goal, decode_cost, run.seed, share_of(told, number, len(ways)))
             found += [] if own is None else [own]
         spectra[s] = merged(found, hull=len(nodes) > 1) if found else None
 
@@ -188,11 +186,6 @@ def _spectrum_of(
     tensor, steps = (gather(tree.residual, node), [1] * len(node.sizes)) if sample is None else sample
     part = None if part is None else [own[::step] for own, step in zip(part, steps, strict=True)]
     return node_spectrum(tensor, spec, decode_cost, seed, part, alone=alone, nbytes=nbytes, true_sizes=node.sizes)
-
-
-def _share(told: Told, number: int, count: int, done: float) -> None:
-    """Tell how much of so many parts is done, in the middle of one."""
-    told((number + done) / count)
 
 
 def _starts(tree: Hierarchy, spec: LevelSpec, labels: LabelsOf, run: Run) -> list[Way]:

@@ -22,6 +22,8 @@ TRIMS, FEW = 8, 256
 CLOSE = 0.01
 #: Choices that leave so many times what cheaper ones leave, of all nodes together, are those of no node.
 ASIDE = 2.0
+#: The nodes of a grid differ by a row along each mode: so many shapes, whose choices are kept.
+SHAPES = 16
 
 
 def empty_node_bytes(order: int, stored: int) -> float:
@@ -110,7 +112,7 @@ class Choices:
     entry: NDArray[np.intp]
 
 
-@lru_cache(maxsize=96)
+@lru_cache(maxsize=SHAPES)
 def choices_of(
     steps: tuple[tuple[int, ...], ...],
     sizes: tuple[float, ...],

@@ -43,10 +43,13 @@ class Effort:
     hooi: int = 2
     backfits: int = 1
 
-    @property
-    def above(self) -> Effort:
-        """Of a level that others follow: its nodes are few, and what they leave those below have to make up for."""
-        return replace(self, sweeps=2 * self.sweeps)
+    def at(self, level: int, levels: int) -> Effort:
+        """For a level (from 1) of so many.
+
+        Those that others follow are swept twice as often: their nodes are few, and what they leave those below have to
+        make up for.
+        """
+        return self if level == levels else replace(self, sweeps=2 * self.sweeps)
 
 
 EFFORTS = {"fast": Effort(2, 1, 2, 2, 0), "medium": Effort(3, 3, 5, 4, 1), "thorough": Effort(13, 13, 12, 8, 4)}

@@ -79,7 +79,7 @@ def follow(task: Task) -> Model:
         else:
             labels = grid_labels(spec, axes, plan.organisation)
             deepest = number == len(plan.levels) - 1
-            own = run if deepest else replace(run, effort=run.effort.above)
+            own = replace(run, effort=run.effort.at(number + 1, len(plan.levels)))
             fit_nodes(tree, [spec] * len(tree.levels[-1]), own, labels, last=deepest and rounds == 0)
             if plan.snr is not None and goal.snr_now(tree) >= plan.snr:
                 break

@@ -155,7 +155,7 @@ def _seconds(
 ) -> float:
     elements, each = prod(sizes), _SOURCE_NS + (0 if cut is None else _PIECE_NS * (1 + effort.backfits))
     for number, level in enumerate(plan.levels, start=1):
-        own = effort if number == len(plan.levels) else effort.above
+        own = effort.at(number, len(plan.levels))
         sweep = _HOOI_NS if level.cells == 1 else _SWEEP_NS
         fit = sweep * (1 + own.hooi) if level.cells == 1 else _START_NS + sweep * own.sweeps
         if prod(sizes) > limit and not level.disjoint:  # on a workset, and two passes for all rows

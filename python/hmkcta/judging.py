@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from math import inf, prod
 
 from .axes import Organisation
 from .candidates import Candidate
+from .executors import in_order
 from .fit import EFFORTS
 from .progress import Told, nobody
 from .trial import Kinds, Trial
@@ -91,14 +91,9 @@ class Search:
         def judge(choice: Choice) -> Ranked:
             return self.trial.worths(*choice, sample, known[choice[0]])
 
-        with ThreadPoolExecutor(workers) as pool:
-            try:
-                for number, (choice, ranked) in enumerate(zip(new, pool.map(judge, new), strict=True), start=1):
-                    self.seen[(*choice, sample, size)] = ranked
-                    told(number / len(new))
-            except BaseException:
-                pool.shutdown(wait=True, cancel_futures=True)
-                raise
+        for number, (choice, ranked) in enumerate(zip(new, in_order(judge, new, workers), strict=True), start=1):
+            self.seen[(*choice, sample, size)] = ranked
+            told(number / len(new))
         nothing = {choice: (0.0, Candidate(*choice)) for choice in choices}
         return [max(self.seen[(*each, sample, size)], key=worth_of, default=nothing[each]) for each in choices]
 

@@ -28,7 +28,7 @@ from .memory import check_memory, memory_budget
 from .organisations import merges, organisations
 from .plan import Plan
 from .predict import PROCESS, WORKING, is_streamed
-from .progress import Progress
+from .progress import Progress, share_of
 from .source import Source
 from .trial import OUT_OF_REACH, Kinds, trial_of
 
@@ -295,7 +295,7 @@ def _settled(
     again += [(search.plain, grid) for grid in few_grids(shape)[:2] if search.near(search.plain, LAGGING)]
     again += [(modes, whole) for modes in search.matrices() if search.near(modes, NEVER)]
     again = list(dict.fromkeys(again))
-    told = partial(_third, progress)
+    told = share_of(partial(progress, "finer choice of blocks"), 0, 3)
     judged = search.best(again, search.care.refine, told)
     if narrow and max(map(worth_of, judged)) < (search.goal.ceiling or 0.0) - SHORT:
         search.narrow(judged, search.care.refine)
@@ -306,10 +306,6 @@ def _settled(
             best = max(best, _climbed(search, candidate, search.care.refine, best[0]), key=worth_of)
         progress("finer choice of blocks", 1 / 3 + 2 * number / (3 * len(starts)))
     return best
-
-
-def _third(progress: Progress, share: float) -> None:
-    progress("finer choice of blocks", share / 3)
 
 
 def _starts(judged: Ranked, far: float) -> Ranked:
