@@ -14,7 +14,6 @@ from hmkcta import compress
 from hmkcta.axes import name_axes
 from hmkcta.cli.notes import notes
 from hmkcta.clustered import clustered
-from hmkcta.memberships import balanced_clusters
 from hmkcta.source import prepare
 from hmkcta.trial import trial_of
 
@@ -63,13 +62,6 @@ def test_clusters_are_judged_near_what_they_reach() -> None:
     model = compress(scattered(), "R<=12,* C=16,1", axes="y, x, band", organisation=PIXELS, size=30_000, threads=1)
     assert worths[16, 1] == pytest.approx(model.snr, abs=2.5)
     assert worths[16, 1] > worths[4, 1] + 2
-
-
-def test_labels_do_not_depend_on_how_many_rows_are_compared_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    features = np.random.default_rng(1).standard_normal((500, 12))
-    whole = balanced_clusters(features, 8, 1.2, np.random.default_rng(2))
-    monkeypatch.setattr("hmkcta.memberships.PAIRS", 8 * 12 * 7)
-    np.testing.assert_array_equal(whole, balanced_clusters(features, 8, 1.2, np.random.default_rng(2)))
 
 
 def test_a_file_larger_than_its_source_is_told_what_helps() -> None:

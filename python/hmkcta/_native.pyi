@@ -35,6 +35,10 @@ def code_rows(
     mixture: int,
     search: str,
 ) -> tuple[NDArray[np.uint16], _F32]: ...
+def nearest_with_room(distance: _F64, clusters: int, most: int) -> NDArray[np.intp]: ...
+def cluster_rows(
+    features: _F64, centres: _F64, width: int, most: int, rounds: int
+) -> tuple[NDArray[np.intp], float]: ...
 
 # The arrays of one level by their names in `packed.PackedLevel`, float16 as its bits.
 _Level = dict[str, Any]

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import ceil
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from . import backends as kernels
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 #: Columns of the row features, and elements looked at to find them; more of either changed nothing (algorithm notes).
 FEATURES, SAMPLE = 12, 2_000_000
-#: Differences of features that are held at once.
-PAIRS = 1 << 20
+#: Rounds of k-means; it ends sooner where labels stay as they are.
+ROUNDS = 8
 #: Row normalisations f <- f |f|^(p-1) with size caps (times I/C), the most often best ones first.
 CANDIDATES: tuple[tuple[float, float | None], ...] = (
     (0.2, 1.2),
@@ -62,57 +63,22 @@ def balanced_clusters(
 ) -> NDArray[np.intp]:
     """K-means++ labels of the rows, no cluster larger than cap I/C (None: any size); best of several restarts."""
     best, best_cost = uniform_blocks(len(features), clusters), np.inf
-    labels = best
     for _ in range(restarts):
-        centres = _spread_centres(features, clusters, rng)
-        for _ in range(8):
-            distance = _distances(features, centres)
-            labels = nearest_with_room(distance, cap)
-            for c in range(clusters):
-                if (labels == c).any():
-                    centres[c] = features[labels == c].mean(0)
-        cost = float(((features - centres[labels]) ** 2).sum())
-        if cost < best_cost and len(np.unique(labels)) == clusters:
+        labels, cost = kernels.cluster_rows(features, _spread_centres(features, clusters, rng), cap, ROUNDS)
+        if cost < best_cost and np.bincount(labels, minlength=clusters).all():
             best, best_cost = labels, cost
     return best
 
 
-def _distances(features: F64, centres: F64) -> F64:
-    """Squared distance of every row to every centre, `[I, C]`; so many rows at a time that differences stay small."""
-    some = max(1, PAIRS // centres.size)
-    parts = (features[at : at + some, None] - centres[None] for at in range(0, len(features), some))
-    return np.concatenate([np.square(part, out=part).sum(-1) for part in parts])
-
-
 def _spread_centres(features: F64, clusters: int, rng: np.random.Generator) -> F64:
-    centres = [features[rng.integers(len(features))]]
-    for _ in range(clusters - 1):
-        distance = np.min([((features - c) ** 2).sum(1) for c in centres], axis=0)
-        total = distance.sum()
-        weights = distance / total if total > 0 else None
-        centres.append(features[rng.choice(len(features), p=weights)])
-    return np.array(centres)
-
-
-def nearest_with_room(distance: F64, cap: float | None) -> NDArray[np.intp]:
-    """The nearest of C centres for I rows `[I, C]`, none for more than cap I/C (None: any); widest margins first.
-
-    >>> nearest_with_room(np.array([[0.0, 9.0], [1.0, 3.0], [2.0, 3.0]]), 1.1).tolist()
-    [0, 0, 1]
-    """
-    most = len(distance) if cap is None else ceil(cap * len(distance) / distance.shape[1])
-    if most >= len(distance):
-        return distance.argmin(1)
-    ordered = np.sort(distance, axis=1)
-    margin = ordered[:, 1] - ordered[:, 0] if distance.shape[1] > 1 else ordered[:, 0]
-    nearest: list[list[int]] = distance.argsort(axis=1, kind="stable").tolist()
-    room = [most] * distance.shape[1]
-    labels = np.zeros(len(distance), np.intp)
-    order: list[int] = np.argsort(-margin, kind="stable").tolist()
-    for i in order:
-        labels[i] = k = next(k for k in nearest[i] if room[k])
-        room[k] -= 1
-    return labels
+    """K-means++: rows drawn by their squared distance to the nearest that has been drawn, `[C, F]`."""
+    chosen = [int(rng.integers(len(features)))]
+    nearest = np.full(len(features), np.inf)
+    while len(chosen) < clusters:
+        nearest = np.minimum(nearest, np.square(features - features[chosen[-1]]).sum(axis=1))
+        total = nearest.sum()
+        chosen.append(rng.choice(len(features), p=nearest / total if total > 0 else None))
+    return features[chosen]
 
 
 @dataclass(frozen=True, eq=False)

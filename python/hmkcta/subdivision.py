@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from . import backends as kernels
 from .cells import Cells, Products, all_products
 from .coding import Dictionary
-from .memberships import nearest_with_room, uniform_blocks
+from .memberships import uniform_blocks
 from .projection import Projection, passes, project
 from .search import project_model, right_sides
 
@@ -52,7 +52,7 @@ def _parts(
     # A row goes elsewhere only where none of its subsets has room.
     worth = np.full((cells.sizes[n], cells.spec.clusters[n]), np.inf)
     np.put_along_axis(worth, cells.members[n].astype(np.intp), errors if scheme == "most" else -errors, axis=1)
-    return nearest_with_room(worth, CAP)
+    return kernels.nearest_with_room(worth, CAP)
 
 
 def _subset_errors(

@@ -17,6 +17,7 @@ mod gauss_seidel;
 mod gemm;
 mod gram;
 mod hooi;
+mod kmeans;
 mod lanes;
 mod layout;
 mod leading;
@@ -370,6 +371,8 @@ fn _native(module: &Bound<PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(gather, module)?)?;
     module.add_function(wrap_pyfunction!(scatter, module)?)?;
     module.add_function(wrap_pyfunction!(code_rows, module)?)?;
+    module.add_function(wrap_pyfunction!(kmeans::nearest_with_room, module)?)?;
+    module.add_function(wrap_pyfunction!(kmeans::cluster_rows, module)?)?;
     module.add_function(wrap_pyfunction!(decode_scattered_f32, module)?)?;
     module.add_function(wrap_pyfunction!(decode_scattered_f64, module)?)?;
     module.add_function(wrap_pyfunction!(decode_block, module)?)?;

@@ -17,13 +17,14 @@ from warnings import warn
 from ..cells import F32, Cells, Products
 from ..coding import U16
 from ..errors import invalid
+from ..kmeans import Labels
 from . import reference
 from .device import Device, Kernels
 from .reference import F64, Rows
 
-__all__ = ["Device", "Kernels", "accumulate", "code_rows", "contract_lanes", "dictionary_gram", "find_device",
-           "fit_cells", "gather", "name", "orthonormalise", "project_cells", "project_pair", "scatter", "set_threads",
-           "solve_cores", "threads", "use"]  # fmt: skip
+__all__ = ["Device", "Kernels", "accumulate", "cluster_rows", "code_rows", "contract_lanes", "dictionary_gram",
+           "find_device", "fit_cells", "gather", "name", "nearest_with_room", "orthonormalise", "project_cells",
+           "project_pair", "scatter", "set_threads", "solve_cores", "threads", "use"]  # fmt: skip
 
 #: Where the kernels of the work at hand run; None: on the CPU.
 _device: ContextVar[Kernels | None] = ContextVar("device", default=None)
@@ -167,6 +168,16 @@ def code_rows(
 ) -> tuple[U16, F32]:
     """The best cluster subsets of a mode's rows and their coefficients; see `coding.code_rows`."""
     return _kernels().code_rows(h, b, clusters, n, kept, mixture, search)
+
+
+def nearest_with_room(distance: F64, cap: float | None) -> Labels:
+    """The nearest of some centres for each row, none for too many; see `kmeans.nearest_with_room`."""
+    return _kernels().nearest_with_room(distance, cap)
+
+
+def cluster_rows(features: F64, centres: F64, cap: float | None, rounds: int) -> tuple[Labels, float]:
+    """Labels of rows by k-means from the given centres, and what is left; see `kmeans.cluster_rows`."""
+    return _kernels().cluster_rows(features, centres, cap, rounds)
 
 
 def set_threads(count: int) -> None:

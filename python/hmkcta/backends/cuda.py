@@ -22,6 +22,7 @@ import numpy as np
 from ..cells import F32, Cells, Products, empty_cells
 from ..coding import U16
 from ..errors import HmkctaError, Kind
+from ..kmeans import Labels
 from ..plan import LevelSpec
 from . import batched, reference
 from .batched import Arrays
@@ -121,6 +122,14 @@ class Cuda:
     ) -> tuple[U16, F32]:
         """The best cluster subsets of a mode's rows and their coefficients, on the CPU."""
         return self._cpu.code_rows(h, b, clusters, n, kept, mixture, search)
+
+    def nearest_with_room(self, distance: F64, cap: float | None) -> Labels:
+        """The nearest of some centres for each row, on the CPU."""
+        return self._cpu.nearest_with_room(distance, cap)
+
+    def cluster_rows(self, features: F64, centres: F64, cap: float | None, rounds: int) -> tuple[Labels, float]:
+        """Labels of rows by k-means, on the CPU."""
+        return self._cpu.cluster_rows(features, centres, cap, rounds)
 
     def set_threads(self, count: int) -> None:
         """How many threads of the CPU work on large nodes."""

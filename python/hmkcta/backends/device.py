@@ -8,6 +8,7 @@ from typing import Protocol
 
 from ..cells import F32, Cells, Products
 from ..coding import U16
+from ..kmeans import Labels
 from .reference import F64, Rows
 
 
@@ -63,6 +64,14 @@ class Kernels(Protocol):
         self, h: F64, b: F64, clusters: Sequence[int], n: int, kept: U16 | None, mixture: int, search: str
     ) -> tuple[U16, F32]:
         """The best cluster subsets of a mode's rows and their coefficients, from H and b."""
+        ...
+
+    def nearest_with_room(self, distance: F64, cap: float | None) -> Labels:
+        """The nearest of some centres for each row, none for too many."""
+        ...
+
+    def cluster_rows(self, features: F64, centres: F64, cap: float | None, rounds: int) -> tuple[Labels, float]:
+        """Labels of rows by k-means from the given centres, and what squared distances sum up to."""
         ...
 
     def set_threads(self, count: int) -> None:

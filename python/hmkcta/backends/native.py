@@ -15,6 +15,7 @@ from .. import _native
 from ..cells import F32, Cells, Products, check_shape
 from ..coding import U16
 from ..errors import invalid
+from ..kmeans import Labels, most_rows
 from . import reference
 from .reference import Rows
 
@@ -118,6 +119,21 @@ def code_rows(
     return subsets.reshape(size, mixture), x.reshape(size, mixture, -1)
 
 
+def nearest_with_room(distance: F64, cap: float | None) -> Labels:
+    """The nearest of C centres for I rows `[I, C]`, none for more than cap I/C (None: any); widest margins first."""
+    rows, clusters = distance.shape
+    return _native.nearest_with_room(_doubles(distance), clusters, most_rows(rows, clusters, cap))
+
+
+def cluster_rows(features: F64, centres: F64, cap: float | None, rounds: int) -> tuple[Labels, float]:
+    """Labels of rows `[I, F]` by k-means from the given centres `[C, F]`, and what squared distances sum up to."""
+    size, width = features.shape
+    if centres.shape[1:] != (width,):
+        raise invalid("wrong-shape", "centres", centres.shape, f"(C, {width})")
+    most = most_rows(size, len(centres), cap)
+    return _native.cluster_rows(_doubles(features), _doubles(centres), width, most, rounds)
+
+
 def _node(cells: Cells) -> tuple[Shape, list[NDArray[np.uint16]]]:
     spec = cells.spec
     shape = (list(cells.sizes), list(spec.clusters), list(spec.mixture), list(cells.ranks), list(cells.undecomposed))
@@ -139,6 +155,10 @@ def _products(products: Sequence[Products | None]) -> list[F64]:
 
 def _flat(array: F32) -> F32:
     return np.ascontiguousarray(array, np.float32).reshape(-1)
+
+
+def _doubles(array: F64) -> F64:
+    return np.ascontiguousarray(array, np.float64).reshape(-1)
 
 
 def _in_place(array: F32) -> F32:
