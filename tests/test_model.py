@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 from numpy.typing import NDArray
 
+from hmkcta import memory
 from hmkcta import model as model_module
 from hmkcta.axes import Organisation, name_axes, organise, separate
 from hmkcta.decode import decode_elements
@@ -116,6 +117,12 @@ def test_bad_keys_are_index_errors(key: Any) -> None:
         MODELS[0][key]
     assert isinstance(caught.value, HmkctaError)
     assert caught.value.kind is Kind.INVALID_ARGUMENT
+
+
+def test_the_system_is_not_asked_for_memory_for_an_element(monkeypatch: pytest.MonkeyPatch) -> None:
+    """That takes longer than to decode it."""
+    monkeypatch.setattr(memory, "available_memory", lambda: 0)
+    assert MODELS[0][5, -1, 0, 2] == pytest.approx(DENSE[0][5, -1, 0, 2])
 
 
 def test_only_what_is_asked_for_is_decoded(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -233,3 +234,15 @@ def test_arrays_may_lie_anywhere() -> None:
     strange = replace(level, core=wide, basis=tuple(None if b is None else moved(b) for b in level.basis))
     expected = decode_elements(levels, sizes, coords)
     np.testing.assert_array_equal(decode_elements([*levels[:-1], strange], sizes, coords), expected)
+
+
+def test_the_arrays_of_a_level_are_flattened_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To do it for every element took longer than to decode one; nothing is kept of a level that is gone."""
+    sizes, levels = some_model("paper")
+    decode_elements(levels, sizes, np.zeros((1, 4), np.intp))
+    kept = len(decoding.flattened)
+    monkeypatch.setattr(decoding, "_flat_arrays", lambda _: pytest.fail("flattened again"))
+    decode_block(levels, sizes, [np.array([1])] * 4)
+    del levels
+    gc.collect()
+    assert len(decoding.flattened) == kept - 3

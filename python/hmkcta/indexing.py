@@ -74,7 +74,7 @@ def select(key: Any, shape: Sequence[int]) -> Selection:
             gone = 0 in together and item.ndim > 0
             found.append((-1, np.zeros(item.shape, np.intp) if gone else _in_range(item, axis, shape[axis])))
         elif isinstance(item, int):
-            found.append((0, _in_range(np.asarray(item), axis, shape[axis])))
+            found.append((0, np.asarray(_one_in_range(item, axis, shape[axis]))))
     return _spread(result, found, first, together)
 
 
@@ -164,5 +164,12 @@ def _in_range(index: Array, axis: int, size: int) -> Index:
     """Count negative indices from the end, and refuse those outside."""
     bad = (index < -size) | (index >= size)
     if bad.any():
-        raise IndexingError("index-out-of-range", f"index of axis {axis}", int(index[bad][0]), f"{-size} to {size - 1}")
+        _one_in_range(int(index[bad][0]), axis, size)
     return np.where(index < 0, index + size, index)
+
+
+def _one_in_range(index: int, axis: int, size: int) -> int:
+    """The same of a single index."""
+    if not -size <= index < size:
+        raise IndexingError("index-out-of-range", f"index of axis {axis}", index, f"{-size} to {size - 1}")
+    return index + size if index < 0 else index

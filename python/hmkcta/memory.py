@@ -20,6 +20,9 @@ _LIMIT, _USED = Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory.c
 #: from which on an allocation is mapped for itself; heaps.
 _MALLOC = {-1: 2**28, -3: 2**25, -8: 1}
 
+#: Bytes that are there: to ask the system takes longer than to decode an element.
+FEW = 1 << 20
+
 
 def available_memory() -> int | None:
     """Bytes that can be allocated now, within the limits of a container; None where the system does not say."""
@@ -78,13 +81,15 @@ def drop_pages(array: NDArray[Any]) -> None:
 
 
 def check_memory(needed: int, what: str, hint: str, limit: int | None = None) -> None:
-    """Refuse to allocate more than `limit` bytes, or than is available.
+    """Refuse to allocate more than `limit` bytes, or than is available; for a few of them nobody is asked.
 
     >>> check_memory(10, "a row", "ask for less", limit=9)
     Traceback (most recent call last):
         ...
     hmkcta.errors.HmkctaError: memory for a row: found 10 B, allowed 9 B. Next: ask for less. [ResourceLimit/memory]
     """
+    if limit is None and needed <= FEW:
+        return
     allowed = available_memory() if limit is None else limit
     if allowed is not None and needed > allowed:
         raise HmkctaError(Kind.RESOURCE_LIMIT, "memory", f"memory for {what}", found=format_bytes(needed),

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,8 @@ Index = NDArray[np.intp]
 
 #: Modes the kernels have room for: as many as a file may have.
 MOST_MODES = 8
+#: Of levels that are in use.
+flattened: WeakKeyDictionary[PackedLevel, dict[str, Any]] = WeakKeyDictionary()
 
 
 def decode_batches(levels: Sequence[PackedLevel], coords: Index, out: NDArray[Any]) -> None:
@@ -46,6 +49,13 @@ def _checked(decode: Callable[[], None]) -> None:
 
 
 def _arrays(level: PackedLevel) -> dict[str, Any]:
+    """The arrays of a level as the kernels take them; made once, as it takes longer than to decode an element."""
+    if level not in flattened:
+        flattened[level] = _flat_arrays(level)
+    return flattened[level]
+
+
+def _flat_arrays(level: PackedLevel) -> dict[str, Any]:
     return {
         "shape": _flat(level.shape), "child": _flat(level.child), "row_offset": [_flat(x) for x in level.row_offset],
         "core": _flat(level.core), "core_offset": _flat(level.core_offset),
