@@ -10,10 +10,11 @@ import pytest
 from numpy.typing import NDArray
 
 from dense_reference import energy, snr
-from hmkcta import compress
+from hmkcta import adaptive, compress
 from hmkcta.axes import name_axes
 from hmkcta.cli.notes import notes
 from hmkcta.clustered import clustered
+from hmkcta.memberships import start_candidates
 from hmkcta.source import prepare
 from hmkcta.trial import trial_of
 
@@ -53,6 +54,20 @@ def test_one_level_of_clusters_is_cut_to_a_goal(goal: dict[str, Any]) -> None:
         assert model.nbytes <= fixed.nbytes
     else:
         assert 0.8 * goal["size"] < model.nbytes <= goal["size"]
+
+
+def test_the_stage_is_announced_before_its_clusters_are_looked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Or what was finished before would be shown all the while."""
+    told: list[str] = []
+
+    def finding(*given: Any, **options: Any) -> Any:
+        told.append("clusters")
+        return start_candidates(*given, **options)
+
+    monkeypatch.setattr(adaptive, "start_candidates", finding)
+    compress(scattered(), "R<=3,* C=4,1", axes="y, x, band", organisation=PIXELS, threads=1, size=30_000,
+             quality="fast", progress=lambda stage, _: told.append(stage))
+    assert told.index(adaptive.EXAMINING) < told.index("clusters")
 
 
 def test_clusters_are_judged_near_what_they_reach() -> None:

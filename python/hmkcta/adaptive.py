@@ -154,6 +154,7 @@ Way = tuple[LevelSpec, LabelsOf]
 def fit_to_goal(tree: Hierarchy, ways: Sequence[Way], goal: Goal, decode_cost: int, run: Run) -> None:
     """Fit the deepest level with node shapes of its own, again with corrected ranks until the goal is met."""
     nodes = tree.levels[-1]
+    run.progress(EXAMINING, 0.0)  # finding the clusters to start from takes its time already
     ways = [each for spec, labels in ways for each in _starts(tree, spec, labels, run)]
     spectra: list[Spectrum | None] = [None] * len(nodes)
 
