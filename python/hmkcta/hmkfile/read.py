@@ -22,6 +22,7 @@ from .check import check_coords, check_levels
 from .fields import parse_json
 from .header import LENGTH_BYTES, TEXT_KEY, Entry, Header, header_length, parse_header
 from .limits import DEFAULT_LIMITS, Limits
+from .lookalikes import START, recognised
 from .metadata import ArrayRecord, Parsed, from_json
 from .reasons import fault
 from .schema import NUMPY_TYPES, ArrayInfo, check_order, check_schema, level_of
@@ -54,8 +55,9 @@ def load(path: str | os.PathLike[str], *, verify: bool = True, limits: Limits = 
     try:
         return loads(data, verify=verify, limits=limits)
     except HmkctaError as error:
-        error.args = (f"{path}: {error}",)  # `where` is a place in the file; people have several files
-        raise
+        told = recognised(error, bytes(data[:START]))
+        told.args = (f"{path}: {told}",)  # `where` is a place in the file; people have several files
+        raise told from error.__cause__
 
 
 def loads(data: bytes | bytearray | mmap.mmap, *, verify: bool = True, limits: Limits = DEFAULT_LIMITS) -> Loaded:
