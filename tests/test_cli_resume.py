@@ -142,7 +142,29 @@ def test_an_interrupt_does_not_wait_for_native_code(deaf: str, source: Path, tmp
     assert code == 130
     assert time.monotonic() - begin < 8
     assert json.loads(out)["error"]["exit_code"] == 130
-    assert err == "hmkcta: interrupted; nothing is left half written.\n"
+    assert err == ("hmkcta: interrupted; nothing is left half written, and nothing kept, as no node was finished. "
+                   "Next: the same command, which begins anew.\n")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["ready"]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs signals")
+def test_an_interrupt_while_a_plan_is_chosen_says_that_the_choice_begins_anew(source: Path, tmp_path: Path) -> None:
+    ready = tmp_path / "ready"
+    slow = f"""
+import hmkcta.encode as e, time
+def slow(*a, **k):
+    open({str(ready)!r}, "w").close()
+    time.sleep(60)
+e.tune = slow
+"""
+    process = start("compress", source, "-o", tmp_path / "a.hmk", *CHOSEN, before=slow)
+    await_size(ready, 0)
+    process.send_signal(signal.SIGINT)
+    code, _, err = finish(process)
+    assert code == 130
+    assert err.splitlines()[-1] == (
+        "hmkcta: interrupted; nothing is left half written, and nothing kept, as the choice of a plan is kept only "
+        "once it is complete. Next: the same command, which begins anew.")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["ready"]
 
 

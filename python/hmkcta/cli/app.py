@@ -20,7 +20,7 @@ from .failure import EXIT_CODES, Exit, Failure
 from .interrupt import Interrupted, interruptible
 from .options import CONTEXT, VERBOSE, WORDS, examples_first
 from .output import emit
-from .resume import abandon, going_on
+from .resume import abandon, going_on, nothing_kept
 from .versions import version_option
 
 EXAMPLES = (
@@ -124,8 +124,8 @@ def may_go_on(ctx: click.Context, error: HmkctaError) -> bool:
 
 def _interruption(ctx: click.Context, number: int) -> Failure:
     name = "interrupted" if number == signal.SIGINT else f"interrupted by {signal.Signals(number).name}"
-    kept = going_on(ctx)
-    return Failure(f"{name}. {kept}" if kept else f"{name}; nothing is left half written.", 128 + number)
+    after = going_on(ctx)
+    return Failure(f"{name}. {after}" if after else f"{name}; {nothing_kept(ctx)}.", 128 + number)
 
 
 def _leave(ctx: click.Context, number: int) -> None:

@@ -38,6 +38,15 @@ def abandon(ctx: click.Context) -> None:
         journal.close()
 
 
+def nothing_kept(ctx: click.Context) -> str:
+    """What to know of a command that leaves nothing to go on with."""
+    if _JOURNAL not in ctx.meta:
+        return "nothing is left half written"
+    planned = any(str(word).partition("=")[0] == "--plan" for word in ctx.meta[WORDS])
+    why = "no node was finished" if planned else "the choice of a plan is kept only once it is complete"
+    return f"nothing is left half written, and nothing kept, as {why}. Next: the same command, which begins anew"
+
+
 def going_on(ctx: click.Context) -> str:
     """What is kept and the command that goes on with it; empty where nothing is."""
     journal: Journal | None = ctx.meta.get(_JOURNAL)
