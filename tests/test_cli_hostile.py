@@ -92,6 +92,44 @@ def test_archives(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
+@pytest.mark.parametrize(("content", "part"), [
+    (b"<!DOCTYPE html>\n<html><body>404</body></html>", "a web page"),
+    (b"\n<html lang=en><head></head></html>", "a web page"),
+    (b"\x93NUMPY\x01\0v\0{'descr': '<f4'}", "hmkcta compress"), (b"PK\x03\x04\x14\0\0\0", "a zip archive"),
+    (b"\x89PNG\r\n\x1a\n", "a PNG picture"), (b"\x89HDF\r\n\x1a\n", "hmkcta compress"),
+    (b"\x1f\x8b\x08\0\0\0\0\0", "gunzip"), (b"version https://git-lfs.github.com/spec/v1\n", "git lfs pull"),
+])
+def test_a_file_that_is_no_hmk_file_is_recognised(content: bytes, part: str, tmp_path: Path) -> None:
+    """Reason and kind are those of the format, and stay."""
+    path = tmp_path / "a.hmk"
+    path.write_bytes(content + bytes(60))
+    with pytest.raises(hmkcta.HmkctaError) as caught:
+        hmkcta.open(path)
+    assert caught.value.reason == ("truncated" if content.startswith(b"\x1f") else "header-too-large")
+    sentence = refused("info", path, code=caught.value.kind.exit_code)
+    assert part in sentence
+    assert "Next: it begins like " in sentence
+
+
+@pytest.mark.parametrize("content", [bytes(range(200, 230)) * 3, b"plain text of somebody" * 3])
+def test_what_looks_like_nothing_is_not_guessed_at(content: bytes, tmp_path: Path) -> None:
+    (tmp_path / "a.hmk").write_bytes(content)
+    assert "Next: check that it is an .hmk file." in refused("info", tmp_path / "a.hmk", code=6)
+
+
+def test_a_compressed_file_is_no_source(source: Path, tmp_path: Path) -> None:
+    run("compress", source, "-o", tmp_path / "a.hmk", *PLAN, "--quiet")
+    sentence = refused("compress", tmp_path / "a.hmk", "-o", tmp_path / "b.hmk", code=3)
+    assert "a compressed file" in sentence
+    assert "hmkcta decompress" in sentence
+
+
+def test_a_pattern_that_matches_nothing(tmp_path: Path) -> None:
+    sentence = refused("compress", tmp_path / "nope*.png", "-o", tmp_path / "b.hmk", code=3)
+    assert "no file that matches" in sentence
+    assert "quote" not in sentence
+
+
 @pytest.mark.parametrize(("words", "part"), [
     (("--nan", "fill=1e308"), "magnitude"), (("--transform", "asinh:1e300"), "1e-30 to 1e+30"),
     (("--organisation", ""), "found ''"), (("--plan", "R=1 /"), "an empty level"), (("--axes", ""), "1 names"),
@@ -110,10 +148,19 @@ def test_words_that_cannot_be(words: tuple[str, ...], part: str) -> None:
     assert part in " ".join(run(*words, code=2).stderr.split())
 
 
-@pytest.mark.parametrize("plan", ["R=7,8,10", "R=1 C=9,1,1", "R=1 grid=axis0:7", "R<=3", "R=1 / R<=2 / R=1"])
+@pytest.mark.parametrize("plan", [
+    "R=7,8,10", "R=1 C=9,1,1", "R=1 grid=axis0:7", "R<=3", "R=1 / R<=2 / R=1", "R=2 C=2 K=3",
+])
 def test_plan_refuses_what_compress_refuses(plan: str, source: Path, tmp_path: Path) -> None:
     sentence = refused("plan", source, "--plan", plan, code=2)
     assert refused("compress", source, "-o", tmp_path / "a.hmk", "--plan", plan, code=2) == sentence
+
+
+def test_plan_refuses_a_kind_that_nothing_could_show(source: Path, tmp_path: Path) -> None:
+    words = ("--axes", "frame,y,x", "--kind", "volume")
+    sentence = refused("plan", source, *words, code=2)
+    assert "3 axes of role space" in sentence
+    assert refused("compress", source, "-o", tmp_path / "a.hmk", *words, code=2) == sentence
 
 
 # Outputs

@@ -87,6 +87,8 @@ FORMATS = (
     _older("DICOM", ((128, b"DICM"),), "NIfTI or NRRD", "convert the whole series: dcm2niix FOLDER"),
     # SciPy reads it, but a damaged one ends the process.
     _older("MATLAB before 7.3", ((0, b"MATLAB 5.0"),), "MATLAB 7.3, which is HDF5", "save it with -v7.3"),
+    _older("a compressed file", ((8, b'{"__metadata__":{"hmkcta"'),), "the array that was compressed",
+           "decode it first: hmkcta decompress IN.hmk -o OUT.npy"),
     _single("NIfTI", (".nii",), nifti.MAGICS, nifti.open_nifti),
     _single("NIfTI", (".nii.gz",), ((0, nifti.GZIP),), nifti.open_gzip),
     _single("NRRD", (".nrrd", ".nhdr"), ((0, nrrd.MAGIC),), nrrd.open_nrrd),
