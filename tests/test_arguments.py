@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -44,11 +45,48 @@ def test_what_a_mask_hides_is_not_compressed_as_data() -> None:
     assert compress(np.ma.masked_array(WAVE, False), "R=2").snr == compress(WAVE, "R=2").snr
 
 
-@pytest.mark.parametrize("axes", ["y, x", ["y", "x"], ("y", Axis("x", 18, "space")), [Axis("y", 20, "space"), "x"]],
-                         ids=str)
+@pytest.mark.parametrize("axes", [
+    "y, x", ["y", "x"], ("y", Axis("x", 18, "space")), [Axis("y", 20, "space"), "x"], np.array(["y", "x"]),
+], ids=str)
 def test_axes_are_named_in_many_ways(axes: Any) -> None:
     named = compress(WAVE, "R=1", axes=axes).metadata.axes
     assert [(axis.name, axis.size, axis.role) for axis in named] == [("y", 20, "space"), ("x", 18, "space")]
+
+
+@pytest.mark.parametrize("axes", [3, {"y", "x"}, b"y,x", [1, 2], ["y", None], np.array("y,x"), Path("y")], ids=str)
+def test_what_names_no_axes_is_said(axes: Any) -> None:
+    error = refused(plan="R=1", axes=axes)
+    assert (error.reason, error.allowed is not None) == ("argument-type", True)
+    assert "in array order" in str(error)
+
+
+@pytest.mark.parametrize(("name", "size", "unit"), [(3, 3, ""), ("y", "3", ""), ("y", 3, 3)], ids=str)
+def test_an_axis_is_described_by_words_and_a_number(name: Any, size: Any, unit: Any) -> None:
+    with pytest.raises(HmkctaError, match="argument-type"):
+        Axis(name, size, unit=unit)
+
+
+@pytest.mark.parametrize("path", ["s.npy", Path("s.npy"), b"s.npy"], ids=repr)
+def test_a_path_is_to_be_opened_first(path: Any) -> None:
+    for refuse in (compress, hmkcta.choose_plan):
+        with pytest.raises(HmkctaError, match="array-is-path") as caught:
+            refuse(path, snr=20)
+        assert "hmkcta.open_array('s.npy')" in str(caught.value)
+    assert hmkcta.open_array.__name__ == "open_array"
+
+
+def test_nested_lists_have_one_length() -> None:
+    assert refused([[1, 2], [3]]).reason == "array-shape"
+
+
+@pytest.mark.parametrize(("axes", "kind", "reason"), [
+    ("frame, y, x, rgb", "volume", "no-space"), ("light, view, x, rgb", "svbrdf", "no-space"),
+    ("t, z, y, x", "lightfield", "no-cameras"), ("theta:view, phi:view, a:view, y, x", "svbrdf", "too-many-directions"),
+])
+def test_a_kind_that_nothing_could_show_is_refused_before_the_fit(axes: str, kind: str, reason: str) -> None:
+    error = refused(np.ones((2,) * len(axes.split(","))), plan="R=1", axes=axes, kind=kind)
+    assert (error.reason, error.where) == (reason, f"axes of a {kind}")
+    assert "NAME:ROLE" in error.hint
 
 
 @pytest.mark.parametrize(("axes", "kind"), [
@@ -87,12 +125,41 @@ def test_coordinates_may_be_lists(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("options", [
     {"snr": "30"}, {"size": "20MiB"}, {"decode_cost": 1.5}, {"seed": None}, {"threads": 2.5}, {"nan": "0"},
-    {"max_memory": "1GB"}, {"organisation": [["axis0"], ["axis1"]]}, {"transform": None}, {"plan": ["R=2"]},
+    {"quality": ["fast"]}, {"progress": 3}, {"journal": "a.partial"}, {"max_memory": "1GB"},
+    {"organisation": [["axis0"], ["axis1"]]}, {"transform": None}, {"plan": ["R=2"]},
 ], ids=str)
 def test_arguments_of_another_type_are_named(options: dict[str, Any]) -> None:
     error = refused(**options)
     assert (error.reason, error.where) == ("argument-type", next(iter(options)))
     assert error.allowed
+
+
+@pytest.mark.parametrize(("name", "call"), cast("list[tuple[str, Callable[[Any], object]]]", [
+    ("level", lambda model: model.at_level("1")), ("level", lambda model: model.at_level([1])),
+    ("coords", lambda model: model.sample("x")), ("coords", lambda model: model.sample([[1, 2], [1]])),
+    ("out", lambda model: model.reconstruct(out=3)), ("max_memory", lambda model: model.reconstruct(max_memory="1GB")),
+    ("path", lambda model: model.save(None)), ("path", lambda model: type(model).save(model, 3)),
+]))
+def test_so_are_those_of_models_files_and_plans(name: str, call: Callable[[Any], object]) -> None:
+    with pytest.raises(HmkctaError, match="argument-type") as caught:
+        call(compress(WAVE, "R=1"))
+    assert caught.value.where == name
+
+
+@pytest.mark.parametrize(("name", "function", "given"), [
+    ("path", hmkcta.open, (None,)), ("uri", hmkcta.open_array, (["a.npy"],)), ("plan", parse_plan, (3, (("y",),))),
+    ("organisation", parse_plan, ("R=1", "y,x")), ("mode of the organisation", parse_plan, ("R=1", ["y", "x"])),
+])
+def test_and_those_of_functions(name: str, function: Callable[..., object], given: tuple[Any, ...]) -> None:
+    with pytest.raises(HmkctaError, match="argument-type") as caught:
+        function(*given)
+    assert caught.value.where == name
+
+
+@pytest.mark.parametrize("shape", ["3,4", 3, [2.5]], ids=str)
+def test_a_shape_is_of_whole_numbers(shape: Any) -> None:
+    with pytest.raises(HmkctaError, match="argument-type"):
+        hmkcta.open_array("a.raw", shape=shape, dtype="f4")
 
 
 def test_numbers_may_be_numpys(tmp_path: Path) -> None:
@@ -105,6 +172,18 @@ def test_numbers_may_be_numpys(tmp_path: Path) -> None:
         numpys: dict[str, Any] = {name: make(value) for (name, value), make in made}
         compress(WAVE, journal=journal, **numpys).save(tmp_path / "numpys.hmk")
     assert (tmp_path / "numpys.hmk").read_bytes() == (tmp_path / "own.hmk").read_bytes()
+
+
+@pytest.mark.parametrize("text", ["R=4 C=2 K=3", "R=4 C=2,3 K=3", "R=2 K=2", "R=1 grid=y:2 K=3"])
+def test_rows_are_in_no_more_clusters_than_there_are(text: str) -> None:
+    with pytest.raises(HmkctaError, match="mixture-out-of-range") as caught:
+        parse_plan(text, (("y",), ("x",)))
+    assert "lower K, or raise C" in str(caught.value)
+
+
+def test_small_nodes_have_fewer_clusters_than_the_plan() -> None:
+    assert parse_plan("R=1 C=4,1 K=3", (("y",), ("x",))).levels[0].mixture == (3, 1)
+    assert parse_plan("R=1 C=4,3 K=3", (("y",), ("x",))).levels[0].clamped((2, 9)).mixture == (2, 3)
 
 
 def test_a_level_has_one_of_each_for_every_mode() -> None:

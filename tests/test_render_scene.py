@@ -104,7 +104,7 @@ def test_layouts_find_axes_by_role() -> None:
     assert reason("no-space", lay_out, name_axes((2, 3), ["time", "x"]), "volume").where == "axes of a volume"
     reason("no-cameras", lay_out, name_axes((2, 3), ["y", "x"]), "lightfield")
     lamps = name_axes((2, 2, 2, 3, 3), ["light", "lamp:light", "flash:light", "y", "x"])
-    assert reason("too-many-directions", lay_out, lamps, "svbrdf").where == "axes of lights and views"
+    assert reason("too-many-directions", lay_out, lamps, "svbrdf").where == "axes of a svbrdf"
     reason("position-outside", lay_out, name_axes((2, 3), ["y", "x"]), "svbrdf", {"y": 2})
 
 

@@ -6,15 +6,16 @@ listed order (`docs/format.md`, section 2). The paper folds colour into the ligh
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass, replace
 from math import prod
-from typing import Any
+from numbers import Integral
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import invalid
+from .errors import expect, invalid, shown
 
 ROLES = ("space", "view", "light", "time", "channel", "other")
 #: Most numbers that a coordinate of an index may have.
@@ -43,10 +44,34 @@ class Axis:
     unit: str = ""
 
     def __post_init__(self) -> None:
+        expect("axis name", self.name, str, "a word")
+        expect(f"size of axis {self.name!r}", self.size, Integral, "a whole number")
+        expect(f"unit of axis {self.name!r}", self.unit, str, "text such as degrees, or none")
         if self.role not in ROLES:
             raise invalid("unknown-role", f"role of axis {self.name!r}", self.role, ", ".join(ROLES))
         if not self.name or any(c in self.name for c in "+, /=") or not self.name.isprintable():
             raise invalid("bad-axis-name", "axis name", repr(self.name), "a word without + , / = or space")
+
+
+def listed_axes(axes: object) -> Sequence[Axis | str]:
+    """What callers give for axes, listed: names in one text, or any sequence of names and `Axis` objects.
+
+    >>> listed_axes("light, y, x"), listed_axes(np.array(["y", "x"]))
+    (['light', ' y', ' x'], ['y', 'x'])
+
+    Raises:
+        HmkctaError: something else, or a set, whose order says nothing.
+    """
+    if isinstance(axes, str):
+        return axes.split(",")
+    words = 'names in array order: "light, view, y, x", or a list of names and Axis objects'
+    expect("axes", axes, Iterable, words)
+    if isinstance(axes, Set | bytes) or (isinstance(axes, np.ndarray) and axes.ndim != 1):
+        raise invalid("argument-type", "axes", shown(cast(object, axes)), words)
+    listed = list(cast("Iterable[Any]", axes))
+    for axis in listed:
+        expect("name of an axis", axis, str | Axis, words)
+    return [axis if isinstance(axis, Axis) else str(axis) for axis in listed]
 
 
 def name_axes(shape: Sequence[int], names: Sequence[str] | None = None) -> tuple[Axis, ...]:
@@ -78,6 +103,31 @@ def name_axes(shape: Sequence[int], names: Sequence[str] | None = None) -> tuple
     return tuple(axes)
 
 
+def check_kind(axes: Sequence[Axis], kind: str) -> None:
+    """Refuse what nothing that shows a kind could show, for lack of axes of the roles that it needs.
+
+    >>> check_kind(name_axes((4, 8, 8, 3), ["light", "y", "x", "rgb"]), "svbrdf")
+
+    Raises:
+        HmkctaError: too few axes of space; more than two of lights or of views; a light field without cameras.
+    """
+    if kind == "generic":
+        return
+    named = ", ".join(f"{axis.name} ({axis.role})" for axis in axes)
+    hint = "give roles when compressing, --axes NAME:ROLE,.., or another --kind"
+    roles = [axis.role for axis in axes]
+    wanted, views = 3 if kind == "volume" else 2, roles.count("view")
+    if roles.count("space") < wanted:
+        raise invalid("no-space", f"axes of a {kind}", named, f"{wanted} axes of role space", hint)
+    if kind == "svbrdf" and max(roles.count("light"), views) > 2:
+        raise invalid("too-many-directions", f"axes of a {kind}", named,
+                      "of lights and of views one axis each with directions as coords, or two with angles "
+                      "(zenith, azimuth)", hint)
+    if kind == "lightfield" and not 1 <= views <= 2:
+        raise invalid("no-cameras", f"axes of a {kind}", named,
+                      "one axis of role view (cameras) or two (row, column of cameras)", hint)
+
+
 def checked_coords(axis: Axis) -> Axis:
     """The axis, its coordinates an array that a file can hold.
 
@@ -103,6 +153,18 @@ def checked_coords(axis: Axis) -> Axis:
         raise invalid("coords", where, f"{int((~np.isfinite(coords)).sum())} that are NaN or infinite",
                       "finite numbers")
     return replace(axis, coords=coords)
+
+
+def check_modes(organisation: object) -> None:
+    """Refuse modes that are not lists of names of axes; a text would be taken for a list of letters.
+
+    Raises:
+        HmkctaError: reason ``argument-type``.
+    """
+    words = 'names of axes for each mode, (("light", "rgb"), ("view",), ("y",), ("x",))'
+    expect("organisation", organisation, tuple | list, words)
+    for mode in cast("Sequence[object]", organisation):
+        expect("mode of the organisation", mode, tuple | list, words)
 
 
 def separate(axes: Sequence[Axis]) -> Organisation:

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from math import inf, isfinite, prod
 from numbers import Integral, Real
-from typing import Any
+from typing import Any, cast
 from warnings import warn
 
 from . import backends as kernels
-from .axes import Axis, mode_sizes
+from .axes import Axis, check_kind, mode_sizes
 from .backends import Device
-from .errors import invalid
+from .errors import expect, invalid
 from .finer import SMALL, finer
 from .fit import EFFORTS
 from .follow import Task, follow, follow_any
@@ -70,7 +70,7 @@ def choose_plan(
     """
     run = _run(quality, scheme, decode_cost, seed, threads, progress)
     snr, size = _goal(snr, size)
-    _check_types(organisation, transform, nan, max_memory)
+    _check_types(array, organisation, transform, nan, max_memory)
     with _threads(run.threads):
         source = prepare(array, axes, transform, nan, run.threads)
         return _chosen(source, run, _wanted(snr, size, decode_cost, organisation, max_memory))[0]
@@ -112,7 +112,8 @@ def compress(
         scheme: ``most``, ``least``, ``uniform`` or ``auto`` (the best of the three) subdivision of explicit levels.
         transform: value transform for high dynamic range, e.g. ``log1p``.
         nan: value to put for NaN and infinity; None: refuse them.
-        kind: ``svbrdf``, ``lightfield``, ``volume`` or ``generic``; None: from the roles of the axes.
+        kind: ``svbrdf``, ``lightfield``, ``volume`` or ``generic``, whose roles the axes must have; None: what their
+            roles make.
         seed: the same seed makes the same file.
         threads: how many; None: all cores.
         max_memory: bytes to work in; None: half of what is free. A tensor too large for it is streamed, by way of
@@ -141,13 +142,15 @@ def compress(
     device = _found(device)
     run = replace(_run(quality, scheme, decode_cost, seed, threads, progress), device=device.name)
     snr, size = _goal(snr, size)
-    _check_types(organisation, transform, nan, max_memory)
-    _expect("plan", plan, Plan | str | None, "text such as R=4,4,6,6, or a Plan")
+    _check_types(array, organisation, transform, nan, max_memory)
+    expect("plan", plan, Plan | str | None, "text such as R=4,4,6,6, or a Plan")
+    expect("journal", journal, Journal | None, "a Journal")
     if kind is not None and kind not in KINDS:
         raise invalid("unknown-kind", "kind", kind, ", ".join(KINDS))
     wanted = _wanted(snr, size, decode_cost, organisation, max_memory)
     with _threads(run.threads):
         source = prepare(array, axes, transform, nan, run.threads)
+        check_kind(source.axes, kind or source.kind)
         if isinstance(plan, str):
             modes = source.organisation(organisation)
             plan = replace(parse_plan(plan, modes, "most" if scheme == "auto" else scheme), snr=snr, size=size)
@@ -186,13 +189,15 @@ def _found(wanted: str | Device) -> Device:
 
 
 def _run(quality: str, scheme: str, decode_cost: int, seed: int, threads: int | None, progress: Progress | None) -> Run:
+    expect("quality", quality, str, ", ".join(EFFORTS))
+    expect("progress", progress, Callable | None, "a function of a stage's name and the fraction done")
     if quality not in EFFORTS:
         raise invalid("unknown-quality", "quality", quality, ", ".join(EFFORTS))
     if scheme not in (*SCHEMES, "auto"):
         raise invalid("unknown-scheme", "scheme", scheme, ", ".join((*SCHEMES, "auto")))
-    _expect("threads", threads, Integral | None, "a whole number")
-    _expect("decode_cost", decode_cost, Integral, "a whole number")
-    _expect("seed", seed, Integral, "a whole number")
+    expect("threads", threads, Integral | None, "a whole number")
+    expect("decode_cost", decode_cost, Integral, "a whole number")
+    expect("seed", seed, Integral, "a whole number")
     if threads is not None and threads < 1:
         raise invalid("threads", "threads", threads, "1 or more")
     if decode_cost < 1:
@@ -202,23 +207,20 @@ def _run(quality: str, scheme: str, decode_cost: int, seed: int, threads: int | 
     return Run(EFFORTS[quality], int(seed), threads or os.cpu_count() or 1, progress or nobody)
 
 
-def _expect(name: str, value: object, types: Any, words: str) -> None:
-    """Refuse an argument of another type by its name, before something deep inside stumbles over it."""
-    if not isinstance(value, types):
-        raise invalid("argument-type", name, repr(value), words)
-
-
-def _check_types(organisation: object, transform: object, nan: object, max_memory: object) -> None:
-    _expect("organisation", organisation, str | None, 'text such as "light+rgb, view, y+x"')
-    _expect("transform", transform, str, 'text such as "log1p:0.5"')
-    _expect("nan", nan, Real | None, "a number")
-    _expect("max_memory", max_memory, Integral | None, "a whole number of bytes")
+def _check_types(array: object, organisation: object, transform: object, nan: object, max_memory: object) -> None:
+    if isinstance(array, str | bytes | os.PathLike):
+        path = repr(os.fsdecode(cast("str | bytes | os.PathLike[str]", array)))
+        raise invalid("array-is-path", "array", f"a path, {path}", "an array", f"open it: hmkcta.open_array({path})")
+    expect("organisation", organisation, str | None, 'text such as "light+rgb, view, y+x"')
+    expect("transform", transform, str, 'text such as "log1p:0.5"')
+    expect("nan", nan, Real | None, "a number")
+    expect("max_memory", max_memory, Integral | None, "a whole number of bytes")
 
 
 def _goal(snr: float | None, size: int | None) -> tuple[float | None, int | None]:
     """The goal in Python's own numbers, whose range NumPy's may not have."""
-    _expect("snr", snr, Real | None, "a number of dB")
-    _expect("size", size, Real | None, "a number of bytes")
+    expect("snr", snr, Real | None, "a number of dB")
+    expect("size", size, Real | None, "a number of bytes")
     if snr is not None and size is not None:
         raise invalid("two-goals", "goal", "snr and size", "one of them", "drop --snr or --size")
     if snr is not None and not isfinite(snr):

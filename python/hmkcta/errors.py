@@ -7,6 +7,10 @@ what is allowed and what to do next. The TypeScript reader uses the same codes.
 from __future__ import annotations
 
 from enum import Enum
+from typing import Any
+
+#: Letters of a value that is shown.
+SHOWN = 80
 
 
 class Kind(Enum):
@@ -57,3 +61,25 @@ class HmkctaError(Exception):
 def invalid(reason: str, where: str, found: object = None, allowed: object = None, hint: str = "") -> HmkctaError:
     """An `InvalidArgument` error: what the caller asked for cannot be."""
     return HmkctaError(Kind.INVALID_ARGUMENT, reason, where, found=found, allowed=allowed, hint=hint)
+
+
+def expect(name: str, value: object, types: Any, words: str, hint: str = "") -> None:
+    """Refuse an argument of another type by its name, before something deep inside stumbles over it.
+
+    >>> expect("level", "1", int, "a whole number")
+    Traceback (most recent call last):
+        ...
+    hmkcta.errors.HmkctaError: level: found '1', allowed a whole number. [InvalidArgument/argument-type]
+    """
+    if not isinstance(value, types):
+        raise invalid("argument-type", name, shown(value), words, hint)
+
+
+def shown(value: object) -> str:
+    """A value of whatever type and length as a sentence has it.
+
+    >>> shown([1] * 100)[-10:]
+    ', 1, 1, ..'
+    """
+    text = " ".join(repr(value).split())
+    return text if len(text) <= SHOWN else f"{text[: SHOWN - 3].rsplit(maxsplit=1)[0]} .."

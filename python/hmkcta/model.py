@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import cached_property
 from itertools import product
 from math import nan, prod
+from numbers import Integral
 from typing import Any, Final, final
 
 import numpy as np
@@ -15,7 +16,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from .axes import axis_order, mode_sizes
 from .decode import decode_block, decode_elements
-from .errors import invalid
+from .errors import expect, invalid, shown
 from .hmkfile import encoded_size, load, save
 from .indexing import Index, Selection, select
 from .memory import available_memory, check_memory, format_bytes
@@ -145,6 +146,7 @@ class Model:
         Raises:
             HmkctaError: there is a file already and `overwrite` is false; it cannot be written.
         """
+        expect("path", path, str | bytes | os.PathLike, "the path of a file")
         save(path, self.metadata, self.levels, overwrite=overwrite)
 
     def at_level(self, level: int) -> Model:
@@ -153,6 +155,7 @@ class Model:
         Raises:
             HmkctaError: not 1..L.
         """
+        expect("level", level, Integral, "a whole number")
         if not 1 <= level <= len(self.levels):
             raise invalid("level-out-of-range", "level", level, f"1 to {len(self.levels)}")
         if level == len(self.levels):
@@ -200,7 +203,11 @@ class Model:
         Raises:
             HmkctaError: a position outside or NaN, or not `ndim` numbers each.
         """
-        points = np.asarray(coords, np.float64)
+        try:
+            points = np.asarray(coords, np.float64)
+        except (TypeError, ValueError):  # words, or lists of different lengths
+            allowed = f"[.., {self.ndim}] numbers, one an axis"
+            raise invalid("argument-type", "coords", shown(coords), allowed) from None
         if not points.ndim or points.shape[-1] != self.ndim:
             raise invalid("coords-shape", "coords", f"shape {points.shape}", f"[.., {self.ndim}], one number an axis")
         flat = points.reshape(-1, self.ndim)
@@ -230,6 +237,8 @@ class Model:
         Raises:
             HmkctaError: `out` has another shape or holds neither floats nor integers; the memory does not suffice.
         """
+        expect("out", out, np.ndarray | None, "an array")
+        expect("max_memory", max_memory, Integral | None, "a whole number of bytes")
         if out is not None and (out.shape != self.shape or out.dtype.kind not in "fiub"):
             raise invalid("out-shape", "out", f"{out.dtype} of shape {out.shape}",
                           f"floats or integers of shape {self.shape}")
@@ -381,5 +390,6 @@ def open(path: str | os.PathLike[str], verify: bool = True) -> Model:
     Raises:
         HmkctaError: it is missing, damaged, or of a later version.
     """
+    expect("path", path, str | bytes | os.PathLike, "the path of an .hmk file")
     metadata, levels = load(path, verify=verify)
     return Model(metadata, levels)

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from itertools import product
 from math import comb, prod
 
-from .axes import Organisation
-from .errors import invalid
+from .axes import Organisation, check_modes
+from .errors import expect, invalid
 
 SCHEMES = ("most", "least", "uniform")
 
@@ -71,7 +71,8 @@ class LevelSpec:
                 raise invalid("clusters-too-small", f"C of {mode}", clusters, "1 or more")
             if not 1 <= mixture <= min(clusters, 8):
                 raise invalid(
-                    "mixture-out-of-range", f"K of {mode}", mixture, f"1 to {min(clusters, 8)} (C is {clusters})"
+                    "mixture-out-of-range", f"K of {mode}", mixture, f"1 to {min(clusters, 8)} (C is {clusters})",
+                    "a row is in K of C clusters: lower K, or raise C",
                 )
             if rank is None and clusters > 1:
                 raise invalid(
@@ -196,7 +197,7 @@ def multiply_adds(cost: int) -> str:
 def parse_level(text: str, organisation: Organisation, scheme: str = "most") -> LevelSpec:
     """Read one level, e.g. ``R=2,2,3,* C=4,3,4,1 K=2``, ``R=1 grid=y:4,x:6`` or ``R<=8,8,8,*``.
 
-    One number stands for all modes; K is clamped to C, so that ``K=2`` leaves unclustered modes alone.
+    One number stands for all modes, K for those that have clusters: ``K=2`` leaves unclustered modes alone.
 
     >>> modes = (("light", "rgb"), ("view",), ("y",), ("x",))
     >>> parse_level("R=2,2,3,* C=4,3,4,1 K=2", modes).mixture
@@ -230,8 +231,8 @@ def parse_level(text: str, organisation: Organisation, scheme: str = "most") -> 
         clusters = tuple(_number("C", word) for word in _words("C", words["C"], order))
     given = _words("K", words.get("K", "1"), order)
     mixture = tuple(_number("K", word) for word in given)
-    if len(set(given)) == 1:
-        mixture = tuple(min(k, c) for k, c in zip(mixture, clusters, strict=True))
+    if len(set(given)) == 1 and max(clusters) > 1:
+        mixture = tuple(min(k, 1) if c == 1 else k for k, c in zip(mixture, clusters, strict=True))
     return LevelSpec(ranks, clusters, mixture, "most" if grid else scheme, grid, own, cuts, fewest)
 
 
@@ -295,6 +296,8 @@ class Plan:
 
 def parse_plan(text: str, organisation: Organisation, scheme: str = "most") -> Plan:
     """Read levels parted by ``/``; see `parse_level`."""
+    expect("plan", text, str, "text such as R=4,4,6,6")
+    check_modes(organisation)
     return Plan(organisation, tuple(parse_level(part, organisation, scheme) for part in text.split("/")))
 
 

@@ -12,8 +12,18 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from .axes import Axis, Organisation, checked_coords, mode_rows, name_axes, organise, parse_organisation, separate
-from .errors import invalid
+from .axes import (
+    Axis,
+    Organisation,
+    checked_coords,
+    listed_axes,
+    mode_rows,
+    name_axes,
+    organise,
+    parse_organisation,
+    separate,
+)
+from .errors import invalid, shown
 from .memory import drop_pages
 from .slabs import slabs
 from .transform import Transform, parse
@@ -146,7 +156,10 @@ def described(array: Any, axes: Sequence[Axis] | Sequence[str] | None = None, tr
             fit, or no such transform.
     """
     axes = axes if axes is not None else _dimensions(array)
-    array = cast(NDArray[Any], np.asanyarray(array))
+    try:
+        array = cast(NDArray[Any], np.asanyarray(array))
+    except ValueError:  # nested lists of different lengths
+        raise invalid("array-shape", "array", shown(array), "as many numbers in each of its lists") from None
     if array.dtype.kind not in "bfiu":
         raise invalid("dtype", "array", f"dtype {array.dtype}", "floating point, integers or booleans")
     if np.ma.is_masked(array):  # what is behind a mask would be compressed as if it were data
@@ -199,8 +212,8 @@ def _dimensions(array: Any) -> list[str] | None:
 
 
 def _named(shape: tuple[int, ...], axes: Sequence[Axis] | Sequence[str] | None) -> tuple[Axis, ...]:
-    given = axes.split(",") if isinstance(axes, str) else list(axes or [])  # as on the command line
-    named = name_axes(shape, [axis.name if isinstance(axis, Axis) else str(axis) for axis in given] or None)
+    given: Sequence[Axis | str] = [] if axes is None else listed_axes(axes)
+    named = name_axes(shape, [axis.name if isinstance(axis, Axis) else axis for axis in given] or None)
     if not given:
         return named
     for axis, size in zip(given, shape, strict=True):

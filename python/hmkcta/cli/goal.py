@@ -10,7 +10,7 @@ from typing import Any, cast
 import click
 from numpy.typing import NDArray
 
-from ..axes import format_organisation, name_axes
+from ..axes import check_kind, format_organisation, name_axes
 from ..errors import invalid
 from ..fit import EFFORTS
 from ..hmkfile import KINDS
@@ -67,7 +67,13 @@ class Goal:
         return open_array(path, **self.source, max_memory=self.settings["max_memory"], progress=progress)
 
     def settings_for(self, array: NDArray[Any]) -> dict[str, Any]:
-        """The settings, with the coordinates and units of the axes of the source."""
+        """The settings, with the coordinates and units of the axes of the source.
+
+        Raises:
+            HmkctaError: an axis that is not there, coordinates that cannot be read, axes that do not make the --kind.
+        """
+        if self.kind is not None:
+            check_kind(name_axes(array.shape, self.settings["axes"]), self.kind)
         if not any(self.along.values()):
             return self.settings
         axes = {axis.name: axis for axis in name_axes(array.shape, self.settings["axes"])}

@@ -10,7 +10,7 @@ from typing import Any
 
 from numpy.typing import DTypeLike, NDArray
 
-from ..errors import invalid
+from ..errors import expect, invalid
 from ..progress import Progress
 from .formats import FORMATS, PAGES, format_of
 from .raw import open_raw
@@ -50,6 +50,7 @@ def open_array(
     ...     hmkcta.open_array(f"{folder}/a.npy").tolist(), hmkcta.open_array(f"{folder}/*.npy").shape
     ([[1.0, 0.0], [0.0, 1.0]], (1, 2, 2))
     """
+    expect("uri", uri, str | os.PathLike, "the path of a file, with :member, or a pattern")
     if shape is not None or dtype is not None or order != "C" or offset:
         if member is not None:
             raise invalid("source-member", f"member of {uri}", repr(member), "none: raw binary is one array")
@@ -102,7 +103,8 @@ def _is_pattern(place: str) -> bool:
 def _matches(pattern: str) -> list[Path]:
     found = sorted(_found(pattern), key=natural)
     if not found:
-        raise io_error("unreadable", pattern, "no file of that pattern", "one or more", "quote it: 'shots/*.exr'")
+        raise io_error("unreadable", pattern, "no file that matches", "one or more",
+                       "check the folder that the pattern begins with, and what it ends with")
     return found
 
 

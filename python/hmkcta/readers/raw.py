@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from ..errors import invalid
+from ..errors import invalid, shown
 from .source import Layout, check_layout, io_error, mapped, opened
 
 
@@ -25,7 +26,11 @@ def open_raw(
         missing = " and ".join(name for name, given in (("shape", shape), ("dtype", dtype)) if given is None)
         raise invalid("raw-description", missing, "none", "both shape and dtype, which raw binary needs",
                       f"give the {missing} too, or nothing of the kind for other formats")
-    layout = Layout(tuple(map(int, shape)), _number_type(dtype), _is_fortran(order))
+    try:
+        sizes = tuple(operator.index(size) for size in shape)
+    except TypeError:
+        raise invalid("argument-type", "shape", shown(shape), "whole numbers, one an axis: (64, 64, 3)") from None
+    layout = Layout(sizes, _number_type(dtype), _is_fortran(order))
     check_layout(layout, str(path))
     if offset < 0:
         raise invalid("raw-offset", "offset", offset, "0 or more")

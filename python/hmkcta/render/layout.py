@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..axes import Axis
+from ..axes import Axis, check_kind
 from ..errors import invalid
 
 #: Elements that decide white and the window of a picture; they are picked by a multiplicative hash.
@@ -64,14 +64,11 @@ def lay_out(axes: Sequence[Axis], kind: str, position: Mapping[str, int] | None 
     roles: dict[str, list[int]] = {}
     for number, axis in enumerate(axes):
         roles.setdefault(axis.role, []).append(number)
-    space = _space(roles.get("space", []), axes, kind)
+    check_kind(axes, kind)
+    space = tuple(roles.get("space", []))
+    if kind != "generic":  # the last ones in array order: z, y, x of a volume, else y, x
+        space = space[-3 if kind == "volume" else -2 :]
     lights, views = roles.get("light", []), roles.get("view", [])
-    if kind == "svbrdf" and (len(lights) > 2 or len(views) > 2):
-        named = ", ".join(axes[n].name for n in (*lights, *views))
-        raise invalid("too-many-directions", "axes of lights and views", named,
-                      "one axis of each with directions as coords, or two with angles (zenith, azimuth)")
-    if kind == "lightfield" and not 1 <= len(views) <= 2:
-        raise invalid("no-cameras", "axes of role view", len(views), "one (cameras) or two (row, column of cameras)")
     channel = next((n for n in roles.get("channel", []) if axes[n].size > 1), None)
     time = next(iter(roles.get("time", [])), None)
     stands = _stands(axes, position or {})
@@ -115,18 +112,6 @@ def time_steps(time: float | None, count: int) -> tuple[tuple[int, int], tuple[f
         raise invalid("time-out-of-range", "time", time, f"0 to {count - 1} (frames, from 0)")
     first = min(int(place), max(count - 2, 0))
     return (first, min(first + 1, count - 1)), (1.0 - (place - first), place - first)
-
-
-def _space(found: list[int], axes: Sequence[Axis], kind: str) -> tuple[int, ...]:
-    """The last axes of role space in array order: z, y, x of a volume, else y, x."""
-    if kind == "generic":
-        return tuple(found)
-    wanted = 3 if kind == "volume" else 2
-    if len(found) < wanted:
-        named = ", ".join(f"{axis.name} ({axis.role})" for axis in axes)
-        raise invalid("no-space", f"axes of a {kind}", named, f"{wanted} axes of role space",
-                      "give roles with --axes name:role when compressing, or another --kind")
-    return tuple(found[-wanted:])
 
 
 def _channels(axis: Axis, position: Mapping[str, int]) -> tuple[int, ...]:
