@@ -75,9 +75,10 @@ def _few_loud(model: Model, array: NDArray[Any]) -> list[str]:
     if not (error > HIDDEN * spread > 0 and all_of_them > FEW * np.hypot(middle, spread)):
         return []
     helps = ("clip them" if model.metadata.transform["name"] != "identity" else
-             f"--transform asinh:{np.hypot(middle, spread):.1g}, which keeps shares of small values, or clip the large")
-    return [f"half of the values are wrong by {error:.2g} or more, and differ by {spread:.2g}: the SNR is that of "
-            f"a few large ones. Next: {helps}"]
+             f"--transform asinh:{np.hypot(middle, spread):.1g}, which gives small values more weight, "
+             "or clip the large ones")
+    return [f"half of the values are off by {error:.2g} or more, though half of them lie within {spread:.2g} of their "
+            f"median: a few large values make the SNR, and the others are lost. Next: {helps}"]
 
 
 def _moments(array: NDArray[Any]) -> tuple[float, float]:
