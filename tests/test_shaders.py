@@ -88,7 +88,7 @@ def test_colours_in_one_walk(kind: Kind) -> None:
 UNIFORM = {
     "deep": Configuration("deep", "svbrdf", (14, 9, 24, 20),
                           "R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2 / R=2,2,3,3 C=3,3,4,4 K=2", 0, 0),
-    "flat": Configuration("flat", "svbrdf", (14, 9, 24, 20), "R=2,1,3,5 C=5,2,3,4 K=3", 0, 0),
+    "flat": Configuration("flat", "svbrdf", (14, 9, 24, 20), "R=2,1,3,5 C=5,2,3,4 K=3,2,3,3", 0, 0),
     "wide": Configuration("wide", "svbrdf", (14, 9, 24, 20), "R=6,2,10,3 C=3,2,2,2 K=2", 0, 0),
     "odd": Configuration("odd", "svbrdf", (9, 9, 12, 12), "R=3,3,5,5 C=2,1,2,1 K=1 / R=1,3,1,3 C=1,2,1,2 K=1", 0, 0),
 }
