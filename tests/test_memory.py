@@ -15,13 +15,14 @@ from threading import get_ident
 import numpy as np
 import pytest
 
+from cli_tools import report, run, smooth
 from hmkcta import Axis, compress
 from hmkcta.axes import mode_sizes
 from hmkcta.errors import HmkctaError
 from hmkcta.filesize import predicted_bytes
 from hmkcta.fit import EFFORTS
-from hmkcta.forecast import forecast
-from hmkcta.memory import drop_pages
+from hmkcta.forecast import forecast, peak_memory
+from hmkcta.memory import drop_pages, looked_at
 from hmkcta.plan import parse_plan
 from hmkcta.readers import open_array
 from hmkcta.source import Source, described, prepare
@@ -158,6 +159,25 @@ def test_memory_of_a_command_is_what_was_said(waves: Path, words: str, tmp_path:
     assert said / 1.25 < took < 1.25 * said
 
 
+def test_memory_that_a_plan_says_does_not_depend_on_what_the_process_took_before(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", smooth(30, 31, 32))
+    words = ("plan", tmp_path / "a.npy", "--size", "5KB", "--quality", "fast")
+    said = report(*words)["memory"]
+    assert np.ones(peak_memory() // 8 + (1 << 23)).sum() > 0  # the most that this process ever took
+    assert report(*words)["memory"] == said < 100_000_000
+
+
+def test_a_plan_says_what_choosing_it_takes_and_what_following_it(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", smooth(30, 31, 32))
+    words = ("plan", tmp_path / "a.npy", "--size", "5KB", "--quality", "fast")
+    found = report(*words)
+    assert 0 < found["choosing_seconds"] <= found["seconds"]
+    assert "with the plan given, " in run(*words).stdout
+    assert " more to choose it anew" in run(*words).stdout
+    assert report(*words, "--plan", "R<=4")["choosing_seconds"] is None
+    assert " more to choose it anew" not in run(*words, "--plan", "R<=4").stdout
+
+
 def test_scratch_space_is_that_of_the_tensor_where_it_is_subdivided() -> None:
     sizes = (174, 58, 400, 380)
     for text, scratch in [("R=4", 0), ("R=2 C=2", 0), ("R=4 / R=2 C=2 / R=1", 4 * int(np.prod(sizes)))]:
@@ -170,6 +190,16 @@ def test_a_plan_costs_more_time_the_more_it_does() -> None:
     for text, effort in [("R=2", "fast"), ("R=2 C=2 K=2", "fast"), ("R=2 C=2 K=2", "medium")]:
         seconds.append(forecast(parse_plan(text, MODES), sizes, EFFORTS[effort], 2, None).seconds)
     assert seconds == sorted(set(seconds))
+
+
+def test_clusters_of_long_modes_cost_what_finding_them_takes() -> None:
+    """K-means of many rows takes longer than all of the fit."""
+    modes, sizes = (("pixel",), ("frame",)), (200_000, 60)
+
+    def seconds(plan: str) -> float:
+        return forecast(parse_plan(plan, modes), sizes, EFFORTS["medium"], 2, None).seconds
+
+    assert seconds("R<=60,* C=64,1") > 3 * seconds("R<=60,* C=2,1") > seconds("R<=60,*")
 
 
 def test_sweeps_take_little_of_the_time_where_they_are_of_a_workset() -> None:
@@ -221,7 +251,7 @@ def test_less_memory_than_anything_needs_is_refused(waves: Path) -> None:
 def test_an_array_is_looked_at_by_so_many_threads_within_one_slab(
     monkeypatch: pytest.MonkeyPatch, threads: int
 ) -> None:
-    monkeypatch.setattr("hmkcta.source._SLAB", 1 << 18)
+    monkeypatch.setattr("hmkcta.source.SLAB", 1 << 18)
     extent, workers, sizes = Source.extent, set[int](), list[int]()
 
     def watched(source: Source, part: tuple[slice, ...]) -> tuple[float, float]:
@@ -269,6 +299,45 @@ def test_pages_of_a_mapped_file_are_let_go_of(waves: Path) -> None:
     assert looked_at - before > 30_000_000
     assert resident() - before < 10_000_000
     assert float(array[SIDE // 2 :].sum()) == total
+
+
+#: Looks at a mapped file, its axes turned, and says by how much the process grew.
+LOOK = """
+import sys
+import numpy as np
+from hmkcta.forecast import peak_memory
+from hmkcta.source import described, prepare
+array = np.load(sys.argv[1], mmap_mode="r").transpose([int(n) for n in sys.argv[2]])
+source = described(array)
+prepare(array[:2, :2, :2, :2], None, "identity", None, 1)
+before = peak_memory()
+if sys.argv[3] == "all":
+    prepare(array, None, "identity", None, 2)
+else:
+    source.values((slice(None, None, int(sys.argv[3])),) * 4)
+print(peak_memory() - before)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+@pytest.mark.parametrize("turn", ["0123", "3210", "2031"])
+@pytest.mark.parametrize("step", ["all", "2"])
+def test_a_look_at_a_mapped_file_keeps_little_of_it(waves: Path, turn: str, step: str) -> None:
+    """Every few rows touch every page of it, as does each slab where other axes vary fastest."""
+    assert int(printed(LOOK, waves, turn, step)) < 0.85 * waves.stat().st_size
+
+
+@pytest.mark.parametrize("turn", [(0, 1, 2), (2, 1, 0), (1, 0, 2)])
+@pytest.mark.parametrize("most", [1 << 16, 1 << 17])
+def test_what_is_read_piece_by_piece_is_what_is_there(
+    turn: tuple[int, ...], most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hmkcta.memory._LOOKED_AT", most)
+    np.save(tmp_path / "a.npy", np.random.default_rng(0).random((40, 50, 300)))
+    array = np.load(tmp_path / "a.npy", mmap_mode="r").transpose(turn)
+    parts = [(), (slice(3, 30),), (slice(None, None, 7), slice(2, None, 3)), (slice(None), slice(0, 1)), (slice(9, 9),)]
+    for part in [*parts, (slice(None, None, -2),), (slice(None), slice(None), slice(5, None, 11))]:
+        assert np.array_equal(looked_at(array, part), array[part])
 
 
 @pytest.mark.skipif(sys.platform != "linux" or os.confstr("CS_GNU_LIBC_VERSION") is None, reason="not glibc")

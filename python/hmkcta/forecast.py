@@ -10,10 +10,12 @@ from math import prod
 from pathlib import Path
 
 from .disjoint import JUDGING
-from .fit import Effort
+from .fit import EFFORTS, Effort
+from .judging import CARES
 from .measure import SLAB as MEASURED
 from .plan import LevelSpec, Plan
-from .predict import FLAT, MODEL, WORKING, is_streamed, memory_limit
+from .predict import FLAT, MODEL, WORKING, is_streamed, memory_limit, sampled_together
+from .source import SLAB as CHECKED
 from .streamed import SLAB
 from .subdivision import CAP
 from .workset import blocks, check_worksets, fitting_bytes, joint_bytes, projected_share, workset, worksets
@@ -24,6 +26,9 @@ _RESIDUAL, _SAVED = 4, 4
 _MEASURING = 36
 #: Bytes of the interpreter with everything loaded; the share of what a stage took that its heaps keep from the next.
 _BASE, _KEPT = 56 * 2**20, 0.3
+#: Bytes for each element of a slab of a source that is checked, and of a sample that plans are judged on; and what each
+#: further thread takes of the latter, as samples are seldom at their largest together.
+_CHECKED, _SAMPLED, _BESIDE = 17, 18, 0.6
 #: Bytes for each element of a block that shares none with others, which is fitted in place.
 _BLOCK = 8
 #: Copies of a slab that are made while it is read and worked on, or cut into blocks; and of its projections.
@@ -36,6 +41,8 @@ _HEAPS = 40 * 2**20
 #: Nanoseconds of one core for each element: to read, hash, look at and measure the source; to find a start; of a
 #: sweep; of HOOI; to write a piece and read it. One core of a 2023 server.
 _SOURCE_NS, _START_NS, _SWEEP_NS, _HOOI_NS, _PIECE_NS = 35.0, 25.0, 15.0, 10.0, 15.0
+#: Of k-means for each row, cluster and start.
+_ROW_NS = 215.0
 #: What each further thread does of the work of one.
 _SECOND = 0.7
 
@@ -64,25 +71,25 @@ def forecast(
 ) -> Forecast:
     """The cost of a plan for a tensor of the given mode sizes, `memory` bytes allowed (None: half of what is free).
 
-    `held` are the bytes of the source if it is in memory as a whole; `choosing` the most that the process took while it
-    chose the plan, 0 if it is given. Memory is also for the model of a streamed tensor, unless an SNR decides how large
+    `held` are the bytes of the source if it is in memory as a whole; `choosing` those that `choosing_bytes` tells, 0 if
+    the plan is given. Memory is also for the model of a streamed tensor, unless an SNR decides how large
     that will be.
     """
     limit, elements = memory_limit(plan, sizes, memory), prod(sizes)
-    own, chosen = plan.levels[-1].own, max(0, choosing - held - _BASE)
+    own = plan.levels[-1].own
     if not is_streamed(elements, limit):
         working = WORKING + (_SAVED if own else 0)
         measuring = _RESIDUAL * elements + _MEASURING * min(elements, MEASURED)
-        most = held + _peak(chosen, working * elements, measuring)
+        most = held + _peak(choosing, working * elements, measuring)
         return Forecast(most, 0, _seconds(plan, sizes, effort, threads, limit))
     check_worksets(plan, sizes, limit, memory)
     if limit == elements:  # fitted in place
-        return Forecast(held + _peak(chosen, FLAT * elements), 0, _seconds(plan, sizes, effort, threads, limit))
+        return Forecast(held + _peak(choosing, FLAT * elements), 0, _seconds(plan, sizes, effort, threads, limit))
     cut = next((n for n, level in enumerate(plan.levels[:-1]) if level.cells > 1), None)
     working = _outside(plan, sizes, limit, threads, cut)
     copies = int(cut is not None or any(level.disjoint or level.cuts for level in plan.levels))
     scratch = 4 * elements * (copies + (1 if own and cut is not None else 0))
-    return Forecast(held + _peak(chosen, working), scratch, _seconds(plan, sizes, effort, threads, limit, cut))
+    return Forecast(held + _peak(choosing, working), scratch, _seconds(plan, sizes, effort, threads, limit, cut))
 
 
 def _outside(plan: Plan, sizes: Sequence[int], limit: int, threads: int, cut: int | None) -> int:
@@ -126,6 +133,19 @@ def _numbers(sizes: Sequence[int], level: LevelSpec) -> int:
     return bases + spec.cells * prod(ranks)
 
 
+def choosing_bytes(elements: int, effort: Effort, threads: int, memory: int | None) -> int:
+    """Most bytes that choosing a plan takes beside the process and a source in memory.
+
+    >>> 100e6 < choosing_bytes(1 << 23, EFFORTS["medium"], threads=2, memory=None) < 300e6
+    True
+    """
+    together = sampled_together(elements, memory)
+    sample = min(elements, together, CARES.get(effort, CARES[EFFORTS["medium"]]).refine)
+    further = max(1, min(threads, together // (2 * sample))) - 1
+    sampled = _SAMPLED * min(elements, 2 * sample)  # blocks are seldom thinned to less than twice what is asked for
+    return _CHECKED * min(elements, CHECKED) + int(sampled * (1 + _BESIDE * further))
+
+
 def peak_memory() -> int:
     """Most resident bytes of this process so far; 0 where the system does not say."""
     with suppress(OSError, StopIteration):
@@ -153,7 +173,7 @@ def _largest(elements: int, level: LevelSpec) -> int:
 def _seconds(
     plan: Plan, sizes: Sequence[int], effort: Effort, threads: int, limit: int, cut: int | None = None
 ) -> float:
-    elements, each = prod(sizes), _SOURCE_NS + (0 if cut is None else _PIECE_NS * (1 + effort.backfits))
+    elements, starts, each = prod(sizes), 0.0, _SOURCE_NS + (0 if cut is None else _PIECE_NS * (1 + effort.backfits))
     for number, level in enumerate(plan.levels, start=1):
         own = effort.at(number, len(plan.levels))
         sweep = _HOOI_NS if level.cells == 1 else _SWEEP_NS
@@ -161,7 +181,11 @@ def _seconds(
         if prod(sizes) > limit and not level.disjoint:  # on a workset, and two passes for all rows
             fit = fit * workset(sizes, level, limit) / prod(sizes) + 2 * sweep
         each += fit
+        if level.cells > 1 and not level.grid and level.scheme != "uniform":  # k-means is of rows, not of elements
+            rows = sum(size * count for size, count in zip(sizes, level.clusters, strict=True) if count > 1)
+            tried = own.candidates if max(level.mixture) == 1 else own.starts
+            starts += _ROW_NS * max(1, tried - 1) * rows * elements / prod(sizes)
         if len(plan.levels) > 1:
             each += effort.backfits * (_SWEEP_NS + 10)
         sizes = blocks(sizes, level)
-    return each * 1e-9 * elements / (1 + _SECOND * (threads - 1))
+    return 1e-9 * (each * elements + starts) / (1 + _SECOND * (threads - 1))

@@ -10,6 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from .errors import HmkctaError, Kind
@@ -19,6 +20,8 @@ _LIMIT, _USED = Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory.c
 #: Parameters of glibc's `mallopt` by number: freed bytes at the top of a heap from which on they are given back; bytes
 #: from which on an allocation is mapped for itself; heaps.
 _MALLOC = {-1: 2**28, -3: 2**25, -8: 1}
+#: Bytes of a mapped file that a read brings into memory around each place it touches; and together, at the most.
+_AROUND, _LOOKED_AT = 1 << 16, 1 << 24
 
 #: Bytes that are there: to ask the system takes longer than to decode an element.
 FEW = 1 << 20
@@ -69,15 +72,52 @@ def drop_pages(array: NDArray[Any]) -> None:
 
     Does nothing to an array that maps no file, or may have been written to.
     """
+    base, advice = _mapped(array), getattr(mmap, "MADV_DONTNEED", None)
+    if base is not None and advice is not None:
+        with suppress(OSError, ValueError):  # a system that has none of it, a map that is closed
+            base.madvise(advice)
+
+
+def looked_at(array: NDArray[Any], part: tuple[slice, ...]) -> NDArray[Any]:
+    """`array[part]`, of a mapped file as a copy where a look at it would bring much more of the file into memory.
+
+    Every few rows of a file touch most of its pages, as rows do that lie across it: pages are dropped on the way.
+    """
+    view = array[part]
+    most = max(_LOOKED_AT, view.nbytes)
+    if _mapped(array) is None or _touched(view) <= most:
+        return np.asarray(view)
+    found = np.empty(view.shape, view.dtype)
+    waiting = [(np.asarray(view), found)]
+    while waiting:
+        values, into = waiting.pop()
+        if (pieces := min(-(-_touched(values) // most), max(values.shape, default=1))) > 1:
+            outer = max((n for n, size in enumerate(values.shape) if size > 1), key=lambda n: abs(values.strides[n]))
+            both = (np.array_split(each, min(pieces, values.shape[outer]), outer) for each in (values, into))
+            waiting += zip(*both, strict=True)
+            continue
+        into[...] = values
+        drop_pages(array)
+    return found
+
+
+def _touched(view: NDArray[Any]) -> int:
+    """Bytes of a mapped file, about, that come into memory when all of a view is looked at."""
+    touched, span = _AROUND, view.itemsize
+    for stride, size in sorted((abs(stride), size) for stride, size in zip(view.strides, view.shape, strict=True)):
+        span += stride * (size - 1)
+        touched = min(touched * size, span + _AROUND)
+    return touched
+
+
+def _mapped(array: NDArray[Any]) -> Any:
+    """The map of a file that the array lies in; None: there is none, or it may have been written to."""
     base: Any = array
     only_read = False
     while base is not None and not isinstance(base, mmap.mmap):
         only_read = only_read or getattr(base, "mode", None) == "r"  # a copy-on-write map would lose what was written
         base = getattr(base, "base", None)
-    advice = getattr(mmap, "MADV_DONTNEED", None)
-    if base is not None and only_read and advice is not None:
-        with suppress(OSError, ValueError):  # a system that has none of it, a map that is closed
-            base.madvise(advice)
+    return base if only_read else None
 
 
 def check_memory(needed: int, what: str, hint: str, limit: int | None = None) -> None:

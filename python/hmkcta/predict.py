@@ -18,6 +18,9 @@ WORKING, PROCESS = 14, 200 * 2**20
 MODEL = 4
 #: Bytes for each element of a tensor that is fitted in place, by sweeps alone.
 FLAT = 5
+#: Elements of all the samples that are worked on at once while a plan is chosen, at most and, where memory is scarce,
+#: at the least; and bytes of memory for each.
+TOGETHER, FEWEST, EACH = 1 << 24, 1 << 20, 40
 
 
 def memory_limit(plan: Plan, sizes: Sequence[int], memory: int | None) -> int:
@@ -45,6 +48,17 @@ def check_least_memory(elements: int, memory: int | None) -> None:
     if memory is not None:
         least = PROCESS + WORKING * min(elements, SMALLEST)
         check_memory(least, "compressing this array", "allow more with --max-memory", memory)
+
+
+def sampled_together(elements: int, memory: int | None) -> int:
+    """Elements of all the samples of a tensor that are worked on at once while a plan is chosen.
+
+    Raises:
+        HmkctaError: the memory given is less than the smallest samples take.
+    """
+    hint = "give the levels by --plan, or raise --max-memory"
+    check_memory(PROCESS + EACH * min(elements, FEWEST), "choosing a plan", hint, memory)
+    return min(TOGETHER, max(FEWEST, (memory_budget(memory) - PROCESS) // EACH))
 
 
 def is_streamed(elements: int, limit: int) -> bool:

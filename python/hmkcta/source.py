@@ -24,12 +24,13 @@ from .axes import (
     separate,
 )
 from .errors import invalid, shown
-from .memory import drop_pages
+from .memory import drop_pages, looked_at
 from .slabs import slabs
 from .transform import Transform, parse
 
 F32 = NDArray[np.float32]
-_SLAB, _SMALL_SLAB = 1 << 22, 1 << 16
+#: Elements of slabs that are checked one after another, and, by many threads, at the least.
+SLAB, _SMALL_SLAB = 1 << 22, 1 << 16
 #: Magnitudes of which the numbers that are stored, and sums of them, keep clear of float32's ends.
 _SMALLEST, _LARGEST = 1e-38, 1e32
 #: What is below this share of the unit is taken for zero.
@@ -96,7 +97,7 @@ class Source:
 
     def transformed(self, part: tuple[slice, ...]) -> NDArray[Any]:
         """The values of a slab or strided block after the value transform."""
-        values = np.asarray(self.array[part])
+        values = looked_at(self.array, part)
         values = values if values.dtype.itemsize >= 4 and values.dtype.kind == "f" else values.astype(np.float64)
         if self.nan is not None:
             values = np.where(np.isfinite(values), values, self.nan)
@@ -193,7 +194,7 @@ def prepare(
     source = replace(source, nan=nan if bad else None, fingerprint={"sha256": digest})
     workers = threads or os.cpu_count() or 1
     with ThreadPoolExecutor(workers) as pool:  # which hold one slab's memory together
-        extents = list(pool.map(source.extent, source.parts(max(_SMALL_SLAB, _SLAB // workers))))
+        extents = list(pool.map(source.extent, source.parts(max(_SMALL_SLAB, SLAB // workers))))
     peak, least = max(high for high, _ in extents), min(low for _, low in extents)
     if 0 < peak < _SMALLEST:
         allowed = f"{_SMALLEST:.0e} or more, or 0, as float32 keeps few digits below"
@@ -229,8 +230,8 @@ def _scan(array: NDArray[Any], nan: float | None) -> tuple[str, bool]:
     count, first, start = 0, 0, 0
     with ThreadPoolExecutor(1) as hashing:
         hashed = None
-        for part in slabs(array.shape, _SLAB):
-            values = np.ascontiguousarray(array[part], array.dtype.newbyteorder("="))
+        for part in slabs(array.shape, SLAB):
+            values = np.ascontiguousarray(looked_at(array, part), array.dtype.newbyteorder("="))
             bad = _not_finite(values)
             if bad is not None:
                 first = first if count else start + int(np.flatnonzero(bad)[0])

@@ -24,10 +24,10 @@ from .fit import EFFORTS
 from .grids import SMALLEST_EDGE, allowed, changed, few_grids
 from .hierarchy import Run
 from .judging import CARES, Choice, Ranked, Search, worth_of
-from .memory import check_memory, memory_budget
+from .memory import memory_budget
 from .organisations import merges, organisations
 from .plan import Plan
-from .predict import PROCESS, WORKING, is_streamed
+from .predict import PROCESS, WORKING, is_streamed, sampled_together
 from .progress import Progress, share_of
 from .source import Source
 from .trial import OUT_OF_REACH, Kinds, trial_of
@@ -36,9 +36,6 @@ from .trial import OUT_OF_REACH, Kinds, trial_of
 WORTHWHILE = 0.01
 #: Up to so many axes all organisations are tried; of more, the best so many are merged further.
 FEW_AXES, BEAM = 5, 3
-#: Elements of all the samples that are worked on at once, at most and, where memory is scarce, at the least; and bytes
-#: of memory for each.
-TOGETHER, FEWEST, EACH = 1 << 24, 1 << 20, 40
 #: In dB or octaves of bytes: twice as many blocks are tried where one more loses no more than the first, and none again
 #: where one loses more than the second.
 STEEP, HOPELESS = 0.05, 0.5
@@ -81,9 +78,7 @@ def tune(
         HmkctaError: the size is too small for the array, or `memory` bytes (None: half of what is free) for a search.
     """
     elements = prod(source.shape)
-    hint = "give the levels by --plan, or raise --max-memory"
-    check_memory(PROCESS + EACH * min(elements, FEWEST), "choosing a plan", hint, memory)
-    together = min(TOGETHER, max(FEWEST, (memory_budget(memory) - PROCESS) // EACH))
+    together = sampled_together(elements, memory)
     plain = next(organisations(source.axes)) if organisation is None else organisation
     trial = trial_of(source, size, ceiling if snr is None else snr, decode_cost, run.seed)
     trial = replace(trial, room=2 * together)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from math import prod
+from time import perf_counter
 from typing import Any
 
 import click
@@ -14,7 +15,7 @@ from ..axes import format_organisation, mode_sizes
 from ..encode import choose_plan
 from ..filesize import predicted_bytes
 from ..fit import EFFORTS
-from ..forecast import Forecast, forecast, peak_memory
+from ..forecast import Forecast, choosing_bytes, forecast
 from ..memory import format_bytes
 from ..plan import Plan, check_plan, multiply_adds, parse_plan
 from ..scratch import scratch_folder
@@ -45,10 +46,11 @@ def plan_command(source: str, plan: str | None, as_json: bool, quiet: bool, verb
         settings = goal.settings_for(array)
         described = describe_source(array, settings["axes"], settings["transform"])
         if plan is not None:
-            chosen, choosing = given_plan(plan, described, goal), 0
+            chosen, choosing = given_plan(plan, described, goal), None
         else:
+            begun = perf_counter()
             chosen = choose_plan(array, snr=goal.snr, size=goal.size, progress=progress, **settings)
-            choosing = peak_memory()  # `compress` does the same
+            choosing = perf_counter() - begun  # `compress` does the same
     report = describe(chosen, described, goal, choosing)
     report["command"] = command_for(source, "OUT.hmk", chosen, goal)
     report["seconds"] = round(progress.elapsed, 3)
@@ -67,19 +69,24 @@ def given_plan(text: str, source: Source, goal: Goal) -> Plan:
     return plan
 
 
-def expected(plan: Plan, source: Source, goal: Goal, choosing: int = 0) -> Forecast:
-    """What `compress` will take with the options given, `choosing` the plan included."""
+def expected(plan: Plan, source: Source, goal: Goal, *, choosing: bool) -> Forecast:
+    """What `compress` will take with the options given; its memory with that of `choosing` the plan, if it does."""
     options = goal.settings
     threads = options["threads"] or os.cpu_count() or 1
     effort = EFFORTS[options["quality"]]
-    held = 0 if isinstance(source.array, np.memmap) else source.array.nbytes
-    return forecast(plan, mode_sizes(source.axes, plan.organisation), effort, threads, options["max_memory"], held=held,
-                    choosing=choosing)
+    held, memory = 0 if isinstance(source.array, np.memmap) else source.array.nbytes, options["max_memory"]
+    before = choosing_bytes(prod(source.shape), effort, threads, memory) if choosing else 0
+    sizes = mode_sizes(source.axes, plan.organisation)
+    return forecast(plan, sizes, effort, threads, memory, held=held, choosing=before)
 
 
-def describe(plan: Plan, source: Source, goal: Goal, choosing: int = 0) -> dict[str, Any]:
-    """What the plan does and costs; --decode-cost bounds the levels whose nodes choose their ranks."""
-    sizes, cost = mode_sizes(source.axes, plan.organisation), expected(plan, source, goal, choosing)
+def describe(plan: Plan, source: Source, goal: Goal, choosing: float | None) -> dict[str, Any]:
+    """What the plan does and costs; --decode-cost bounds the levels whose nodes choose their ranks.
+
+    `choosing` are the seconds that finding the plan took, None if it was given.
+    """
+    sizes = mode_sizes(source.axes, plan.organisation)
+    cost = expected(plan, source, goal, choosing=choosing is not None)
     allowed_cost, costs = goal.settings["decode_cost"], list[int]()
     for level in plan.levels:
         costs.append(min(level.decode_cost(), max(1, allowed_cost - sum(costs))) if level.own else level.decode_cost())
@@ -90,7 +97,8 @@ def describe(plan: Plan, source: Source, goal: Goal, choosing: int = 0) -> dict[
         "snr": plan.snr, "size": plan.size,
         "predicted_bytes": predicted_bytes(plan, source, goal.kind, goal.settings["seed"]),
         "decode_cost": sum(costs), "memory": cost.memory, "scratch": cost.scratch,
-        "fitting_seconds": round(cost.seconds, 1), "source_bytes_float32": 4 * prod(sizes),
+        "fitting_seconds": round(cost.seconds, 1),
+        "choosing_seconds": None if choosing is None else round(choosing, 3), "source_bytes_float32": 4 * prod(sizes),
     }
 
 
@@ -103,6 +111,9 @@ def as_text(report: dict[str, Any]) -> str:
     rows = [[str(level["level"]), str(level["decode_cost"]), level["text"]] for level in report["levels"]]
     goals = [f"at least {report['snr']:g} dB"] if report["snr"] is not None else []
     goals += [f"at most {format_bytes(report['size'])}"] if report["size"] is not None else []
+    times = f"about {seconds(report['fitting_seconds'])} with the plan given"
+    if (choosing := report["choosing_seconds"]) is not None:
+        times += f", {seconds(choosing)} more to choose it anew"
     return "\n".join([
         f"organisation  {report['organisation']}  ({modes})",
         *([f"goal          {', '.join(goals)}"] if goals else []),
@@ -111,7 +122,7 @@ def as_text(report: dict[str, Any]) -> str:
         f"memory        {format_bytes(report['memory'])}",
         *([f"scratch       {format_bytes(report['scratch'])} in {scratch_folder()}, set by TMPDIR"]
           if report["scratch"] else []),
-        f"time          about {seconds(report['fitting_seconds'])}, longer on a busy or slow machine",
+        f"time          {times}, longer on a busy or slow machine",
         "",
         table(["level", "decode cost", "ranks R, clusters C, mixture K"], rows, left=[2]),
         "",
