@@ -26,9 +26,9 @@ _RESIDUAL, _SAVED = 4, 4
 _MEASURING = 36
 #: Bytes of the interpreter with everything loaded; the share of what a stage took that its heaps keep from the next.
 _BASE, _KEPT = 56 * 2**20, 0.3
-#: Bytes for each element of a slab of a source that is checked, and of a sample that plans are judged on; and what each
-#: further thread takes of the latter, as samples are seldom at their largest together.
-_CHECKED, _SAMPLED, _BESIDE = 17, 18, 0.6
+#: Bytes for each element of a slab of a source that is checked, of the next one, and of a sample that plans are judged
+#: on; and what each further thread takes of the latter, as samples are seldom at their largest together.
+_CHECKED, _NEXT, _SAMPLED, _BESIDE = 17, 6, 18, 0.6
 #: Bytes for each element of a block that shares none with others, which is fitted in place.
 _BLOCK = 8
 #: Copies of a slab that are made while it is read and worked on, or cut into blocks; and of its projections.
@@ -143,7 +143,8 @@ def choosing_bytes(elements: int, effort: Effort, threads: int, memory: int | No
     sample = min(elements, together, CARES.get(effort, CARES[EFFORTS["medium"]]).refine)
     further = max(1, min(threads, together // (2 * sample))) - 1
     sampled = _SAMPLED * min(elements, 2 * sample)  # blocks are seldom thinned to less than twice what is asked for
-    return _CHECKED * min(elements, CHECKED) + int(sampled * (1 + _BESIDE * further))
+    checked = _CHECKED * min(elements, CHECKED) + _NEXT * min(max(0, elements - CHECKED), CHECKED)
+    return checked + int(sampled * (1 + _BESIDE * further))
 
 
 def peak_memory() -> int:
