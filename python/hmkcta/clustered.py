@@ -7,9 +7,8 @@ PCA. Blocks say little about them where they are scattered over all of the array
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import partial
-from math import prod
+from math import log2, prod
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,80 +17,149 @@ from .allocation import best_of_one, choices_of, pareto
 from .axes import Organisation, mode_sizes
 from .blocks import organised
 from .candidates import Candidate
-from .memberships import start_candidates
+from .judging import Ranked, Search, worth_of
+from .memberships import CANDIDATES, balanced_clusters, normalised, row_features
 from .plan import MOST_RANKS
 from .slabs import thinning
-from .trial import Trial
+from .trial import OUT_OF_REACH, Trial
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-#: Numbers of clusters to look at, the likeliest first, most columns of the rows, and elements of the sample.
-COUNTS, MOST_COLUMNS, SAMPLE = (16, 32, 64, 8, 4), 512, 1 << 19
+#: Numbers of clusters that may be looked at, and with which to begin.
+COUNTS, FIRST = (4, 8, 16, 32, 64), 16
+#: Most columns of the rows, rows of the sample, and elements of which they are drawn.
+MOST_COLUMNS, MOST_ROWS, DRAWN_FROM = 512, 1 << 13, 1 << 22
+#: Elements of the sample for a size and for an SNR, which takes higher ranks; a few rows of a cluster tell of few.
+SAMPLE = (1 << 20, 1 << 21)
+#: In dB, or octaves of bytes. Clusters must bring so much more, as they are told from a sample of rows, to matrices
+#: that lie no more than so much behind; judged so near each other, what has clusters and what has none are rivals. No
+#: more numbers of them are looked at where one cluster and what was looked at fall so much short.
+SURELY, SURPASSED, CLOSE, LACKING = 0.1, 6.0, 0.5, 3.0
 #: Rows of the sample that a cluster has at the least, on average.
 FEWEST_ROWS = 24
-#: Ways to scale rows before k-means, of `memberships.CANDIDATES`.
-SCALED = 1
+#: How rows are normalised before k-means.
+LIKELIEST = CANDIDATES[0]
+
+
+def with_clusters(search: Search, found: tuple[float, Candidate]) -> tuple[float, Candidate]:
+    """The better of what was found and the best matrix with clusters of the data along its long mode.
+
+    The other is a rival where it is near. Of all matrices the best are looked at, if not too long for it: what parts
+    their clusters, no axis brings together.
+    """
+    source, worth = search.goal.source, dict[Organisation, float]()
+    for (modes, _, _, size), ranked in search.seen.items():
+        if len(modes) == 2 and size == search.goal.size and min(mode_sizes(source.axes, modes)) <= MOST_COLUMNS:
+            worth[modes] = max([worth.get(modes, 0.0), *map(worth_of, ranked)])
+    best = sorted((modes for modes in worth if worth[modes] > found[0] - SURPASSED), key=lambda modes: -worth[modes])
+    judged: Ranked = []
+    for modes in best[: search.clustered]:
+        for item in clustered(search.goal, modes):
+            judged.append(item)
+            if max(worth[modes], *map(worth_of, judged)) < found[0] - LACKING:
+                break
+    first = max(judged, key=worth_of, default=None)
+    if first is None or first[0] < found[0] - CLOSE:
+        return found
+    winner, other = (first, found) if first[0] > found[0] + SURELY else (found, first)
+    search.rivals = [other[1]] if other[0] > winner[0] - CLOSE else []
+    return winner
 
 
 def clustered(trial: Trial, organisation: Organisation) -> Iterator[tuple[float, Candidate]]:
     """What the matrices of two modes are worth with so many clusters of the rows of the longer one, at the best ranks.
 
-    The shorter mode is left undecomposed: each cell has columns of its own.
+    The shorter mode is left undecomposed: each cell has columns of its own. From the first number of clusters on, twice
+    and half as many are looked at while that helps.
     """
     sizes = mode_sizes(trial.source.axes, organisation)
     if len(sizes) != 2 or min(sizes) > MOST_COLUMNS or min(sizes) < 2:
         return
     long = int(sizes[1] > sizes[0])
     rows = _sampled_rows(trial, organisation, long)
+    possible = [count for count in COUNTS if len(rows) >= FEWEST_ROWS * count]
+    if not possible or not rows.any():
+        return
+    first = min(len(possible) - 1, COUNTS.index(FIRST))
+    features = normalised(row_features(rows, 0), LIKELIEST[0])
+    begun = _judged(trial, organisation, rows, features, possible[first], long)
+    yield begun
+    for way in (possible[first + 1 :], possible[:first][::-1]):
+        reached = begun[0]
+        for count in way:
+            item = _judged(trial, organisation, rows, features, count, long)
+            yield item
+            if item[0] <= reached:
+                break
+            reached = item[0]
+
+
+def _judged(
+    trial: Trial, organisation: Organisation, rows: F32, features: F64, count: int, long: int
+) -> tuple[float, Candidate]:
+    """What so many clusters of the long mode are worth, told from some of its rows."""
+    sizes, flags = mode_sizes(trial.source.axes, organisation), (long == 1, long == 0)
+    clusters = (1, count) if long else (count, 1)
+    ones = (1,) * len(trial.source.shape)
+    each = Candidate(organisation, ones, (1 - long,), carried=False, clusters=clusters)
+    limit = min(MOST_RANKS, trial.decode_cost, len(rows) // (2 * count), rows.shape[1])
+    steps = tuple((1,) if flag else tuple(range(1, limit + 1)) for flag in flags)
+    choices = choices_of(steps, sizes, flags, trial.decode_cost, clusters)
+    fixed, least = trial.beside(each), float(choices.nbytes[1])
+    if (needed := fixed + least) > trial.size:
+        return -OUT_OF_REACH - log2(needed), each
     energy = float(np.square(rows, dtype=np.float64).sum())
-    flags = (long == 1, long == 0)
-    plain = Candidate(organisation, (1,) * len(trial.source.shape), (1 - long,), carried=False)
-    for count in (count for count in COUNTS if len(rows) >= FEWEST_ROWS * count and energy > 0):
-        clusters = (1, count) if long else (count, 1)
-        limit = min(MOST_RANKS, trial.decode_cost, len(rows) // (2 * count), rows.shape[1])
-        steps = tuple((1,) if flag else tuple(range(1, limit + 1)) for flag in flags)
-        choices = choices_of(steps, sizes, flags, trial.decode_cost, clusters)
-        left = np.concatenate([[energy], _left(rows, count, limit, trial.seed)[choices.entry]])
-        kept = pareto(choices.nbytes, left)
-        spend = partial(best_of_one, choices.nbytes[kept], left[kept])
-        each = replace(plain, clusters=clusters)
-        yield trial.worth_of(spend, energy, 1.0, trial.beside(each), float(choices.nbytes[1]))[0], each
+    labels = balanced_clusters(features, count, LIKELIEST[1], np.random.default_rng(trial.seed))
+    left = np.concatenate([[energy], _left(rows, labels, limit, trial.seed)[choices.entry]])
+    kept = pareto(choices.nbytes, left)
+    spend = partial(best_of_one, choices.nbytes[kept], left[kept])
+    return trial.worth_of(spend, energy, 1.0, fixed, least)[0], each
 
 
 def _sampled_rows(trial: Trial, organisation: Organisation, long: int) -> F32:
-    """Every few rows of the long mode, all columns."""
+    """Some rows of the long mode, all columns.
+
+    They are drawn: what moves by so many rows a frame is the same in all rows of a grid.
+    """
     source = trial.source
     along = [n for n, axis in enumerate(source.axes) if axis.name in organisation[long]]
     columns = prod(source.shape) // prod(source.shape[n] for n in along)
-    steps = dict(zip(along, thinning([source.shape[n] for n in along], max(1, SAMPLE // columns)), strict=True))
+    steps = dict(zip(along, thinning([source.shape[n] for n in along], max(1, DRAWN_FROM // columns)), strict=True))
     part = tuple(slice(None, None, steps.get(n, 1)) for n in range(len(source.shape)))
     values = source.values(part) if trial.values is None else trial.values[part]
     matrix = organised(values[None], source.axes, organisation)[0]
-    return np.ascontiguousarray(matrix.T if long else matrix)
+    rows = matrix.T if long else matrix
+    most = max(1, min(MOST_ROWS, SAMPLE[trial.ceiling is not None] // columns))
+    if len(rows) > most:
+        rows = rows[np.sort(np.random.default_rng(trial.seed).permutation(len(rows))[:most])]
+    return np.ascontiguousarray(rows)
 
 
-def _left(rows: F32, count: int, limit: int, seed: int) -> F64:
+def _left(rows: F32, labels: NDArray[np.intp], limit: int, seed: int) -> F64:
     """Squared error at each rank: what leading columns found in most rows of each cluster leave of the others.
 
     Of the rows that they were found in they would leave too little, as clusters of a sample have few.
     """
-    rng = np.random.default_rng(seed)
-    held = rng.permutation(len(rows)) < len(rows) // 4
-    found: list[F64] = []
-    starts = start_candidates(rows, (count, 1), 1 + SCALED, rng)
-    for labels, _ in list(starts)[1:]:
-        left = np.zeros(limit)
-        for c in range(count):
-            left += _left_of(rows[(labels == c) & ~held], rows[(labels == c) & held], limit)
-        found.append(left * len(rows) / max(1, int(held.sum())))
-    return min(found, key=lambda left: float(left[len(left) // 4]))
+    held = np.random.default_rng(seed).permutation(len(rows)) < len(rows) // 4
+    parts = [labels == c for c in range(int(labels.max()) + 1)]
+    left = np.sum([_left_of(rows[part & ~held], rows[part & held], limit) for part in parts], axis=0)
+    return left * len(rows) / max(1, int(held.sum()))
 
 
 def _left_of(seen: F32, others: F32, limit: int) -> F64:
     """What the leading right singular vectors of the rows `seen` leave of the others, at each rank."""
     total = float(np.square(others, dtype=np.float64).sum())
-    basis = np.linalg.svd(seen.astype(np.float64), full_matrices=False)[2][:limit] if len(seen) else seen[:0]
-    kept = np.cumsum(np.square(others @ basis.T).sum(axis=0))
+    basis = _leading(seen.astype(np.float64), limit)
+    kept = np.cumsum(np.square(others @ basis).sum(axis=0))
     kept = np.concatenate([kept, np.full(limit - len(kept), kept[-1] if len(kept) else 0.0)])
     return np.maximum(total - kept, 0.0)
+
+
+def _leading(rows: F64, limit: int) -> F64:
+    """Leading right singular vectors as columns, up to the rank; of Gram matrices, as that is fast."""
+    if len(rows) > rows.shape[1]:
+        return np.linalg.eigh(rows.T @ rows)[1][:, : -limit - 1 : -1]
+    squares, vectors = np.linalg.eigh(rows @ rows.T)
+    told = squares > 1e-12 * max(squares[-1], 0.0) if len(rows) else squares > 0
+    return (rows.T @ vectors[:, told] / np.sqrt(squares[told]))[:, : -limit - 1 : -1]

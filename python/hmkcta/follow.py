@@ -93,10 +93,15 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
     """The model of the task's plan; where it misses its SNR, of the first further plan that does not, or the best.
 
     Further are the same plan with a level more, for what float16 or the ranks of one leave, and then the `others`;
-    `missed` is told of every plan that missed. Where ranks are such large steps that a model lies far beyond its
-    goal, the same plan with a `finer` choice of blocks is tried, and for an SNR the first of the others.
+    `missed` is told of every plan that missed. For a size the others are rivals, of which the best is kept. Where ranks
+    are such large steps that a model lies far beyond its goal, the same plan with a `finer` choice of blocks is tried,
+    and for an SNR the first of the others.
     """
-    model = best = follow(task)
+    model = follow(task)
+    for plan in others if task.plan.size is not None else ():
+        rival = replace(task, plan=plan)
+        task, model = max((task, model), (rival, follow(rival)), key=lambda each: each[1].snr)
+    best = model
     if is_coarse(task.plan, model.snr, model.nbytes):
         return _nearer(task, model, others)
     further = list(others)

@@ -57,7 +57,10 @@ Judged = tuple[Organisation, tuple[int, ...], int, int]
 
 @dataclass
 class Search:
-    """Everything judged so far, each at the sample and the bytes it was judged on; `plain` merges least."""
+    """Everything judged so far, each at the sample and the bytes it was judged on; `plain` merges least.
+
+    `rivals` are judged so near the best, and in so different a way, that only fits tell which is better.
+    """
 
     goal: Trial
     trial: Trial
@@ -67,6 +70,7 @@ class Search:
     together: int
     clustered: int
     highest: float = -inf
+    rivals: list[Candidate] = field(default_factory=list[Candidate])
     losses: dict[tuple[Organisation, tuple[int, ...], int, bool], float] = field(
         default_factory=dict[tuple[Organisation, tuple[int, ...], int, bool], float]
     )

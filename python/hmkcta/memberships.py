@@ -58,6 +58,12 @@ def row_features(tensor: NDArray[Any], n: int) -> F64:
     return unfolded @ vectors[:, : -FEATURES - 1 : -1]
 
 
+def normalised(features: F64, power: float) -> F64:
+    """Rows f as f |f|^(p-1): without their norms at power 0, as they are at 1."""
+    norm = np.sqrt(np.square(features).sum(axis=1, keepdims=True))
+    return features * np.where(norm > 0, norm, 1.0) ** (power - 1)
+
+
 def balanced_clusters(
     features: F64, clusters: int, cap: float | None, rng: np.random.Generator, restarts: int = 2
 ) -> NDArray[np.intp]:
@@ -126,7 +132,5 @@ def start_candidates(
             if f is None:
                 labels.append(np.zeros(int(tensor.shape[n]), np.intp))
                 continue
-            norm = np.sqrt(np.square(f).sum(axis=1, keepdims=True))
-            scaled: F64 = f * np.where(norm > 0, norm, 1.0) ** (power - 1)
-            labels.append(balanced_clusters(scaled, c, cap, rng))
+            labels.append(balanced_clusters(normalised(f, power), c, cap, rng))
         yield labels

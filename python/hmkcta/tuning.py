@@ -15,9 +15,9 @@ from itertools import product
 from math import inf, prod
 
 from . import blocks
-from .axes import Organisation, mode_sizes
+from .axes import Organisation
 from .candidates import Candidate, plan_of
-from .clustered import MOST_COLUMNS, clustered
+from .clustered import with_clusters
 from .errors import invalid
 from .filesize import planned_bytes
 from .fit import EFFORTS
@@ -54,9 +54,6 @@ FEWEST_BLOCKS, MOST_CUTS = 4, 8
 OTHER = 2.5
 #: Further plans for an SNR; where all are short of it by so many dB, the bytes to judge by are found anew.
 SPARE, SHORT = 2, 0.5
-#: Clusters of the data must bring so much more, as they are told from a sample of rows; they bring up to so many dB.
-#: After so many numbers of clusters no others are tried if all fall so many dB, or octaves, short of what was found.
-SURELY, SURPASSED, FEWEST_COUNTS, LACKING = 0.1, 6.0, 2, 0.5
 
 
 def tune(
@@ -72,7 +69,8 @@ def tune(
 ) -> list[Plan]:
     """The best plan found for bytes (`size`) or for an SNR; with a `ceiling` in dB bytes are not spent beyond it.
 
-    For an SNR others follow, the best of other kinds, in case that a fit of the first does not keep what it promised.
+    For an SNR others follow, the best of other kinds, in case that a fit of the first does not keep what it promised;
+    for bytes one that may turn out to be better, with clusters of the data or without.
 
     Raises:
         HmkctaError: the size is too small for the array, or `memory` bytes (None: half of what is free) for a search.
@@ -103,6 +101,8 @@ def tune(
     if verbatim[0] > worth:
         best = verbatim[1]
     spare = [*_spare(search, best), verbatim[1]] if snr is not None and best != verbatim[1] else []
+    if size is not None and best != verbatim[1]:
+        spare += search.rivals
     return [plan_of(source, each, snr, size, decode_cost) for each in (best, *spare)]
 
 
@@ -112,33 +112,14 @@ def _found(search: Search, fixed: bool, progress: Progress, *, narrow: bool) -> 
     search.highest = finalists[0][0]
     found = _settled(search, [candidate for _, candidate in finalists], progress, narrow=narrow)
     if not narrow:
-        return max([found, *_clustered(search, found)], key=worth_of)
+        return with_clusters(search, found)
     firsts = dict.fromkeys([found[1], *(candidate for _, candidate in _kinds(search)[: 2 + SPARE])])
     search.trial = search.goal
     judged = [
         search.best([(each.organisation, each.grid)], search.care.refine, kinds=(each.undecomposed,))[0]
         for each in firsts
     ]
-    found = max(judged, key=worth_of)
-    return max([found, *_clustered(search, found)], key=worth_of)
-
-
-def _clustered(search: Search, found: tuple[float, Candidate]) -> Ranked:
-    """Matrices with clusters of the data along their long mode, if worth more than what was found.
-
-    The best of those matrices that are not too long for it: what parts their clusters, no axis brings together.
-    """
-    source, worth = search.goal.source, dict[Organisation, float]()
-    for (modes, _, _, size), ranked in search.seen.items():
-        if len(modes) == 2 and size == search.goal.size and min(mode_sizes(source.axes, modes)) <= MOST_COLUMNS:
-            worth[modes] = max([worth.get(modes, 0.0), *map(worth_of, ranked)])
-    best = sorted((modes for modes in worth if worth[modes] > found[0] - SURPASSED), key=lambda modes: -worth[modes])
-    judged: Ranked = []
-    for item in (item for modes in best[: search.clustered] for item in clustered(search.goal, modes)):
-        judged.append(item)
-        if len(judged) == FEWEST_COUNTS and max(map(worth_of, judged)) < found[0] - LACKING:
-            break
-    return [item for item in judged if item[0] > found[0] + SURELY]
+    return with_clusters(search, max(judged, key=worth_of))
 
 
 def _kinds(search: Search) -> Ranked:

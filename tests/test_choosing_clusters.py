@@ -1,0 +1,61 @@
+"""Clusters of the data are found for a size as for an SNR: judged on rows that tell of all, and fitted where near."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from hmkcta import clustered as clusters
+from hmkcta import compress
+from hmkcta.clustered import clustered
+from hmkcta.source import prepare
+from hmkcta.trial import trial_of
+
+F32 = NDArray[np.float32]
+
+
+@cache
+def scrolled() -> F32:
+    """80 frames of 128 x 160 pixels, each showing noise four rows further down: its rows come again in other frames."""
+    page = np.random.default_rng(0).standard_normal((4 * 79 + 128, 160), np.float32)
+    return np.stack([page[4 * n : 4 * n + 128] for n in range(80)])
+
+
+@cache
+def four_sheets() -> F32:
+    """400 x 2000 numbers whose columns lie in four planes, in no order."""
+    rng = np.random.default_rng(0)
+    planes, of = rng.standard_normal((4, 400, 3)), rng.integers(4, size=2000)
+    values: NDArray[np.float64] = np.einsum("ntk,nk->tn", planes[of], rng.standard_normal((2000, 3)) * [4, 1, 0.5])
+    return (values + 0.02 * rng.standard_normal(values.shape)).astype(np.float32)
+
+
+def test_what_moves_is_judged_by_rows_that_tell_of_all() -> None:
+    """Every so many rows of every so many frames are the same few rows, of which clusters would leave nothing."""
+    source = prepare(scrolled(), ["frame", "y", "x"], "identity", None)
+    trial = trial_of(source, 160_000, None, 4096, 0)
+    worths = {each.clusters: worth for worth, each in clustered(trial, (("frame", "y"), ("x",)))}
+    model = compress(
+        scrolled(), "R=3,* C=64,1", axes="frame, y, x", organisation="frame+y, x", quality="fast", threads=1
+    )
+    assert model.nbytes < 160_000 < model.nbytes + 64 * 2 * 160 + 2 * 10240
+    assert worths[64, 1] < model.snr + 1
+
+
+def test_few_clusters_are_found_where_many_are_hopeless() -> None:
+    """The columns of 16 clusters take more bytes than there are, those of four what they should."""
+    model = compress(four_sheets(), axes="t, n", size=36_000, threads=1)
+    assert model.bounds[0].clusters == (1, 4)
+
+
+def test_of_what_is_judged_alike_with_clusters_and_without_fits_tell_the_better(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """For a size; as if four clusters had been judged no better than what has none."""
+    monkeypatch.setattr(clusters, "SURELY", 20.0)
+    monkeypatch.setattr(clusters, "CLOSE", 20.0)
+    model = compress(four_sheets(), axes="t, n", size=36_000, threads=1)
+    assert model.bounds[0].clusters == (1, 4)
