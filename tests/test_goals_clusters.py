@@ -76,7 +76,7 @@ def test_clusters_are_judged_near_what_they_reach() -> None:
     worths = {each.clusters: worth for worth, each in clustered(trial, (("y", "x"), ("band",)))}
     model = compress(scattered(), "R<=12,* C=16,1", axes="y, x, band", organisation=PIXELS, size=30_000, threads=1)
     assert worths[16, 1] == pytest.approx(model.snr, abs=2.5)
-    assert worths[16, 1] > worths[4, 1] + 2
+    assert max(worths, key=lambda clusters: worths[clusters]) == (16, 1)
 
 
 def test_a_file_larger_than_its_source_is_told_what_helps() -> None:
