@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from hmkcta import choose_plan, compress, encode
 from hmkcta import clustered as clusters
-from hmkcta import compress
 from hmkcta.clustered import clustered
+from hmkcta.plan import Plan
 from hmkcta.source import prepare
 from hmkcta.trial import trial_of
+from hmkcta.tuning import tune
 
 F32 = NDArray[np.float32]
 
@@ -59,3 +62,18 @@ def test_of_what_is_judged_alike_with_clusters_and_without_fits_tell_the_better(
     monkeypatch.setattr(clusters, "CLOSE", 20.0)
     model = compress(four_sheets(), axes="t, n", size=36_000, threads=1)
     assert model.bounds[0].clusters == (1, 4)
+
+
+def test_for_an_snr_another_number_of_clusters_is_the_first_rival(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A rank of the one may be a smaller step than of the other."""
+    plans: list[Plan] = []
+
+    def tuned(*given: Any, **options: Any) -> list[Plan]:
+        plans.extend(tune(*given, **options))
+        return plans
+
+    monkeypatch.setattr(clusters, "CLOSE", 20.0)
+    monkeypatch.setattr(encode, "tune", tuned)
+    choose_plan(four_sheets(), axes="t, n", snr=25, threads=1)
+    first, rival = [plan.levels[0].clusters for plan in plans[:2]]
+    assert {first, rival} == {(1, 4), (1, 8)}

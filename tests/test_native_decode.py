@@ -241,7 +241,7 @@ def test_the_arrays_of_a_level_are_flattened_once(monkeypatch: pytest.MonkeyPatc
     sizes, levels = some_model("paper")
     decode_elements(levels, sizes, np.zeros((1, 4), np.intp))
     kept = len(decoding.flattened)
-    monkeypatch.setattr(decoding, "_flat_arrays", lambda level: pytest.fail(f"{level} flattened again"))
+    monkeypatch.setattr(decoding, "_flat_arrays", pytest.fail)
     decode_block(levels, sizes, [np.array([1])] * 4)
     del levels
     gc.collect()

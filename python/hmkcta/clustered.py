@@ -45,8 +45,8 @@ LIKELIEST = CANDIDATES[0]
 def with_clusters(search: Search, found: tuple[float, Candidate]) -> tuple[float, Candidate]:
     """The better of what was found and the best matrix with clusters of the data along its long mode.
 
-    The other is a rival where it is near. Of all matrices the best are looked at, if not too long for it: what parts
-    their clusters, no axis brings together.
+    The next best is a rival where it is near. Of all matrices the best are looked at, if not too long for it: what
+    parts their clusters, no axis brings together.
     """
     source, worth = search.goal.source, dict[Organisation, float]()
     for (modes, _, _, size), ranked in search.seen.items():
@@ -62,7 +62,10 @@ def with_clusters(search: Search, found: tuple[float, Candidate]) -> tuple[float
     first = max(judged, key=worth_of, default=None)
     if first is None or first[0] < found[0] - CLOSE:
         return found
-    winner, other = (first, found) if first[0] > found[0] + SURELY else (found, first)
+    winner = first if first[0] > found[0] + SURELY else found
+    # For an SNR a rank is a step, which some other number of clusters may have smaller.
+    compared = [found, *(judged if search.goal.ceiling is not None else [first])]
+    other = max((item for item in compared if item is not winner), key=worth_of)
     search.rivals = [other[1]] if other[0] > winner[0] - CLOSE else []
     return winner
 

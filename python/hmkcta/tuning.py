@@ -69,8 +69,8 @@ def tune(
 ) -> list[Plan]:
     """The best plan found for bytes (`size`) or for an SNR; with a `ceiling` in dB bytes are not spent beyond it.
 
-    For an SNR others follow, the best of other kinds, in case that a fit of the first does not keep what it promised;
-    for bytes one that may turn out to be better, with clusters of the data or without.
+    One may follow that a fit may tell to be better, with clusters of the data or without; and for an SNR the best of
+    other kinds, in case that the fit of the first does not keep what it promised.
 
     Raises:
         HmkctaError: the size is too small for the array, or `memory` bytes (None: half of what is free) for a search.
@@ -100,10 +100,11 @@ def tune(
     verbatim = trial.verbatim(plain)
     if verbatim[0] > worth:
         best = verbatim[1]
-    spare = [*_spare(search, best), verbatim[1]] if snr is not None and best != verbatim[1] else []
-    if size is not None and best != verbatim[1]:
-        spare += search.rivals
-    return [plan_of(source, each, snr, size, decode_cost) for each in (best, *spare)]
+    if best == verbatim[1]:
+        search.rivals = []
+    elif snr is not None:
+        search.rivals += [*_spare(search, best), verbatim[1]]
+    return [plan_of(source, each, snr, size, decode_cost) for each in (best, *search.rivals)]
 
 
 def _found(search: Search, fixed: bool, progress: Progress, *, narrow: bool) -> tuple[float, Candidate]:
