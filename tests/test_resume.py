@@ -144,7 +144,7 @@ def test_records_are_a_prefix_wherever_the_file_is_cut(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("field", "changed"), [
     ("seed", {"seed": 4}), ("quality", {"quality": "fast"}), ("plan", {"plan": LEVELS.replace("R=1", "R=2")}),
-    ("snr", {"snr": 20.0}), ("transform", {"transform": "sqrt"}), ("nan", {"nan": 0.0}), ("kind", {"kind": "volume"}),
+    ("snr", {"snr": 20.0}), ("transform", {"transform": "sqrt"}), ("nan", {"nan": 0.0}), ("kind", {"kind": "generic"}),
     ("scheme", {"scheme": "most"}), ("organisation", {"organisation": "light, rgb+view, y, x"}),
     ("axes", {"axes": ["a", "b", "c", "d", "e"], "organisation": "a+e, b, c, d"}),
     ("max_memory", {"max_memory": 2**30}),
