@@ -100,11 +100,9 @@ def tune(
     verbatim = trial.verbatim(plain)
     if verbatim[0] > worth:
         best = verbatim[1]
-    if best == verbatim[1]:
-        search.rivals = []
-    elif snr is not None:
-        search.rivals += [*_spare(search, best), verbatim[1]]
-    return [plan_of(source, each, snr, size, decode_cost) for each in (best, *search.rivals)]
+    spare = search.rivals if snr is None else [*search.rivals, *_spare(search, best), verbatim[1]]
+    further = [] if best == verbatim[1] else spare
+    return [plan_of(source, each, snr, size, decode_cost) for each in (best, *further)]
 
 
 def _found(search: Search, fixed: bool, progress: Progress, *, narrow: bool) -> tuple[float, Candidate]:

@@ -98,8 +98,7 @@ def dictionary_gram(cells: Cells, products: Sequence[Products | None], n: int) -
 def solve_cores(cells: Cells, products: Sequence[Products | None], b: F64, steps: int) -> None:
     """Cores of all cells that leave less of a tensor together, the bases given, in place."""
     cells.cores = np.require(cells.cores, np.float32, ["C", "W"])
-    right = np.ascontiguousarray(b, np.float64).reshape(-1)
-    _native.solve_cores(cells.ranks, _products(products), cells.cores.reshape(-1), right, steps)
+    _native.solve_cores(cells.ranks, _products(products), cells.cores.reshape(-1), _doubles(b), steps)
 
 
 def orthonormalise(cells: Cells, n: int) -> None:
@@ -114,8 +113,7 @@ def code_rows(
     """The best cluster subsets of a mode's rows `[I_n, K_n]` and their coefficients `[I_n, K_n, PC_-n R_n]`."""
     rank, size = b.shape[1:]
     own = None if kept is None else np.ascontiguousarray(kept, np.uint16).reshape(-1)
-    h, b = (np.ascontiguousarray(array, np.float64).reshape(-1) for array in (h, b))
-    subsets, x = _native.code_rows(h, b, list(clusters), n, rank, own, mixture, search)
+    subsets, x = _native.code_rows(_doubles(h), _doubles(b), list(clusters), n, rank, own, mixture, search)
     return subsets.reshape(size, mixture), x.reshape(size, mixture, -1)
 
 
@@ -150,7 +148,7 @@ def _bases(cells: Cells) -> list[F32]:
 
 
 def _products(products: Sequence[Products | None]) -> list[F64]:
-    return [np.zeros(0) if m is None else np.ascontiguousarray(m, np.float64).reshape(-1) for m in products]
+    return [np.zeros(0) if m is None else _doubles(m) for m in products]
 
 
 def _flat(array: F32) -> F32:
