@@ -144,7 +144,7 @@ pub fn pairs_of<'a>(ranks: &'a [usize], products: &'a [&'a [f64]], cores: usize)
     let pairs = Pairs { cells, ranks, products };
     check_length("the cores", cores, cells * pairs.core_size())?;
     pairs
-        .decomposed()
+        .modes(None)
         .try_for_each(|m| check_length(&format!("product {}", m + 1), products[m].len(), (cells * ranks[m]).pow(2)))?;
     Ok(pairs)
 }

@@ -1,7 +1,7 @@
 //! Cores of all cells together, the bases given: least squares by conjugate gradients.
 
 use crate::machine::dispatch;
-use crate::pairs::{PARALLEL_PAIRS, Pairs, read};
+use crate::pairs::{Laid, PARALLEL_PAIRS, Pairs};
 use crate::threads::for_each;
 use pulp::{Simd, WithSimd};
 
@@ -13,50 +13,42 @@ const EXACT: f64 = 1e-14;
 /// They solve `G Z = b` where `(G Z)_c = sum_c' Z_c' x_m M_m(c, c')` over all decomposed modes m.
 pub fn solve_cores(pairs: &Pairs, cores: &mut [f32], b: &[f64], steps: usize) {
     let (cells, size) = (pairs.cells, pairs.core_size());
-    let mut z = cells_last(cores.iter().map(|&z| f64::from(z)), cells, size);
-    let b = cells_last(b.iter().copied(), cells, size);
-    let mut r: Vec<f64> = b.iter().zip(normal(pairs, &z)).map(|(b, g)| b - g).collect();
-    let (mut p, mut left) = (r.clone(), dot(&r, &r));
+    let mut z = Laid::new(cells, size, cores.iter().map(|&z| f64::from(z)));
+    let b = Laid::new(cells, size, b.iter().copied());
+    let mut r = b.clone();
+    r.add(-1.0, &normal(pairs, &z));
+    let (mut p, mut left) = (r.clone(), r.dot(&r));
     for _ in 0..steps {
         let q = normal(pairs, &p);
-        let curvature = dot(&p, &q);
-        if left <= EXACT * dot(&b, &b) || curvature <= 0.0 {
+        let curvature = p.dot(&q);
+        if left <= EXACT * b.dot(&b) || curvature <= 0.0 {
             break;
         }
         let step = left / curvature;
-        z.iter_mut().zip(&p).for_each(|(z, p)| *z += step * p);
-        r.iter_mut().zip(&q).for_each(|(r, q)| *r -= step * q);
-        let before = std::mem::replace(&mut left, dot(&r, &r));
-        p.iter_mut().zip(&r).for_each(|(p, r)| *p = r + left / before * *p);
+        z.add(step, &p);
+        r.add(-step, &q);
+        let before = std::mem::replace(&mut left, r.dot(&r));
+        let mut next = r.clone();
+        next.add(left / before, &p);
+        p = next;
     }
-    cores.iter_mut().enumerate().for_each(|(at, core)| *core = z[at % size * cells + at / size] as f32);
+    cores.iter_mut().zip(z.numbers(cells)).for_each(|(core, z)| *core = z as f32);
 }
 
-fn dot(x: &[f64], y: &[f64]) -> f64 {
-    x.iter().zip(y).map(|(x, y)| x * y).sum()
-}
-
-/// Numbers `[PC, R_1, .., R_N]` as `[R_1, .., R_N, PC]`.
-fn cells_last(numbers: impl Iterator<Item = f64>, cells: usize, size: usize) -> Vec<f64> {
-    let mut last = vec![0.0; size * cells];
-    numbers.enumerate().for_each(|(at, value)| last[at % size * cells + at / size] = value);
-    last
-}
-
-/// `G Z` for `z` `[R_1, .., R_N, PC]`, likewise.
-fn normal(pairs: &Pairs, z: &[f64]) -> Vec<f64> {
+/// `G Z`
+fn normal(pairs: &Pairs, z: &Laid) -> Laid {
     let (cells, size) = (pairs.cells, pairs.core_size());
     let mut g = vec![0.0; cells * size];
     let tasks = g.chunks_mut(size).enumerate().collect();
     for_each(cells * cells >= PARALLEL_PAIRS, tasks, |(cell, g)| dispatch(Row { pairs, cell, z, g }));
-    cells_last(g.into_iter(), cells, size)
+    Laid::new(cells, size, g.into_iter())
 }
 
 /// `(G Z)_c` of one cell c, `[R_1, .., R_N]`.
 struct Row<'a> {
     pairs: &'a Pairs<'a>,
     cell: usize,
-    z: &'a [f64],
+    z: &'a Laid,
     g: &'a mut [f64],
 }
 
@@ -66,16 +58,14 @@ impl WithSimd for Row<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Row { pairs, cell, z, g } = self;
-        let (cells, zero) = (pairs.cells, simd.splat_f64s(0.0));
+        let zero = simd.splat_f64s(0.0);
         let (mut x, mut y, mut sum) = (vec![zero; g.len()], vec![zero; g.len()], vec![zero; g.len()]);
-        for other in (0..cells).step_by(S::F64_LANES) {
-            let end = cells.min(other + S::F64_LANES);
-            x.iter_mut().enumerate().for_each(|(at, x)| *x = read(simd, &z[at * cells + other..at * cells + end]));
-            for m in pairs.decomposed() {
-                let back = pairs.matrices(simd, m, (cell, other)).transposed();
-                pairs.mode_product(simd, &x, m, back, &mut y);
-                std::mem::swap(&mut x, &mut y);
+        for group in pairs.groups(simd, 0) {
+            let numbers = pairs.numbers(simd, cell, group, None);
+            for (x, z) in x.iter_mut().zip(z.vectors(simd, group)) {
+                *x = simd.mul_f64s(z, numbers);
             }
+            pairs.multiply(simd, &mut x, &mut y, None, |m| pairs.matrices(m, cell, group).transposed());
             sum.iter_mut().zip(&x).for_each(|(sum, &x)| *sum = simd.add_f64s(*sum, x));
         }
         g.iter_mut().zip(&sum).for_each(|(g, &sum)| *g = simd.reduce_sum_f64s(sum));

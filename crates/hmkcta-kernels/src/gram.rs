@@ -1,7 +1,7 @@
 //! Inner products of dictionaries in float64.
 
 use crate::machine::dispatch;
-use crate::pairs::{PARALLEL_PAIRS, Pairs, read};
+use crate::pairs::{Group, Laid, PARALLEL_PAIRS, Pairs};
 use crate::threads::for_each;
 use pulp::{Simd, WithSimd};
 
@@ -11,12 +11,11 @@ use pulp::{Simd, WithSimd};
 pub fn dictionary_gram(pairs: &Pairs, cores: &[f32], n: usize) -> Vec<f64> {
     let (cells, size) = (pairs.cells, pairs.core_size());
     let side = cells * pairs.ranks[n];
-    let mut cores_last = vec![0.0; size * cells];
-    cores.iter().enumerate().for_each(|(at, &z)| cores_last[at % size * cells + at / size] = f64::from(z));
+    let laid = Laid::new(cells, size, cores.iter().map(|&z| f64::from(z)));
     let mut h = vec![0.0; side * side];
     let tasks = h.chunks_mut(pairs.ranks[n] * side).enumerate().collect();
     for_each(cells * cells >= PARALLEL_PAIRS, tasks, |(cell, rows)| {
-        dispatch(Row { pairs, core: &cores[cell * size..][..size], cores_last: &cores_last, n, cell, rows });
+        dispatch(Row { pairs, core: &cores[cell * size..][..size], cores: &laid, n, cell, rows });
     });
     mirror(&mut h, side);
     h
@@ -27,8 +26,7 @@ struct Row<'a> {
     pairs: &'a Pairs<'a>,
     /// Z_c
     core: &'a [f32],
-    /// `[R_1, .., R_N, PC]`
-    cores_last: &'a [f64],
+    cores: &'a Laid,
     n: usize,
     cell: usize,
     rows: &'a mut [f64],
@@ -40,29 +38,31 @@ impl WithSimd for Row<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(mut self, simd: S) {
         let Row { pairs, core, n, cell, .. } = self;
-        let (mut x, mut y) = (vec![simd.splat_f64s(0.0); core.len()], vec![simd.splat_f64s(0.0); core.len()]);
-        for other in (cell..pairs.cells).step_by(S::F64_LANES) {
-            x.iter_mut().zip(core).for_each(|(x, &z)| *x = simd.splat_f64s(f64::from(z)));
-            for m in pairs.decomposed().filter(|&m| m != n) {
-                pairs.mode_product(simd, &x, m, pairs.matrices(simd, m, (cell, other)), &mut y);
-                std::mem::swap(&mut x, &mut y);
+        let zeros = vec![simd.splat_f64s(0.0); core.len()];
+        let (mut x, mut y, mut z) = (zeros.clone(), zeros.clone(), zeros);
+        for group in pairs.groups(simd, cell) {
+            let numbers = pairs.numbers(simd, cell, group, Some(n));
+            for (x, &z) in x.iter_mut().zip(core) {
+                *x = simd.mul_f64s(simd.splat_f64s(f64::from(z)), numbers);
             }
-            self.contract(simd, &x, other);
+            pairs.multiply(simd, &mut x, &mut y, Some(n), |m| pairs.matrices(m, cell, group));
+            z.iter_mut().zip(self.cores.vectors(simd, group)).for_each(|(to, z)| *to = z);
+            self.contract(simd, &x, &z, group);
         }
     }
 }
 
 impl Row<'_> {
-    /// `unf_n(x) unf_n(Z_c')^T` for the cells c' from `other` on into the rows.
+    /// `unf_n(x) unf_n(z)^T` for the cells c' into the rows.
     #[inline(always)]
-    fn contract<S: Simd>(&mut self, simd: S, x: &[S::f64s], other: usize) {
+    fn contract<S: Simd>(&mut self, simd: S, x: &[S::f64s], z: &[S::f64s], group: Group) {
         let rank = self.pairs.ranks[self.n];
         match rank {
-            1 => self.contract_tile::<S, 1>(simd, x, other, (0, 0)),
-            2 => self.contract_tile::<S, 2>(simd, x, other, (0, 0)),
-            3 => self.contract_tile::<S, 3>(simd, x, other, (0, 0)),
-            4 => self.contract_tile::<S, 4>(simd, x, other, (0, 0)),
-            _ => (0..rank * rank).for_each(|at| self.contract_tile::<S, 1>(simd, x, other, (at / rank, at % rank))),
+            1 => self.contract_tile::<S, 1>(simd, x, z, group, (0, 0)),
+            2 => self.contract_tile::<S, 2>(simd, x, z, group, (0, 0)),
+            3 => self.contract_tile::<S, 3>(simd, x, z, group, (0, 0)),
+            4 => self.contract_tile::<S, 4>(simd, x, z, group, (0, 0)),
+            _ => (0..rank * rank).for_each(|at| self.contract_tile::<S, 1>(simd, x, z, group, (at / rank, at % rank))),
         }
     }
 
@@ -72,30 +72,30 @@ impl Row<'_> {
         &mut self,
         simd: S,
         x: &[S::f64s],
-        other: usize,
+        z: &[S::f64s],
+        group: Group,
         (r, q): (usize, usize),
     ) {
         let (cells, rank) = (self.pairs.cells, self.pairs.ranks[self.n]);
         let after: usize = self.pairs.ranks[self.n + 1..].iter().product();
-        let lanes = S::F64_LANES.min(cells - other);
         let mut sums = [[simd.splat_f64s(0.0); TILE]; TILE];
         for before in (0..x.len()).step_by(rank * after) {
             for a in before..before + after {
-                let mut z = [simd.splat_f64s(0.0); TILE];
-                for (j, z) in z.iter_mut().enumerate() {
-                    *z = read(simd, &self.cores_last[(a + (q + j) * after) * cells + other..][..lanes]);
-                }
                 for (i, sums) in sums.iter_mut().enumerate() {
-                    let x = x[a + (r + i) * after];
-                    sums.iter_mut().zip(z).for_each(|(sum, z)| *sum = simd.mul_add_e_f64s(x, z, *sum));
+                    for (j, sum) in sums.iter_mut().enumerate() {
+                        *sum = simd.mul_add_e_f64s(x[a + (r + i) * after], z[a + (q + j) * after], *sum);
+                    }
                 }
             }
         }
-        for (at, sum) in sums.as_flattened().iter().enumerate() {
-            let (i, j) = (at / TILE, at % TILE);
-            let sum: &[f64] = pulp::bytemuck::cast_slice(std::slice::from_ref(sum));
-            let to = self.rows[((r + i) * cells + other) * rank + q + j..].iter_mut().step_by(rank);
-            to.zip(&sum[..lanes]).for_each(|(to, &sum)| *to = sum);
+        for (i, sums) in sums.iter().enumerate() {
+            for (j, &sum) in sums.iter().enumerate() {
+                let to = self.rows[((r + i) * cells + group.from) * rank + q + j..].iter_mut().step_by(rank);
+                // A copy: what is pointed to would not stay in a register.
+                let sum = [sum];
+                let sum: &[f64] = pulp::bytemuck::cast_slice(&sum);
+                to.zip(&sum[..group.lanes]).for_each(|(to, &sum)| *to = sum);
+            }
         }
     }
 }

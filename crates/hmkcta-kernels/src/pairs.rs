@@ -13,7 +13,64 @@ pub struct Pairs<'a> {
     pub products: &'a [&'a [f64]],
 }
 
-/// A matrix `M_m(c, c')` for each of as many cells c' as there are lanes, fewer at the end.
+/// Cells c', as many as there are lanes, fewer at the end.
+#[derive(Clone, Copy)]
+pub struct Group {
+    pub from: usize,
+    pub lanes: usize,
+}
+
+/// Numbers of all cells, `[PC, R_1, .., R_N]`: those of WIDE cells side by side, zero where there is no cell.
+#[derive(Clone)]
+pub struct Laid {
+    size: usize,
+    /// `[groups of WIDE cells, R_1, .., R_N, WIDE]`
+    numbers: Vec<f64>,
+}
+
+/// The lanes of the widest vector.
+const WIDE: usize = 8;
+
+impl Laid {
+    pub fn new(cells: usize, size: usize, mut numbers: impl Iterator<Item = f64>) -> Self {
+        let mut laid = Laid { size, numbers: vec![0.0; cells.next_multiple_of(WIDE) * size] };
+        for cell in 0..cells {
+            let places = laid.place(cell)..;
+            laid.numbers[places].iter_mut().step_by(WIDE).zip(numbers.by_ref().take(size)).for_each(|(to, z)| *to = z);
+        }
+        laid
+    }
+
+    /// Add as much of the others.
+    pub fn add(&mut self, factor: f64, others: &Laid) {
+        self.numbers.iter_mut().zip(&others.numbers).for_each(|(to, z)| *to += factor * z);
+    }
+
+    /// The inner product.
+    pub fn dot(&self, others: &Laid) -> f64 {
+        self.numbers.iter().zip(&others.numbers).map(|(x, y)| x * y).sum()
+    }
+
+    /// Cell after cell.
+    pub fn numbers(&self, cells: usize) -> impl Iterator<Item = f64> {
+        (0..cells).flat_map(|cell| self.numbers[self.place(cell)..].iter().step_by(WIDE).take(self.size).copied())
+    }
+
+    /// A vector for each number of a core.
+    #[inline(always)]
+    pub fn vectors<S: Simd>(&self, _: S, group: Group) -> impl Iterator<Item = S::f64s> {
+        let wide = self.numbers[group.from / WIDE * WIDE * self.size..].chunks_exact(WIDE);
+        let lanes = group.from % WIDE..;
+        wide.take(self.size).map(move |wide| S::as_simd_f64s(&wide[lanes.clone()]).0[0])
+    }
+
+    /// The first number of a cell.
+    fn place(&self, cell: usize) -> usize {
+        cell / WIDE * WIDE * self.size + cell % WIDE
+    }
+}
+
+/// A matrix `M_m(c, c')` for each cell c' of a group.
 #[derive(Clone, Copy)]
 pub struct Matrices<'a> {
     numbers: &'a [f64],
@@ -27,31 +84,60 @@ impl<'a> Pairs<'a> {
         self.ranks.iter().product()
     }
 
-    /// The modes that have bases.
-    pub fn decomposed(&self) -> impl Iterator<Item = usize> {
-        (0..self.ranks.len()).filter(|&m| !self.products[m].is_empty())
+    /// All cells, from the group of `first` on.
+    #[inline(always)]
+    pub fn groups<S: Simd>(&self, _: S, first: usize) -> impl Iterator<Item = Group> + use<S> {
+        let cells = self.cells;
+        let first = first - first % S::F64_LANES;
+        (first..cells).step_by(S::F64_LANES).map(move |from| Group { from, lanes: S::F64_LANES.min(cells - from) })
     }
 
-    /// Of mode m, for cell c and the cells c' from `other` on.
+    /// Of mode m, for cell c and the cells c'.
     #[inline(always)]
-    pub fn matrices<S: Simd>(&self, _: S, m: usize, (cell, other): (usize, usize)) -> Matrices<'a> {
+    pub fn matrices(&self, m: usize, cell: usize, group: Group) -> Matrices<'a> {
         let (cells, rank) = (self.cells, self.ranks[m]);
-        let numbers = &self.products[m][cell * rank * cells + other..];
-        Matrices { numbers, lanes: S::F64_LANES.min(cells - other), row: cells * rank * cells, column: cells }
+        let numbers = &self.products[m][cell * rank * cells + group.from..];
+        Matrices { numbers, lanes: group.lanes, row: cells * rank * cells, column: cells }
     }
 
-    /// `x x_m M` for `x` `[R_1, .., R_N]`.
+    /// The product of `M_m(c, c')` over modes of rank one, where they are numbers.
     #[inline(always)]
-    pub fn mode_product<S: Simd>(&self, simd: S, x: &[S::f64s], m: usize, matrices: Matrices, y: &mut [S::f64s]) {
-        let after = self.ranks[m + 1..].iter().product();
-        // Sums of small ranks stay in registers.
-        match self.ranks[m] {
-            1 => small_product::<S, 1>(simd, x, after, matrices, y),
-            2 => small_product::<S, 2>(simd, x, after, matrices, y),
-            3 => small_product::<S, 3>(simd, x, after, matrices, y),
-            4 => small_product::<S, 4>(simd, x, after, matrices, y),
-            rank => product(simd, x, (rank, after), matrices, y),
+    pub fn numbers<S: Simd>(&self, simd: S, cell: usize, group: Group, but: Option<usize>) -> S::f64s {
+        let mut numbers = simd.splat_f64s(1.0);
+        for m in self.modes(but).filter(|&m| self.ranks[m] == 1) {
+            numbers = simd.mul_f64s(numbers, self.matrices(m, cell, group).at(simd, 0, 0));
         }
+        numbers
+    }
+
+    /// `x x_m M` over all modes that have bases of more than one column; `y` is of the same size as `x`.
+    #[inline(always)]
+    pub fn multiply<S: Simd>(
+        &self,
+        simd: S,
+        x: &mut Vec<S::f64s>,
+        y: &mut Vec<S::f64s>,
+        but: Option<usize>,
+        matrices: impl Fn(usize) -> Matrices<'a>,
+    ) {
+        for m in self.modes(but) {
+            let after = self.ranks[m + 1..].iter().product();
+            // Sums of small ranks stay in registers.
+            match self.ranks[m] {
+                1 => continue,
+                2 => small_product::<S, 2>(simd, x, after, matrices(m), y),
+                3 => small_product::<S, 3>(simd, x, after, matrices(m), y),
+                4 => small_product::<S, 4>(simd, x, after, matrices(m), y),
+                rank => product(simd, x, (rank, after), matrices(m), y),
+            }
+            std::mem::swap(x, y);
+        }
+    }
+
+    /// The modes that have bases.
+    #[inline(always)]
+    pub fn modes(&self, but: Option<usize>) -> impl Iterator<Item = usize> {
+        (0..self.ranks.len()).filter(move |&m| Some(m) != but && !self.products[m].is_empty())
     }
 }
 
@@ -75,16 +161,34 @@ fn small_product<S: Simd, const R: usize>(simd: S, x: &[S::f64s], after: usize, 
             *m = matrices.at(simd, r, q);
         }
     }
+    if after == 1 {
+        for (x, y) in x.as_chunks::<R>().0.iter().zip(y.as_chunks_mut::<R>().0) {
+            *y = times(simd, *x, &matrix);
+        }
+        return;
+    }
     for (x, y) in x.chunks_exact(R * after).zip(y.chunks_exact_mut(R * after)) {
         for a in 0..after {
-            let mut sums = [simd.splat_f64s(0.0); R];
-            for (r, row) in matrix.iter().enumerate() {
-                let value = x[r * after + a];
-                sums.iter_mut().zip(row).for_each(|(sum, &m)| *sum = simd.mul_add_e_f64s(value, m, *sum));
+            let mut column = [simd.splat_f64s(0.0); R];
+            for (r, value) in column.iter_mut().enumerate() {
+                *value = x[r * after + a];
             }
-            sums.into_iter().enumerate().for_each(|(q, sum)| y[q * after + a] = sum);
+            for (q, sum) in times(simd, column, &matrix).into_iter().enumerate() {
+                y[q * after + a] = sum;
+            }
         }
     }
+}
+
+#[inline(always)]
+fn times<S: Simd, const R: usize>(simd: S, x: [S::f64s; R], matrix: &[[S::f64s; R]; R]) -> [S::f64s; R] {
+    let mut sums = [simd.splat_f64s(0.0); R];
+    for (x, row) in x.into_iter().zip(matrix) {
+        for (sum, &m) in sums.iter_mut().zip(row) {
+            *sum = simd.mul_add_e_f64s(x, m, *sum);
+        }
+    }
+    sums
 }
 
 #[inline(always)]
@@ -102,7 +206,7 @@ fn product<S: Simd>(simd: S, x: &[S::f64s], (rank, after): (usize, usize), matri
 
 /// A vector of these numbers, zero in lanes beyond them.
 #[inline(always)]
-pub fn read<S: Simd>(simd: S, x: &[f64]) -> S::f64s {
+fn read<S: Simd>(simd: S, x: &[f64]) -> S::f64s {
     match S::as_simd_f64s(x) {
         ([whole, ..], _) => *whole,
         (_, part) => simd.partial_load_f64s(part),
