@@ -12,6 +12,16 @@ pub fn dispatch<Op: WithSimd>(op: Op) -> Op::Output {
     }
 }
 
+/// Run a kernel that has no use for more than eight lanes: half vectors take half the time on many machines.
+#[inline]
+pub fn dispatch_narrow<Op: WithSimd>(op: Op) -> Op::Output {
+    match arch() {
+        #[cfg(target_arch = "x86_64")]
+        Arch::V4(v4) => Simd::vectorize(*v4, op),
+        _ => dispatch(op),
+    }
+}
+
 /// Have the numbers fetched into the cache.
 #[inline(always)]
 pub fn prefetch(numbers: &[f32]) {

@@ -6,21 +6,22 @@
 //! are in registers they are added up along mode a.
 
 use crate::cells::Node;
-use crate::machine::{dispatch, prefetch};
+use crate::machine::{dispatch, dispatch_narrow, prefetch};
 use crate::threads::{PARALLEL, Scratch, for_each, room, with_scratch};
 use pulp::{Simd, WithSimd};
 use std::ops::Range;
 
-/// Lanes are padded to a multiple of the longest vector.
-const PAD: usize = 16;
+/// Lanes are padded to a multiple of half the longest vector; what is left of whole ones is worked on by half ones.
+const PAD: usize = 8;
+const WHOLE: usize = 16;
 /// Tuples gathered at a time: a cache line of neighbours.
 const TUPLES: usize = 16;
 /// Numbers gathered at a time, some rows of mode a of all these tuples: the level 2 cache holds them.
 const GATHERED: usize = 64 * 1024;
 /// How many cache lines ahead of those being gathered are asked for: each lies on a page of its own.
 const AHEAD: usize = 12;
-/// Tuples worked on at a time where their numbers can be read from the tensor.
-const IN_PLACE: usize = 4;
+/// Tuples worked on at a time where their numbers can be read from the tensor: more where they have few.
+const IN_PLACE: Range<usize> = 4..64;
 
 /// Numbers of the result for each tuple: `[C_a, C_b, R_a, PC / (C_a C_b), R_b]`.
 pub fn width(node: &Node, (a, b): (usize, usize)) -> usize {
@@ -76,7 +77,8 @@ impl<'a> Pair<'a> {
         };
         let numbers = (0..node.clusters[a]).flat_map(|ka| (0..node.clusters[b]).map(move |kb| (ka, kb)));
         let inner = node.sizes[a.max(b) + 1..].iter().product();
-        let group = if inner > 1 { TUPLES } else { IN_PLACE };
+        let fitting = GATHERED / (node.sizes[a] * node.sizes[b]);
+        let group = if inner > 1 { TUPLES } else { fitting.clamp(IN_PLACE.start, IN_PLACE.end) };
         let rows =
             if inner > 1 { (GATHERED / (TUPLES * node.sizes[b])).clamp(1, node.sizes[a]) } else { node.sizes[a] };
         let panels = numbers.map(empty).collect();
@@ -198,7 +200,12 @@ impl<'a> Pair<'a> {
                 let weights = &weights[inside.start * size..inside.end * size];
                 let (rows, columns, sums) = (&places[..], &columns[..], &mut sums[number * size..]);
                 let step = self.panels.len() * size;
-                dispatch(Product { x, starts, rows, columns, panel, weights, rank, padded, sums, step });
+                let mut product = Product { x, starts, rows, columns, panel, weights, rank, padded, sums, step };
+                let whole = padded - padded % WHOLE;
+                dispatch(Lanes(&mut product, 0..whole));
+                if whole < padded {
+                    dispatch_narrow(Lanes(&mut product, whole..padded));
+                }
             }
         }
     }
@@ -228,23 +235,35 @@ struct Product<'a> {
     step: usize,
 }
 
-impl WithSimd for Product<'_> {
+/// Some of a product's lanes.
+struct Lanes<'a, 'p>(&'a mut Product<'p>, Range<usize>);
+
+impl WithSimd for Lanes<'_, '_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(mut self, simd: S) {
-        let Product { starts, rows, columns, rank, padded, step, .. } = self;
+    fn with_simd<S: Simd>(self, simd: S) {
+        self.0.lanes(simd, self.1);
+    }
+}
+
+impl Product<'_> {
+    #[inline(always)]
+    fn lanes<S: Simd>(&mut self, simd: S, some: Range<usize>) {
+        let Product { starts, rows, columns, rank, padded, step, .. } = *self;
         let last = starts.iter().max().zip(rows.iter().max().zip(columns.iter().max()));
         assert!(last.is_none_or(|(start, (row, column))| start + row + column < self.x.len()));
-        assert!(padded.is_multiple_of(PAD) && self.panel.len() >= columns.len() * padded);
+        assert!(
+            some.len().is_multiple_of(S::F32_LANES) && some.end <= padded && self.panel.len() >= columns.len() * padded
+        );
         assert!(self.sums.len() >= starts.len().saturating_sub(1) * step + rank * padded);
         assert!(self.weights.len() >= rows.len() * rank * padded);
         let lanes = S::F32_LANES;
         let wide = if S::REGISTER_COUNT >= 32 { 4 } else { 2 };
-        for lane in (0..padded).step_by(wide * lanes) {
+        for lane in some.clone().step_by(wide * lanes) {
             // SAFETY: all tuples, rows, columns and lanes lie within the slices.
             unsafe {
-                match (wide, (padded - lane) / lanes) {
+                match (wide, (some.end - lane) / lanes) {
                     (_, 1) => self.rows::<S, 8, 1>(simd, lane),
                     (2, _) => self.rows::<S, 4, 2>(simd, lane),
                     (_, 2) => self.rows::<S, 8, 2>(simd, lane),
@@ -254,9 +273,7 @@ impl WithSimd for Product<'_> {
             }
         }
     }
-}
 
-impl Product<'_> {
     /// All rows of `V` vectors of lanes, `M` at a time: their numbers of all tuples are neighbours, and stay in the cache.
     #[inline(always)]
     unsafe fn rows<S: Simd, const M: usize, const V: usize>(&mut self, simd: S, lane: usize) {
@@ -266,16 +283,16 @@ impl Product<'_> {
                 self.tiles::<S, M, V>(simd, row, lane);
                 row += M;
             }
-            if M > 4 && row + 4 <= count {
-                self.tiles::<S, 4, V>(simd, row, lane);
-                row += 4;
-            }
-            while row + 2 <= count {
-                self.tiles::<S, 2, V>(simd, row, lane);
-                row += 2;
-            }
-            if row < count {
-                self.tiles::<S, 1, V>(simd, row, lane);
+            // At once, as few rows at a time would wait for sums.
+            match count - row {
+                0 => (),
+                1 => self.tiles::<S, 1, V>(simd, row, lane),
+                2 => self.tiles::<S, 2, V>(simd, row, lane),
+                3 => self.tiles::<S, 3, V>(simd, row, lane),
+                4 => self.tiles::<S, 4, V>(simd, row, lane),
+                5 => self.tiles::<S, 5, V>(simd, row, lane),
+                6 => self.tiles::<S, 6, V>(simd, row, lane),
+                _ => self.tiles::<S, 7, V>(simd, row, lane),
             }
         }
     }
