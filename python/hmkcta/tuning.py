@@ -277,10 +277,17 @@ def _settled(
         judged = search.best(again, search.care.refine, told)
     best, starts = (-inf, finalists[0]), _starts(judged, search.care.far)
     for number, (worth, candidate) in enumerate(starts, start=1):
-        if worth > best[0] - LATE:
-            best = max(best, _climbed(search, candidate, search.care.refine, best[0]), key=worth_of)
+        whole = _is_whole(best[1])
+        if worth > best[0] - (LAGGING if whole else LATE):
+            reached = -inf if whole else best[0]
+            best = max(best, _climbed(search, candidate, search.care.refine, reached), key=worth_of)
         progress("finer choice of blocks", 1 / 3 + 2 * number / (3 * len(starts)))
     return best
+
+
+def _is_whole(candidate: Candidate) -> bool:
+    """Whether it has no blocks: its climb ends where it begins, and says little of how far others come."""
+    return prod(candidate.grid) == 1
 
 
 def _starts(judged: Ranked, far: float) -> Ranked:
@@ -289,7 +296,7 @@ def _starts(judged: Ranked, far: float) -> Ranked:
     worth, first = ranked[0]
     others = [item for item in ranked if (item[1].organisation, item[1].carried) != (first.organisation, first.carried)]
     second = [item for item in ranked[1:2] if item[0] > worth - far]
-    other = [item for item in others[:1] if item[0] > worth - OTHER * far]
+    other = [item for item in others[:1] if item[0] > worth - (LAGGING if _is_whole(first) else OTHER * far)]
     return list(dict.fromkeys([ranked[0], *second, *other]))
 
 
