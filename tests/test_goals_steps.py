@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -128,6 +129,19 @@ def test_far_beyond_its_goal_a_plan_is_tried_with_other_blocks(
     else:
         assert model.nbytes <= goal["size"]
         assert model.snr > plain.snr + 0.1
+
+
+def test_a_rival_too_large_for_the_goal_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    chosen = choose_plan(dataset().values, axes=dataset().axes, size=24_000, threads=1)
+    large = replace(parse_plan("R=*,*,*,*", (("time",), ("z",), ("y",), ("x",))), size=24_000)
+
+    def tuned(*_: Any, **__: Any) -> list[Plan]:
+        return [chosen, large]
+
+    monkeypatch.setattr("hmkcta.encode.tune", tuned)
+    with pytest.raises(HmkctaError, match="size-too-small"):
+        fitted(plan=large)
+    assert fitted(size=24_000).nbytes <= 24_000
 
 
 def test_more_is_never_worse() -> None:

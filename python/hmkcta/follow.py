@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import prod
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from .adaptive import Goal, fit_to_goal
 from .axes import mode_sizes
-from .errors import invalid
+from .errors import HmkctaError, invalid
 from .filesize import metadata_of, undecomposed_in
 from .finer import finer, is_coarse
 from .fit import EFFORTS
@@ -97,10 +97,8 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
     are such large steps that a model lies far beyond its goal, the same plan with a `finer` choice of blocks is tried,
     and for an SNR the first of the others.
     """
-    model = follow(task)
-    for plan in others if task.plan.size is not None else ():
-        rival = replace(task, plan=plan)
-        task, model = max((task, model), (rival, follow(rival)), key=lambda each: each[1].snr)
+    rivals = _further(task, others if task.plan.size is not None else ())
+    task, model = max([(task, follow(task)), *rivals], key=lambda each: each[1].snr)
     best = model
     if is_coarse(task.plan, model.snr, model.nbytes):
         return _nearer(task, model, others)
@@ -120,11 +118,24 @@ def _nearer(task: Task, model: Model, others: Sequence[Plan]) -> Model:
     """The best of a model beyond its goal and those of plans that may come nearer to it."""
     own = finer(task.plan, task.source.axes)
     plans = ([] if own is None else [own]) + list(others[: 1 if task.plan.snr is not None else 0])
-    models = [model, *(follow(replace(task, plan=plan)) for plan in plans)]
+    models = [model, *(each for _, each in _further(task, plans))]
     snr = task.plan.snr
     if snr is None:
         return max(models, key=lambda each: each.snr)
     return min((each for each in models if each.snr >= snr), key=lambda each: each.nbytes)
+
+
+def _further(task: Task, plans: Sequence[Plan]) -> Iterator[tuple[Task, Model]]:
+    """Models of further plans, except those whose least file is larger than the goal: there is one already."""
+    for plan in plans:
+        further = replace(task, plan=plan)
+        try:
+            model = follow(further)
+        except HmkctaError as error:
+            if error.reason != "size-too-small":
+                raise
+            continue
+        yield further, model
 
 
 def _deeper(task: Task, model: Model) -> Plan | None:
