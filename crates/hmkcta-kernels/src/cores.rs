@@ -1,7 +1,7 @@
 //! Cores of all cells together, the bases given: least squares by conjugate gradients.
 
 use crate::machine::dispatch;
-use crate::pairs::{Laid, PARALLEL_PAIRS, Pairs};
+use crate::pairs::{Laid, PARALLEL_PAIRS, Pairs, piece};
 use crate::threads::for_each;
 use pulp::{Simd, WithSimd};
 
@@ -39,36 +39,42 @@ pub fn solve_cores(pairs: &Pairs, cores: &mut [f32], b: &[f64], steps: usize) {
 fn normal(pairs: &Pairs, z: &Laid) -> Laid {
     let (cells, size) = (pairs.cells, pairs.core_size());
     let mut g = vec![0.0; cells * size];
-    let tasks = g.chunks_mut(size).enumerate().collect();
-    for_each(cells * cells >= PARALLEL_PAIRS, tasks, |(cell, g)| dispatch(Row { pairs, cell, z, g }));
+    let parallel = cells * cells >= PARALLEL_PAIRS;
+    let piece = piece(cells, parallel);
+    let tasks = g.chunks_mut(size * piece).enumerate().collect();
+    for_each(parallel, tasks, |(number, g)| dispatch(Rows { pairs, from: number * piece, z, g }));
     Laid::new(cells, size, g.into_iter())
 }
 
-/// `(G Z)_c` of one cell c, `[R_1, .., R_N]`.
-struct Row<'a> {
+/// `(G Z)_c` of some cells, `[cells, R_1, .., R_N]`.
+struct Rows<'a> {
     pairs: &'a Pairs<'a>,
-    cell: usize,
+    from: usize,
     z: &'a Laid,
     g: &'a mut [f64],
 }
 
-impl WithSimd for Row<'_> {
+impl WithSimd for Rows<'_> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Row { pairs, cell, z, g } = self;
-        let zero = simd.splat_f64s(0.0);
-        let (mut x, mut y, mut sum) = (vec![zero; g.len()], vec![zero; g.len()], vec![zero; g.len()]);
-        for group in pairs.groups(simd, 0) {
-            let numbers = pairs.numbers(simd, cell, group, None);
-            for (x, z) in x.iter_mut().zip(z.vectors(simd, group)) {
-                *x = simd.mul_f64s(z, numbers);
+        let Rows { pairs, from, z, g } = self;
+        let size = pairs.core_size();
+        let zeros = vec![simd.splat_f64s(0.0); size];
+        let (mut x, mut y, mut sum) = (zeros.clone(), zeros.clone(), zeros);
+        for (cell, g) in (from..).zip(g.chunks_exact_mut(size)) {
+            sum.fill(simd.splat_f64s(0.0));
+            for group in pairs.groups(simd, 0) {
+                let numbers = pairs.numbers(simd, cell, group, None);
+                for (x, z) in x.iter_mut().zip(z.vectors(simd, group)) {
+                    *x = simd.mul_f64s(z, numbers);
+                }
+                pairs.multiply(simd, &mut x, &mut y, None, |m| pairs.matrices(m, cell, group).transposed());
+                sum.iter_mut().zip(&x).for_each(|(sum, &x)| *sum = simd.add_f64s(*sum, x));
             }
-            pairs.multiply(simd, &mut x, &mut y, None, |m| pairs.matrices(m, cell, group).transposed());
-            sum.iter_mut().zip(&x).for_each(|(sum, &x)| *sum = simd.add_f64s(*sum, x));
+            g.iter_mut().zip(&sum).for_each(|(g, &sum)| *g = simd.reduce_sum_f64s(sum));
         }
-        g.iter_mut().zip(&sum).for_each(|(g, &sum)| *g = simd.reduce_sum_f64s(sum));
     }
 }
 

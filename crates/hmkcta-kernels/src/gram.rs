@@ -1,7 +1,7 @@
 //! Inner products of dictionaries in float64.
 
 use crate::machine::dispatch;
-use crate::pairs::{Group, Laid, PARALLEL_PAIRS, Pairs};
+use crate::pairs::{Group, Laid, PARALLEL_PAIRS, Pairs, piece};
 use crate::threads::for_each;
 use pulp::{Simd, WithSimd};
 
@@ -13,43 +13,56 @@ pub fn dictionary_gram(pairs: &Pairs, cores: &[f32], n: usize) -> Vec<f64> {
     let side = cells * pairs.ranks[n];
     let laid = Laid::new(cells, size, cores.iter().map(|&z| f64::from(z)));
     let mut h = vec![0.0; side * side];
-    let tasks = h.chunks_mut(pairs.ranks[n] * side).enumerate().collect();
-    for_each(cells * cells >= PARALLEL_PAIRS, tasks, |(cell, rows)| {
-        dispatch(Row { pairs, core: &cores[cell * size..][..size], cores: &laid, n, cell, rows });
+    let (parallel, row) = (cells * cells >= PARALLEL_PAIRS, pairs.ranks[n] * side);
+    let piece = piece(cells, parallel);
+    let tasks = h.chunks_mut(row * piece).enumerate().collect();
+    for_each(parallel, tasks, |(number, rows)| {
+        dispatch(Rows { pairs, cores, laid: &laid, n, from: number * piece, rows });
     });
     mirror(&mut h, side);
     h
 }
 
-/// Inner products of one cell's dictionary with those from it on, into rows `[R_n, PC, R_n]` of the result.
-struct Row<'a> {
+/// Inner products of the dictionaries of some cells with those from each on, into rows `[cells, R_n, PC, R_n]`.
+struct Rows<'a> {
     pairs: &'a Pairs<'a>,
-    /// Z_c
-    core: &'a [f32],
-    cores: &'a Laid,
+    cores: &'a [f32],
+    laid: &'a Laid,
     n: usize,
-    cell: usize,
+    from: usize,
     rows: &'a mut [f64],
 }
 
-impl WithSimd for Row<'_> {
+impl WithSimd for Rows<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(mut self, simd: S) {
-        let Row { pairs, core, n, cell, .. } = self;
-        let zeros = vec![simd.splat_f64s(0.0); core.len()];
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Rows { pairs, cores, laid, n, from, rows } = self;
+        let size = pairs.core_size();
+        let zeros = vec![simd.splat_f64s(0.0); size];
         let (mut x, mut y, mut z) = (zeros.clone(), zeros.clone(), zeros);
-        for group in pairs.groups(simd, cell) {
-            let numbers = pairs.numbers(simd, cell, group, Some(n));
-            for (x, &z) in x.iter_mut().zip(core) {
-                *x = simd.mul_f64s(simd.splat_f64s(f64::from(z)), numbers);
+        let of_cells = cores.chunks_exact(size).enumerate().skip(from);
+        for ((cell, core), rows) in of_cells.zip(rows.chunks_exact_mut(pairs.ranks[n].pow(2) * pairs.cells)) {
+            let mut row = Row { pairs, n, rows };
+            for group in pairs.groups(simd, cell) {
+                let numbers = pairs.numbers(simd, cell, group, Some(n));
+                for (x, &z) in x.iter_mut().zip(core) {
+                    *x = simd.mul_f64s(simd.splat_f64s(f64::from(z)), numbers);
+                }
+                pairs.multiply(simd, &mut x, &mut y, Some(n), |m| pairs.matrices(m, cell, group));
+                z.iter_mut().zip(laid.vectors(simd, group)).for_each(|(to, z)| *to = z);
+                row.contract(simd, &x, &z, group);
             }
-            pairs.multiply(simd, &mut x, &mut y, Some(n), |m| pairs.matrices(m, cell, group));
-            z.iter_mut().zip(self.cores.vectors(simd, group)).for_each(|(to, z)| *to = z);
-            self.contract(simd, &x, &z, group);
         }
     }
+}
+
+/// The rows of one cell, `[R_n, PC, R_n]`.
+struct Row<'a> {
+    pairs: &'a Pairs<'a>,
+    n: usize,
+    rows: &'a mut [f64],
 }
 
 impl Row<'_> {

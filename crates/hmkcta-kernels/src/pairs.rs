@@ -1,9 +1,17 @@
 //! Pairs of cells by the inner products of their bases. The lanes of a vector are cells.
 
+use crate::threads::count;
 use pulp::Simd;
 
 /// Pairs of cells from which on several threads pay.
 pub const PARALLEL_PAIRS: usize = 4096;
+/// Pieces that threads share.
+const PIECES: usize = 32;
+
+/// How many cells are a task: all of them for one thread, as buffers are made for each.
+pub fn piece(cells: usize, parallel: bool) -> usize {
+    if parallel && count() > 1 { cells.div_ceil(PIECES) } else { cells.max(1) }
+}
 
 /// All pairs of PC cells of ranks R.
 pub struct Pairs<'a> {
