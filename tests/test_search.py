@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
@@ -206,6 +207,15 @@ def test_a_new_member_changes_nothing_until_it_is_fitted() -> None:
     for members in cells.members:
         assert np.all(np.diff(members.astype(int), axis=1) > 0)  # distinct and ascending
     assert np.abs(left_by(cells, tensor) - before).max() < 1e-6
+
+
+def test_the_cluster_to_add_is_found_with_no_projections_in_float64() -> None:
+    tensor = shuffled(smooth(40, 30, 20, noise=0.3))
+    cells = fit(tensor, "R=4,4,4 C=6,6,6")
+    tracemalloc.start()
+    extend(cells, tensor, 0)
+    assert tracemalloc.get_traced_memory()[1] < 1.5 * 4 * cells.spec.cells * 40 * 16
+    tracemalloc.stop()
 
 
 # Subdivision

@@ -191,6 +191,24 @@ def test_a_flat_level_of_many_cells_is_fitted_in_place(cloth: Any, monkeypatch: 
         fitted(cloth, monkeypatch, cloth.values.size // 3, flat, max_memory=predict.PROCESS + 2_100_000)
 
 
+def test_many_cells_that_share_no_element_want_no_products_of_bases() -> None:
+    """27,648 of them, of 149 GiB."""
+    modes, sizes = (("light", "rgb"), ("view",), ("y",), ("x",)), (174, 58, 400, 380)
+    flat, few = (parse_plan(f"R=2,2,3,3 C={clusters}", modes) for clusters in ("12,9,16,16", "4,3,4,4"))
+    assert flat.levels[0].products_bytes > 100e9
+    assert predict.memory_limit(flat, sizes, 10_000_000_000) == prod(sizes)
+    assert forecast(flat, sizes, EFFORTS["medium"], 2, 10_000_000_000).memory < 10_000_000_000
+    assert predict.memory_limit(few, sizes, 1_000_000_000) < prod(sizes)
+
+
+def test_cells_that_share_no_element_are_fitted_in_place(cloth: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    flat = "R=1,1,2,2 C=2,2,3,3"
+    inside = fitted(cloth, monkeypatch, cloth.values.size, flat)
+    monkeypatch.setattr(LevelSpec, "products_bytes", 10**12)
+    outside = fitted(cloth, monkeypatch, cloth.values.size // 3, flat)
+    assert outside.snr == pytest.approx(inside.snr, abs=0.02)
+
+
 # The parts
 
 

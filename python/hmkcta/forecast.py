@@ -41,8 +41,8 @@ _HEAPS = 40 * 2**20
 #: Nanoseconds of one core for each element: to read, hash, look at and measure the source; to find a start; of a
 #: sweep; of HOOI; to write a piece and read it. One core of a 2023 server.
 _SOURCE_NS, _START_NS, _SWEEP_NS, _HOOI_NS, _PIECE_NS = 35.0, 25.0, 15.0, 10.0, 15.0
-#: Of k-means for each row, cluster and start.
-_ROW_NS = 215.0
+#: Of k-means for each row, cluster and start; of a sweep of cells in turn for each element of each cell.
+_ROW_NS, _VISIT_NS = 215.0, 6.5
 #: What each further thread does of the work of one.
 _SECOND = 0.7
 
@@ -179,6 +179,8 @@ def _seconds(
         own = effort.at(number, len(plan.levels))
         sweep = _HOOI_NS if level.cells == 1 else _SWEEP_NS
         fit = sweep * (1 + own.hooi) if level.cells == 1 else _START_NS + sweep * own.sweeps
+        if level.search == "fast":
+            fit = _VISIT_NS * _visits(level, own.hooi)
         if prod(sizes) > limit and not level.disjoint:  # on a workset, and two passes for all rows
             fit = fit * workset(sizes, level, limit) / prod(sizes) + 2 * sweep
         each += fit
@@ -190,3 +192,13 @@ def _seconds(
             each += effort.backfits * (_SWEEP_NS + 10)
         sizes = blocks(sizes, level)
     return 1e-9 * (each * elements + starts) / (1 + _SECOND * (threads - 1))
+
+
+def _visits(level: LevelSpec, sweeps: int) -> int:
+    """How often an element is visited where cells are fitted in turn, and rows get one cluster more mode after mode."""
+    visits = mixture = 1
+    for most in level.mixture:
+        for count in range(1, most):
+            more = mixture // count * (count + 1)
+            visits, mixture = visits + mixture + more, more
+    return visits + sweeps * mixture

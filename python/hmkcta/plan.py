@@ -127,6 +127,11 @@ class LevelSpec:
         return self.cells * max((rank for rank in self.ranks if rank is not None), default=0)
 
     @property
+    def products_bytes(self) -> int:
+        """Bytes of the inner products `M_n(c, c')` of all pairs of cells, in float64."""
+        return 8 * sum((self.cells * rank) ** 2 for rank in self.ranks if rank is not None)
+
+    @property
     def disjoint(self) -> bool:
         """Whether the cells are the blocks of a grid, which share no element."""
         return self.cells > 1 and bool(self.grid) and max(self.mixture) == 1 and self.scheme != "uniform"

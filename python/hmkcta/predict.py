@@ -32,10 +32,13 @@ def memory_limit(plan: Plan, sizes: Sequence[int], memory: int | None) -> int:
     check_least_memory(prod(sizes), memory)
     limit = max(1, min(WORKSET, (memory_budget(memory) - PROCESS) // WORKING))
     first = next((level for level in plan.levels if level.cells > 1), plan.levels[0])
-    if prod(sizes) <= limit or first.search != "fast":
+    overlapping, clamped = max(first.mixture) > 1, first.clamped(sizes)
+    joint = first.search != "fast" if overlapping else PROCESS + clamped.products_bytes <= memory_budget(memory)
+    if prod(sizes) <= limit or first.disjoint or joint:
         return limit
     # Its cells are too many for joint rows: nothing but sweeps over a residual in memory.
-    check_memory(PROCESS + FLAT * prod(sizes), f"a level of {first.cells} cells", "fewer clusters, more levels", memory)
+    hint = "raise --max-memory, or fewer clusters, more levels"
+    check_memory(PROCESS + FLAT * prod(sizes), f"a level of {first.cells} cells", hint, memory)
     return prod(sizes)
 
 

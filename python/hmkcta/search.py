@@ -123,7 +123,8 @@ def extend(cells: Cells, residual: F32, n: int) -> None:
     Its basis rows start at zero, so the model is unchanged and Gauss-Seidel sweeps can only lower the error.
     """
     clusters, size, rank = cells.spec.clusters[n], cells.sizes[n], cells.ranks[n]
-    seen = np.square(kernels.project_cells(cells, residual, n), dtype=np.float64).sum(axis=2)  # [PC, I_n]
+    y = kernels.project_cells(cells, residual, n)
+    seen = np.einsum("cir,cir->ci", y, y, dtype=np.float64)  # [PC, I_n], with no copy of y in float64
     others = tuple(m for m in range(cells.order) if m != n)
     score = seen.reshape(*cells.spec.clusters, size).sum(axis=others).T  # [I_n, C_n]
     np.put_along_axis(score, cells.members[n].astype(np.intp), -1.0, axis=1)

@@ -117,7 +117,7 @@ def joint_bytes(sizes: Sequence[int], level: LevelSpec, threads: int = 1) -> int
         return 0
     columns = [(size, spec.cells * rank) for size, rank in zip(sizes, spec.ranks, strict=True) if rank is not None]
     most = max((size * count for size, count in columns), default=0)
-    return 8 * (3 + threads) * most + _products_bytes(spec)
+    return 8 * (3 + threads) * most + spec.products_bytes
 
 
 def fitting_bytes(sizes: Sequence[int], level: LevelSpec, limit: int) -> int:
@@ -134,7 +134,7 @@ def fitting_bytes(sizes: Sequence[int], level: LevelSpec, limit: int) -> int:
         return int(4 * elements * (2 + 2 * min(1.0, *shares)))
     if max(spec.mixture) == 1:
         return int(4 * elements * (1 + 1 / spec.cells))
-    return 8 * elements + _products_bytes(spec)
+    return 8 * elements + spec.products_bytes
 
 
 def projected_share(sizes: Sequence[int], level: LevelSpec) -> float:
@@ -143,11 +143,6 @@ def projected_share(sizes: Sequence[int], level: LevelSpec) -> float:
     shares = [1.0 if rank is None else rank / size for rank, size in zip(spec.ranks, sizes, strict=True)]
     seen = (prod(share for m, share in enumerate(shares) if m != n) for n, r in enumerate(spec.ranks) if r is not None)
     return min(1.0, spec.cells * max(seen, default=0.0))
-
-
-def _products_bytes(spec: LevelSpec) -> int:
-    """Bytes of `all_products`."""
-    return 8 * sum((spec.cells * rank) ** 2 for rank in spec.ranks if rank is not None)
 
 
 def check_worksets(plan: Plan, sizes: Sequence[int], limit: int, memory: int | None) -> None:
