@@ -110,6 +110,14 @@ def test_points_are_numpys(which: int, key: Any) -> None:
     assert_same(MODELS[which][key], DENSE[which][key], float(np.abs(DENSE[which]).max()))
 
 
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.uint32, np.uint64, np.int8])
+def test_index_arrays_are_of_any_integers(dtype: type[np.integer[Any]]) -> None:
+    index = np.array([[4, 0], [1, 4]], dtype)
+    assert_same(MODELS[0][index, index[0]], DENSE[0][index, index[0]], float(np.abs(DENSE[0]).max()))
+    with pytest.raises(IndexError, match="index-out-of-range"):
+        MODELS[0][index + dtype(100)]
+
+
 @pytest.mark.parametrize("key", [True, np.True_, 1.5, "x", np.zeros(3), [0, [1, 2]], (..., ...), (0,) * 5, 6, [-7],
                                  np.ones(5, np.bool_), ([0, 1], [0, 1, 2])], ids=repr)
 def test_bad_keys_are_index_errors(key: Any) -> None:

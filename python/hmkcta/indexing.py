@@ -114,7 +114,7 @@ def _parse(part: Any) -> Item:
     if array.dtype.kind not in "iub" or (array.dtype.kind == "b" and array.ndim == 0):
         raise IndexingError("index-type", "index", f"numbers of type {array.dtype}", _ALLOWED)
     if array.dtype.kind == "u":
-        array = np.minimum(array, _FAR).astype(np.intp)
+        array = np.minimum(array, np.uint64(_FAR)).astype(np.intp)
     return int(array) if array.ndim == 0 else array
 
 
