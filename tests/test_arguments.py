@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -197,3 +199,18 @@ def test_ranks_that_no_file_can_have_are_refused_before_the_fit(plan: str) -> No
         check_plan(parse_plan(plan, modes), (1500, 1600))
     assert caught.value.reason == "rank-too-large"
     check_plan(parse_plan("R=1 / R=1025", modes), (600, 700))  # nodes have no more rows
+
+
+def raised(call: Callable[[], object]) -> HmkctaError:
+    with pytest.raises(HmkctaError) as caught:
+        call()
+    return caught.value
+
+
+@pytest.mark.parametrize("call", [lambda: hmkcta.open("no.hmk"), lambda: compress(WAVE, "R=1")[99]],
+                         ids=["file", "index"])
+def test_errors_go_from_process_to_process(call: Callable[[], object]) -> None:
+    """One that could not would end a pool of processes without a sentence, or let it wait for ever."""
+    error = raised(call)
+    for same in (pickle.loads(pickle.dumps(error)), copy.copy(error)):
+        assert (type(same), str(same), vars(same)) == (type(error), str(error), vars(error))

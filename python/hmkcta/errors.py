@@ -57,6 +57,14 @@ class HmkctaError(Exception):
         advice = f". Next: {hint}." if hint else "."
         super().__init__(f"{sentence}{advice} [{kind.label}/{reason}]")
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """For `pickle`, by which processes hand errors to one another: it is made of its sentence, then its fields."""
+        return _made_again, (type(self), str(self)), dict(vars(self))
+
+
+def _made_again(error: type[HmkctaError], sentence: str) -> HmkctaError:
+    return error.__new__(error, sentence)
+
 
 def invalid(reason: str, where: str, found: object = None, allowed: object = None, hint: str = "") -> HmkctaError:
     """An `InvalidArgument` error: what the caller asked for cannot be."""
