@@ -186,6 +186,15 @@ def test_reconstruct_into_an_array(tmp_path: Path) -> None:
         assert caught.value.reason == "out-shape"
 
 
+def test_as_integers_values_are_rounded_and_cut_off() -> None:
+    """A cast would turn white, decoded as a little more than it was, into black."""
+    values = MODELS[0].reconstruct()
+    assert values.min() < -0.5
+    assert np.array_equal(np.asarray(MODELS[0], np.uint8), np.clip(np.rint(values), 0, 255))
+    assert np.array_equal(np.asarray(MODELS[0], ">i2"), np.rint(values))
+    assert np.array_equal(np.asarray(MODELS[0], np.bool_), values >= 0.5)
+
+
 def test_too_little_memory_is_said_before_it_is_taken() -> None:
     with pytest.raises(HmkctaError, match="memmap") as caught:
         MODELS[0].reconstruct(max_memory=400)

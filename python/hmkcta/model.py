@@ -41,7 +41,8 @@ _BLOCK_WORTH = 512
 class Model:
     """A compressed array of float32 values with the shape and the axes of its source.
 
-    Indexing follows NumPy and decodes only what is asked for. NumPy functions work on a model by decoding all of it.
+    Indexing follows NumPy and decodes only what is asked for. NumPy functions work on a model by decoding all of it,
+    and ``np.asarray(model, np.uint8)`` rounds its values, and cuts them off, to the nearest of a type of integers.
 
     Args:
         metadata: axes, organisation, value transform, quality.
@@ -185,11 +186,14 @@ class Model:
         return (self[i] for i in range(len(self)))
 
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
-        """All elements; what NumPy calls to use the model as an array."""
+        """All elements; what NumPy calls to use the model as an array. Of integers the nearest, as in `reconstruct`."""
         if copy is False:
             raise ValueError("a model is decoded into a new array: copy=False cannot be")
-        values = self.reconstruct()
-        return values if dtype is None else values.astype(dtype, copy=False)
+        wanted = self.dtype if dtype is None else np.dtype(dtype)
+        if wanted.kind not in "iub":
+            return self.reconstruct().astype(wanted, copy=False)
+        check_memory(wanted.itemsize * self.size, f"all {self.size} elements", "index a part")
+        return self.reconstruct(np.empty(self.shape, wanted))
 
     def sample(self, coords: Any) -> Any:
         """Multilinear interpolation between the elements.
