@@ -248,9 +248,10 @@ def test_a_size_below_the_tables_names_the_least(plan: str | None) -> None:
 def test_an_snr_out_of_reach_is_tried_and_reported() -> None:
     """Float16 ends near 70 dB."""
     tensor = light_field(views=2, size=16, frames=2).values
-    with pytest.warns(UserWarning, match="another is tried"):
+    with pytest.warns(UserWarning, match="another is tried") as caught:
         model = compress(tensor, snr=200.0, threads=1, quality="fast")
     assert 100 < model.snr < 200
+    assert caught[0].filename == __file__
 
 
 @pytest.mark.parametrize(("shape", "cost"), [((30, 40, 50), 16), ((3, 4, 5, 6), 1)])

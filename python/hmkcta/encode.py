@@ -162,7 +162,7 @@ def compress(
         plans = [plan] if plan else run.journal.plans(lambda: _chosen(source, run, wanted))
         task = Task(source, plans[0], scheme, wanted.decode_cost, kind or source.kind, run, wanted.max_memory)
         with kernels.use(device):
-            return follow(task) if plan else follow_any(task, plans[1:], lambda said: warn(said, stacklevel=5))
+            return follow(task) if plan else follow_any(task, plans[1:], lambda said: warn(said, stacklevel=4))
 
 
 @contextmanager
