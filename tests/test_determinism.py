@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from threading import Event
+from typing import Any, cast
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits  # pyright: ignore[reportMissingTypeStubs] (it has none)
 
 from hmkcta import Model, choose_plan, compress
 from hmkcta import open as open_model
@@ -83,3 +86,32 @@ def test_the_file_is_as_large_as_the_model_says(name: str, tmp_path: Path) -> No
         back = open_model(path)
         assert back.nbytes == coarse.nbytes
         assert np.array_equal(np.asarray(back), np.asarray(coarse))
+
+
+def blas_threads() -> set[int]:
+    libraries = cast("list[dict[str, Any]]", threadpool_info())
+    return {library["num_threads"] for library in libraries if library["user_api"] == "blas"}
+
+
+def test_calls_that_overlap_leave_blas_as_it_was() -> None:
+    """Its number of threads is the process's: it is one for as long as any call fits, and then what it was."""
+    begun, ended = Event(), Event()
+    inside: list[set[int]] = []
+    second: list[Future[Model]] = []
+
+    def later(*_: object) -> None:
+        begun.set()
+        assert ended.wait(60)
+        inside.append(blas_threads())
+
+    with threadpool_limits(2, "blas"), ThreadPoolExecutor(1) as pool:
+        before = blas_threads()
+
+        def earlier(*_: object) -> None:
+            second[:] = second or [pool.submit(fitted, plan="R=1", progress=later)]
+            assert begun.wait(60)
+
+        fitted(plan="R=1", progress=earlier)
+        ended.set()
+        second[0].result()
+        assert (inside[0], blas_threads()) == ({1}, before)

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from math import inf, isfinite, prod
 from numbers import Integral, Real
+from threading import Lock
 from typing import Any, cast
 from warnings import warn
 
@@ -171,11 +172,39 @@ def _threads(count: int) -> Generator[None]:
 
     Nodes and blocks run in threads already; BLAS threads beside them only fight, and would change sums.
     """
-    from threadpoolctl import threadpool_limits  # pyright: ignore[reportMissingTypeStubs] (it has none)
-
     keep_freed_memory()
-    with kernels.threads(count), threadpool_limits(limits=1, user_api="blas"):
+    with kernels.threads(count), _ONE_BLAS_THREAD:
         yield
+
+
+class _OneBlasThread:
+    """BLAS on one thread while any call is inside: the number is the process's, so the last one out puts it back."""
+
+    def __init__(self) -> None:
+        self._lock, self._inside, self._put_back = Lock(), 0, nobody
+
+    def __enter__(self) -> None:
+        from threadpoolctl import threadpool_limits  # pyright: ignore[reportMissingTypeStubs] (it has none)
+
+        with self._lock:
+            limits = threadpool_limits(limits=1, user_api="blas")  # of this thread alone, where BLAS has one for each
+            if not self._inside:
+                self._put_back = limits.restore_original_limits
+            self._inside += 1
+
+    def __exit__(self, *_: object) -> None:
+        from threadpoolctl import OpenBLASController  # pyright: ignore[reportMissingTypeStubs]
+
+        with self._lock:
+            self._inside -= 1
+            if not self._inside:  # whichever thread set it
+                OpenBLASController.clear_controlling_thread(force=True)
+                self._put_back()
+                OpenBLASController.clear_controlling_thread()
+
+
+#: State of a module, as what it keeps is the state of the process.
+_ONE_BLAS_THREAD = _OneBlasThread()
 
 
 def _found(wanted: str | Device) -> Device:
