@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import pickle
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 import hmkcta
-from hmkcta import Axis, HmkctaError, Journal, LevelSpec, compress, parse_plan
+from hmkcta import Axis, HmkctaError, Journal, LevelSpec, Plan, compress, parse_plan
 from hmkcta.plan import check_plan
 from hmkcta.render.layout import lay_out
 from hmkcta.source import described as describe_source
@@ -199,6 +200,39 @@ def test_ranks_that_no_file_can_have_are_refused_before_the_fit(plan: str) -> No
         check_plan(parse_plan(plan, modes), (1500, 1600))
     assert caught.value.reason == "rank-too-large"
     check_plan(parse_plan("R=1 / R=1025", modes), (600, 700))  # nodes have no more rows
+
+
+MODES = (("axis0",), ("axis1",))
+#: What may be built by hand, and no tensor of two modes can be fitted by.
+MISFITS: list[tuple[Callable[[], object], str]] = [
+    (lambda: Plan((("y",), ("x",)), (LevelSpec((2, 2), (1, 1), (1, 1)),)), "organisation"),
+    (lambda: Plan((("axis0",),), (LevelSpec((2,), (1,), (1,)),)), "organisation"),
+    (lambda: Plan(MODES, ()), "plan-levels"),
+    (lambda: Plan(MODES, (LevelSpec((2,), (1,), (1,)),)), "plan-modes"),
+    (lambda: Plan(MODES, ("R=2",)), "argument-type"),  # pyright: ignore[reportArgumentType]
+    (lambda: Plan(MODES, (LevelSpec((2, 2), (1, 1), (1, 1)),), snr="30"), "argument-type"),  # pyright: ignore
+    (lambda: LevelSpec((2.0, 2), (1, 1), (1, 1)), "argument-type"),  # pyright: ignore[reportArgumentType]
+    (lambda: LevelSpec((2, 2), (1, 1), (1, "1")), "argument-type"),  # pyright: ignore[reportArgumentType]
+]
+
+
+@pytest.mark.parametrize(("made", "reason"), MISFITS)
+def test_plans_made_by_hand_are_checked(made: Callable[[], Any], reason: str) -> None:
+    assert raised(lambda: compress(WAVE, made())).reason == reason
+
+
+def test_what_is_said_beside_a_plan_counts() -> None:
+    """As it does beside levels in words."""
+    noise = np.random.default_rng(0).random((20, 18))
+    own, coarse, fine = parse_plan("R<=18", MODES), compress(noise, "R<=18", snr=8), compress(noise, "R<=18", snr=30)
+    assert coarse.nbytes < fine.nbytes
+    for plan in (own, replace(own, snr=30), replace(own, size=fine.nbytes)):
+        assert compress(noise, plan, snr=8, organisation="axis0, axis1").snr == coarse.snr
+    assert raised(lambda: compress(noise, parse_plan("R=9", MODES), size=2000)).reason == "size-too-small"
+    assert raised(lambda: compress(noise, own, snr=8, organisation="axis0+axis1")).where == "organisation"
+    levels = parse_plan("R=1 C=2 / R=1", MODES)
+    for scheme in ("least", "uniform"):
+        assert compress(noise, levels, scheme=scheme).metadata.levels[0].scheme == scheme
 
 
 def raised(call: Callable[[], object]) -> HmkctaError:

@@ -13,7 +13,7 @@ from typing import Any, cast
 from warnings import warn
 
 from . import backends as kernels
-from .axes import Axis, check_kind, mode_sizes
+from .axes import Axis, check_kind, check_organisation, format_organisation, mode_sizes
 from .backends import Device
 from .errors import expect, invalid
 from .finer import SMALL, finer
@@ -102,15 +102,18 @@ def compress(
 
     Args:
         array: real numbers or booleans of any dtype, order and layout, 1 to 8 axes; NumPy array or memory map.
-        plan: levels as `parse_plan` reads them, or a `Plan`; None: chosen for the goal on a sample of the data.
+        plan: levels as `parse_plan` reads them, or a `Plan`, whose goal counts unless `snr` or `size` says another;
+            None: chosen for the goal on a sample of the data.
         axes: names (``light``, or ``gloss:space`` with a role) or `Axis` objects, in array order; or the names as one
             text, ``"light, view, y, x"``; None: an xarray's own.
         snr: least SNR in dB of the stored numbers. With explicit levels: no deeper than needed.
         size: most bytes of the whole file. Neither: 1/100 of the float32 bytes or 50 dB, whichever is less.
         decode_cost: most multiply-adds for one scattered element, for a chosen plan.
         quality: ``fast``, ``medium`` or ``thorough``: how long the fit tries.
-        organisation: axes merged into modes, ``"light+rgb, view, y+x"``; None: chosen, or a mode for each axis.
-        scheme: ``most``, ``least``, ``uniform`` or ``auto`` (the best of the three) subdivision of explicit levels.
+        organisation: axes merged into modes, ``"light+rgb, view, y+x"``; None: the `Plan`'s, chosen, or a mode for
+            each axis.
+        scheme: ``most``, ``least``, ``uniform`` or ``auto`` (the best of the three) subdivision of explicit levels,
+            whatever those of a `Plan` say.
         transform: value transform for high dynamic range, e.g. ``log1p``.
         nan: value to put for NaN and infinity; None: refuse them.
         kind: ``svbrdf``, ``lightfield``, ``volume`` or ``generic``, whose roles the axes must have; None: what their
@@ -152,9 +155,8 @@ def compress(
     with _threads(run.threads):
         source = prepare(array, axes, transform, nan, run.threads)
         check_kind(source.axes, kind or source.kind)
-        if isinstance(plan, str):
-            modes = source.organisation(organisation)
-            plan = replace(parse_plan(plan, modes, "most" if scheme == "auto" else scheme), snr=snr, size=size)
+        if plan is not None:
+            plan = _with_all_said(plan, source, wanted, scheme)
         check_least_memory(prod(source.shape), max_memory)  # before anything is kept of a run that cannot be
         if journal is not None:
             run = replace(run, journal=journal)
@@ -257,6 +259,22 @@ def _goal(snr: float | None, size: int | None) -> tuple[float | None, int | None
     if size is not None and not 1 <= size < inf:
         raise invalid("size", "size", size, "a positive number of bytes")
     return None if snr is None else float(snr), None if size is None else int(size)
+
+
+def _with_all_said(plan: Plan | str, source: Source, wanted: Wanted, scheme: str) -> Plan:
+    """A given plan with what the call says beside it: nothing of that is passed over."""
+    modes = None if wanted.organisation is None else source.organisation(wanted.organisation)
+    if isinstance(plan, str):
+        read = parse_plan(plan, modes or source.organisation(None), "most" if scheme == "auto" else scheme)
+        return replace(read, snr=wanted.snr, size=wanted.size)
+    own = check_organisation(tuple(map(tuple, plan.organisation)), source.axes)
+    if modes not in (None, own):
+        raise invalid("organisation", "organisation", repr(wanted.organisation),
+                      f"{format_organisation(own)!r}, the plan's", "leave it out beside a Plan")
+    levels = plan.levels if scheme == "auto" else [
+        level if level.grid else replace(level, scheme=scheme) for level in plan.levels]
+    goal = {} if wanted.snr is None and wanted.size is None else {"snr": wanted.snr, "size": wanted.size}
+    return replace(plan, organisation=own, levels=tuple(levels), **goal)
 
 
 def _wanted(

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from math import comb, prod
+from numbers import Integral, Real
 
 from .axes import Organisation, check_modes
 from .errors import expect, invalid
@@ -65,6 +66,9 @@ class LevelSpec:
             raise invalid("level-modes", "level", found, "as many of each as there are modes")
         for n, (rank, clusters, mixture) in enumerate(zip(self.ranks, self.clusters, self.mixture, strict=True)):
             mode = f"mode {n + 1}"
+            expect(f"R of {mode}", rank, Integral | None, "a whole number, or None for an undecomposed mode")
+            expect(f"C of {mode}", clusters, Integral, "a whole number")
+            expect(f"K of {mode}", mixture, Integral, "a whole number")
             if rank is not None and rank < 1:
                 raise invalid("rank-too-small", f"R of {mode}", rank, "1 or more, or * for an undecomposed mode")
             if clusters < 1:
@@ -291,6 +295,13 @@ class Plan:
     snr: float | None = None
     size: int | None = None
 
+    def __post_init__(self) -> None:
+        check_modes(self.organisation)
+        for level in self.levels:
+            expect("level of the plan", level, LevelSpec, "a LevelSpec")
+        expect("snr of the plan", self.snr, Real | None, "a number of dB")
+        expect("size of the plan", self.size, Real | None, "a number of bytes")
+
     def __str__(self) -> str:
         return " / ".join(str(level) for level in self.levels)
 
@@ -302,7 +313,6 @@ class Plan:
 def parse_plan(text: str, organisation: Organisation, scheme: str = "most") -> Plan:
     """Read levels parted by ``/``; see `parse_level`."""
     expect("plan", text, str, "text such as R=4,4,6,6")
-    check_modes(organisation)
     return Plan(organisation, tuple(parse_level(part, organisation, scheme) for part in text.split("/")))
 
 
@@ -310,7 +320,8 @@ def check_plan(plan: Plan, sizes: Sequence[int]) -> None:
     """Refuse a plan that a tensor of these mode sizes cannot be fitted by.
 
     Raises:
-        HmkctaError: ranks or clusters beyond the first level's rows; R=* in some levels only; R<= out of place.
+        HmkctaError: no levels, or levels of other modes; ranks or clusters beyond the first level's rows; R=* in some
+            levels only; R<= out of place.
 
     >>> check_plan(parse_plan("R=9", (("y",),)), (8,))
     Traceback (most recent call last):
@@ -318,8 +329,13 @@ def check_plan(plan: Plan, sizes: Sequence[int]) -> None:
     hmkcta.errors.HmkctaError: R of mode 1: found 9, allowed 1 to 8, or * for an undecomposed mode. \
 [InvalidArgument/rank-too-large]
     """
+    if not plan.levels:
+        raise invalid("plan-levels", "levels of the plan", "none", "one or more")
     first = plan.levels[0]
     for number, level in enumerate(plan.levels, start=1):
+        if level.order != len(sizes):
+            raise invalid("plan-modes", f"level {number} of the plan", f"{level.order} modes",
+                          f"{len(sizes)}, as its organisation has")
         if [r is None for r in level.ranks] != [r is None for r in first.ranks]:
             allowed = "* for the same modes in every level"
             raise invalid("undecomposed-differ", f"R of level {number}", str(level), allowed)
