@@ -51,7 +51,7 @@ def test_what_a_mask_hides_is_not_compressed_as_data() -> None:
 @pytest.mark.parametrize("axes", [
     "y, x", ["y", "x"], ("y", Axis("x", 18, "space")), [Axis("y", 20, "space"), "x"], np.array(["y", "x"]),
 ], ids=str)
-def test_axes_are_named_in_many_ways(axes: Any) -> None:
+def test_axes_are_named_in_many_ways(axes: str | list[str] | tuple[str | Axis, ...] | list[str | Axis]) -> None:
     named = compress(WAVE, "R=1", axes=axes).metadata.axes
     assert [(axis.name, axis.size, axis.role) for axis in named] == [("y", 20, "space"), ("x", 18, "space")]
 

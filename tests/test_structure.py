@@ -187,6 +187,11 @@ def test_importing_loads_neither_the_command_line_nor_pictures_nor_fitting() -> 
     assert json.loads(done.stdout) == []
 
 
+def test_type_checkers_are_told_of_the_annotations() -> None:
+    """Without the marker (PEP 561) they take the installed package for one that has none."""
+    assert (PACKAGE / "py.typed").read_bytes() == b""
+
+
 @pytest.fixture(scope="module")
 def tracked() -> list[Path]:
     """What git tracks, or would with the next `git add`."""

@@ -51,7 +51,7 @@ class Wanted:
 def choose_plan(
     array: Any,
     *,
-    axes: Sequence[Axis] | Sequence[str] | None = None,
+    axes: Sequence[Axis | str] | None = None,
     snr: float | None = None,
     size: int | None = None,
     decode_cost: int = 4096,
@@ -81,7 +81,7 @@ def compress(
     array: Any,
     plan: Plan | str | None = None,
     *,
-    axes: Sequence[Axis] | Sequence[str] | None = None,
+    axes: Sequence[Axis | str] | None = None,
     snr: float | None = None,
     size: int | None = None,
     decode_cost: int = 4096,

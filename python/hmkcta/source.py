@@ -149,7 +149,7 @@ class Source:
         return next(number for number, axis in enumerate(self.axes) if axis.name == name)
 
 
-def described(array: Any, axes: Sequence[Axis] | Sequence[str] | None = None, transform: str = "identity") -> Source:
+def described(array: Any, axes: Sequence[Axis | str] | None = None, transform: str = "identity") -> Source:
     """An array with its description; its values are not looked at, so its fingerprint is a stand-in.
 
     Raises:
@@ -176,7 +176,7 @@ def described(array: Any, axes: Sequence[Axis] | Sequence[str] | None = None, tr
 
 def prepare(
     array: Any,
-    axes: Sequence[Axis] | Sequence[str] | None,
+    axes: Sequence[Axis | str] | None,
     transform: str,
     nan: float | None,
     threads: int | None = None,
@@ -212,7 +212,7 @@ def _dimensions(array: Any) -> list[str] | None:
     return words if all(word.isidentifier() for word in words) else None
 
 
-def _named(shape: tuple[int, ...], axes: Sequence[Axis] | Sequence[str] | None) -> tuple[Axis, ...]:
+def _named(shape: tuple[int, ...], axes: Sequence[Axis | str] | None) -> tuple[Axis, ...]:
     given: Sequence[Axis | str] = [] if axes is None else listed_axes(axes)
     named = name_axes(shape, [axis.name if isinstance(axis, Axis) else axis for axis in given] or None)
     if not given:
