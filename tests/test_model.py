@@ -76,15 +76,23 @@ def advanced_keys(shape: tuple[int, ...]) -> st.SearchStrategy[Any]:
     return st.lists(item, max_size=5).map(tuple)
 
 
+#: What decides how elements are decoded that several modes' indices share.
+WAYS: dict[str, dict[str, int]] = {
+    "elements": {"_BLOCK_WORTH": 512},
+    "blocks": {"_BLOCK_WORTH": 1, "_AROUND_BLOCKS": 0, "_AROUND_ELEMENTS": 0},
+    "around": {"_BLOCK_WORTH": 1},
+}
+
+
 @settings(max_examples=250, deadline=None)
-@given(which=st.integers(0, len(MODELS) - 1), key=advanced_keys(SHAPE), blocks=st.booleans())
-@example(0, (slice(None), [0, 1], ..., [0, 0], slice(None)), True)  # an empty ellipsis parts index arrays
-@example(0, ([0, 1], slice(None), 0, [1, 2]), False)  # so do slices, and an integer is an index array
-@example(1, np.zeros(SHAPE, np.bool_), True)
-@example(0, (2**70,), True)
-@example(0, (slice(None), [], [9]), False)  # NumPy looks at no index that broadcasting leaves nothing of,
-@example(0, (slice(None), [], 9), False)  # but at integers
-def test_indexing_is_numpys(which: int, key: Any, blocks: bool) -> None:
+@given(which=st.integers(0, len(MODELS) - 1), key=advanced_keys(SHAPE), way=st.sampled_from(sorted(WAYS)))
+@example(0, (slice(None), [0, 1], ..., [0, 0], slice(None)), "blocks")  # an empty ellipsis parts index arrays
+@example(0, ([0, 1], slice(None), 0, [1, 2]), "elements")  # so do slices, and an integer is an index array
+@example(1, np.zeros(SHAPE, np.bool_), "around")
+@example(0, (2**70,), "blocks")
+@example(0, (slice(None), [], [9]), "elements")  # NumPy looks at no index that broadcasting leaves nothing of,
+@example(0, (slice(None), [], 9), "elements")  # but at integers
+def test_indexing_is_numpys(which: int, key: Any, way: str) -> None:
     model, reference = MODELS[which], DENSE[which]
     try:
         expected = reference[key]
@@ -94,7 +102,8 @@ def test_indexing_is_numpys(which: int, key: Any, blocks: bool) -> None:
         assert isinstance(caught.value, HmkctaError)
         return
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(model_module, "_BLOCK_WORTH", 1 if blocks else 512)
+        for name, value in WAYS[way].items():
+            patch.setattr(model_module, name, value)
         assert_same(model[key], np.asarray(expected), float(np.abs(reference).max()))
 
 
@@ -159,6 +168,28 @@ def test_large_results_are_decoded_in_slabs(monkeypatch: pytest.MonkeyPatch) -> 
         assert_same(model[::-1, :, 0, [[0, 1], [6, 2]]], reference[::-1, :, 0, [[0, 1], [6, 2]]])
         mask = reference > 0
         assert_same(model[mask], reference[mask])
+        with monkeypatch.context() as patch:
+            patch.setattr(model_module, "_BLOCK_WORTH", 1)
+            assert_same(model[mask], reference[mask])
+
+
+def test_elements_that_nearly_fill_a_block_are_taken_out_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One by one, or in a block for each pixel of a region, they would take ten times as long and more."""
+    asked: list[list[int]] = []
+    original = model_module.decode_block
+
+    def spy(levels: Any, sizes: Any, rows: Any, **options: Any) -> Any:
+        asked.append([len(index) for index in rows])
+        return original(levels, sizes, rows, **options)
+
+    model = make_model((("light",), ("y",), ("x", "rgb")), (12, 30, 20, 3))
+    reference, disk = dense(model), np.hypot(*np.mgrid[-15:15, -10:10]) < 9
+    monkeypatch.setattr(model_module, "decode_block", spy)
+    monkeypatch.setattr(model_module, "decode_elements", None)
+    assert_same(model[reference > 0], reference[reference > 0])
+    assert_same(model[:, disk], reference[:, disk])
+    assert_same(model[2:6, disk, 1], reference[2:6, disk, 1])
+    assert asked == [[12, 30, 60], [12, 17, 51], [4, 17, 17]]
 
 
 def test_whole_array() -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import prod
 from types import EllipsisType
 from typing import Any, TypeAlias, TypeGuard, cast
 
@@ -21,6 +22,8 @@ Index: TypeAlias = NDArray[np.intp]
 _ALLOWED = "integers, slices, ..., None, integer or boolean arrays"
 #: Stands for every index beyond the range of `Index`.
 _FAR = 1 << 62
+#: Indices of a mode that are looked at first.
+_FEW = 256
 Array: TypeAlias = NDArray[Any]
 Item: TypeAlias = int | slice | EllipsisType | Array | None
 
@@ -76,6 +79,40 @@ def select(key: Any, shape: Sequence[int]) -> Selection:
         elif isinstance(item, int):
             found.append((0, np.asarray(_one_in_range(item, axis, shape[axis]))))
     return _spread(result, found, first, together)
+
+
+def cut(axes: Sequence[Index], part: tuple[slice, ...]) -> list[Index]:
+    """The indices of a slab of the selection."""
+    return [index[tuple(span if length > 1 else slice(None) for span, length in zip(part, index.shape, strict=False))]
+            for index in axes]
+
+
+def occurring(modes: Sequence[Index], most: int) -> tuple[list[Index], list[Index]] | None:
+    """The rows of each mode that occur among indices, ascending, and every index counted among these.
+
+    None where there are more than `most` combinations of them; a few indices mostly tell.
+
+    >>> occurring([np.array([5, 9, 5]), np.array([2, 2, 0])], 4)
+    ([array([5, 9]), array([0, 2])], [array([0, 1, 0]), array([1, 1, 0])])
+    """
+    few = [index.reshape(-1)[:: 1 + index.size // _FEW] for index in modes]
+    if prod(len(np.unique(index)) for index in few) > most:
+        return None
+    found = [_ranked(index) for index in modes]
+    if prod(len(rows) for rows, _ in found) > most:
+        return None
+    return [rows for rows, _ in found], [places for _, places in found]
+
+
+def _ranked(index: Index) -> tuple[Index, Index]:
+    """Distinct values, ascending, and each one's place among them."""
+    low, high = int(index.min()), int(index.max())
+    if high - low > 16 * index.size:
+        return np.unique(index, return_inverse=True)
+    places = index - low if low else index
+    there = np.zeros(high - low + 1, np.bool_)
+    there[places] = True
+    return np.flatnonzero(there) + low, places if there.all() else (np.cumsum(there) - 1)[places]
 
 
 def _spread(result: list[int], found: list[tuple[int, Index]], first: int, together: tuple[int, ...]) -> Selection:
@@ -162,10 +199,11 @@ def _broadcast(arrays: list[Array]) -> tuple[int, ...]:
 
 def _in_range(index: Array, axis: int, size: int) -> Index:
     """Count negative indices from the end, and refuse those outside."""
-    bad = (index < -size) | (index >= size)
-    if bad.any():
+    low, high = int(index.min(initial=0)), int(index.max(initial=0))
+    if index.size and (low < -size or high >= size):
+        bad = (index < -size) | (index >= size)
         _one_in_range(int(index[bad][0]), axis, size)
-    return np.where(index < 0, index + size, index)
+    return index if low >= 0 else np.where(index < 0, index + size, index)
 
 
 def _one_in_range(index: int, axis: int, size: int) -> int:

@@ -18,12 +18,12 @@ from .axes import axis_order, mode_sizes
 from .decode import decode_block, decode_elements
 from .errors import expect, invalid, shown
 from .hmkfile import encoded_size, load, save
-from .indexing import Index, Selection, select
+from .indexing import Index, Selection, cut, occurring, select
 from .memory import available_memory, check_memory, format_bytes
 from .packed import LevelBounds, LevelQuality, Metadata, PackedLevel
 from .plan import LevelSpec, Plan, multiply_adds
 from .slabs import slabs
-from .transform import from_json
+from .transform import from_json, nearest
 
 Floats = NDArray[np.float32]
 
@@ -35,6 +35,8 @@ _IN_PLACE = 1 << 28
 _SCATTERED = 1 << 20
 #: Walking the tree for one more block costs about as much as this many scattered elements.
 _BLOCK_WORTH = 512
+#: As many elements of one block around all take no longer than one that is decoded on its own, or in one of many.
+_AROUND_ELEMENTS, _AROUND_BLOCKS = 32, 8
 
 
 @final
@@ -265,7 +267,7 @@ class Model:
         if out.size and self._decode_in_place(chosen, out):
             return
         for part in slabs(chosen.shape, slab) if out.size else ():
-            self._decode_slab(self._in_modes(_cut(chosen.axes, part)), out[(*part, ...)])
+            self._decode_slab(self._in_modes(cut(chosen.axes, part)), out[(*part, ...)])
 
     def _decode_in_place(self, chosen: Selection, out: NDArray[Any]) -> bool:
         """Decode straight into `out` where its numbers need neither be moved nor changed; if they do, False."""
@@ -276,7 +278,7 @@ class Model:
         if out.dtype != np.float32 or not out.flags.c_contiguous:
             return False
         for part in slabs(chosen.shape, _IN_PLACE):
-            rows = [index.reshape(-1) for index in self._in_modes(_cut(chosen.axes, part))]
+            rows = [index.reshape(-1) for index in self._in_modes(cut(chosen.axes, part))]
             block = out[(*part, ...)].reshape([len(index) for index in rows])
             if not _all_finite(decode_block(self.levels, self._sizes, rows, out=block)):
                 return False
@@ -293,7 +295,7 @@ class Model:
         return modes
 
     def _decode_slab(self, modes: list[Index], out: NDArray[Any]) -> None:
-        """Decode by blocks where the modes vary independently, else element by element.
+        """Decode by blocks where the modes vary independently, else by one around all, or element by element.
 
         Args:
             modes: indices of each mode, broadcastable to the shape of `out`.
@@ -302,7 +304,11 @@ class Model:
         shape = out.shape
         along = [{d for d, length in enumerate(index.shape) if length > 1} for index in modes]
         shared = sorted({d for n, dims in enumerate(along) for other in along[:n] for d in dims & other})
-        if shared and prod(length for d, length in enumerate(shape) if d not in shared) < _BLOCK_WORTH:
+        apart = bool(shared) and prod(length for d, length in enumerate(shape) if d not in shared) < _BLOCK_WORTH
+        around = (_AROUND_ELEMENTS if apart else _AROUND_BLOCKS) * out.size
+        if shared and out.size > _BLOCK_WORTH and self._decode_around(modes, around, out):
+            return
+        if apart:
             flat = np.empty(out.size, np.float32)
             spread = [index.reshape(-1) if index.shape == shape else np.broadcast_to(index, shape).flat
                       for index in modes]
@@ -318,6 +324,22 @@ class Model:
                                 for d, length in enumerate(index.shape))] for index in modes]
             part = tuple(at.get(d, slice(None)) for d in range(len(shape)))
             out[part] = self._block(rows).reshape(out[part].shape)
+
+    def _decode_around(self, modes: list[Index], most: int, out: NDArray[Any]) -> bool:
+        """Decode all combinations of the rows that occur, and take from them; where these are more than most, False."""
+        found = occurring(modes, most)
+        if found is None:
+            return False
+        rows, places = found
+        if prod(map(len, rows)) <= _SLAB:
+            out[...] = self._source_values(
+                lambda dtype: decode_block(self.levels, self._sizes, rows, dtype=dtype)[tuple(places)])
+            return True
+        longest = int(np.argmax(out.shape))
+        for half in (slice(out.shape[longest] // 2), slice(out.shape[longest] // 2, None)):
+            part = (*[slice(None)] * longest, half)
+            self._decode_slab(cut(modes, part), out[part])
+        return True
 
     def _block(self, modes: list[Index]) -> Floats:
         """Decode the outer product of the modes' indices; its dimensions longer than 1, in ascending order."""
@@ -354,28 +376,6 @@ class Model:
         modes = self._in_modes([indices[:, axis] for axis in range(self.ndim)])
         values = self._elements(np.stack(modes, axis=1)).reshape(len(corners), -1)
         return np.einsum("cb,cb->b", np.stack(weights), values)
-
-
-def _cut(axes: Sequence[Index], part: tuple[slice, ...]) -> list[Index]:
-    """The indices of a slab of the selection."""
-    return [index[tuple(span if length > 1 else slice(None) for span, length in zip(part, index.shape, strict=False))]
-            for index in axes]
-
-
-def nearest(values: Floats, dtype: DTypeLike) -> NDArray[Any]:
-    """The nearest numbers of a type: integers are rounded, and cut off at its range, as floats are.
-
-    >>> nearest(np.array([-3.0, 1.5, 299.0], np.float32), np.uint8).tolist()
-    [0, 2, 255]
-    """
-    kind: np.dtype[Any] = np.dtype(dtype)
-    if kind == np.bool_:
-        return np.asarray(values) >= 0.5
-    info: Any = np.iinfo(kind) if kind.kind in "iu" else np.finfo(kind)
-    wide = np.asarray(values, np.float64)
-    # Beyond 2^53 a float64 next to the largest integer of a type may be more than that.
-    most = float(info.max) if int(float(info.max)) <= int(info.max) else float(np.nextafter(float(info.max), 0.0))
-    return np.clip(np.rint(wide) if kind.kind in "iu" else wide, float(info.min), most).astype(kind)
 
 
 def _all_finite(values: Floats) -> bool:

@@ -16,7 +16,7 @@ from math import isfinite
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from .errors import invalid
 
@@ -160,3 +160,19 @@ def parse(text: str) -> Transform:
     if number > 0 and not _SMALLEST <= number <= _LARGEST:  # values are divided by it in float32
         raise invalid("transform-scale", f"scale of {name}", scale, f"{_SMALLEST:g} to {_LARGEST:g}")
     return Transform(name, number)
+
+
+def nearest(values: NDArray[Any], dtype: DTypeLike) -> NDArray[Any]:
+    """The nearest numbers of a type: integers are rounded, and cut off at its range, as floats are.
+
+    >>> nearest(np.array([-3.0, 1.5, 299.0], np.float32), np.uint8).tolist()
+    [0, 2, 255]
+    """
+    kind: np.dtype[Any] = np.dtype(dtype)
+    if kind == np.bool_:
+        return np.asarray(values) >= 0.5
+    info: Any = np.iinfo(kind) if kind.kind in "iu" else np.finfo(kind)
+    wide = np.asarray(values, np.float64)
+    # Beyond 2^53 a float64 next to the largest integer of a type may be more than that.
+    most = float(info.max) if int(float(info.max)) <= int(info.max) else float(np.nextafter(float(info.max), 0.0))
+    return np.clip(np.rint(wide) if kind.kind in "iu" else wide, float(info.min), most).astype(kind)

@@ -13,9 +13,10 @@ from ..errors import invalid
 from ..hmkfile import check_output, published
 from ..hmkfile.reasons import fault
 from ..memory import available_memory, check_memory, format_bytes
-from ..model import Model, nearest
+from ..model import Model
 from ..model import open as open_model
 from ..slabs import slabs
+from ..transform import nearest
 from .options import (
     Command,
     Count,
