@@ -241,6 +241,21 @@ def raised(call: Callable[[], object]) -> HmkctaError:
     return caught.value
 
 
+def test_what_to_do_next_is_said_in_the_words_of_python_too(tmp_path: Path) -> None:
+    compress(WAVE, "R=1").save(tmp_path / "a.hmk")
+    (tmp_path / "a.partial").mkdir()
+    (tmp_path / "a.partial" / "plan.json").write_text("[]")
+    calls: list[tuple[Callable[[], object], str]] = [
+        (lambda: compress(WAVE / 0, "R=1"), "nan=0"),
+        (lambda: compress(WAVE, "R=1").save(tmp_path / "a.hmk"), "overwrite=True"),
+        (lambda: Journal(tmp_path / "a.partial"), "resume=True"),
+        (lambda: compress(WAVE, max_memory=1000), "max_memory"),
+    ]
+    for call, words in calls:
+        with np.errstate(all="ignore"):
+            assert words in raised(call).hint
+
+
 @pytest.mark.parametrize("call", [lambda: hmkcta.open("no.hmk"), lambda: compress(WAVE, "R=1")[99]],
                          ids=["file", "index"])
 def test_errors_go_from_process_to_process(call: Callable[[], object]) -> None:

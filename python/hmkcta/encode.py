@@ -253,7 +253,7 @@ def _goal(snr: float | None, size: int | None) -> tuple[float | None, int | None
     expect("snr", snr, Real | None, "a number of dB")
     expect("size", size, Real | None, "a number of bytes")
     if snr is not None and size is not None:
-        raise invalid("two-goals", "goal", "snr and size", "one of them", "drop --snr or --size")
+        raise invalid("two-goals", "goal", "snr and size", "one of them", "leave one of them out")
     if snr is not None and not isfinite(snr):
         raise invalid("snr", "snr", snr, "a finite number of dB")
     if size is not None and not 1 <= size < inf:

@@ -224,7 +224,8 @@ class Journal(NoJournal):
             if in_use(self.folder / NODES):
                 raise self._busy()
             raise HmkctaError(Kind.IO, "partial-exists", str(self.folder), found="the work of an interrupted run",
-                              hint="go on with it by --resume, or begin again with --overwrite")
+                              hint="go on with it by resume=True or --resume, "
+                                   "or begin again with overwrite=True or --overwrite")
 
     def _compare(self, run: Mapping[str, Any]) -> None:
         stored = self._read(RUN)

@@ -154,4 +154,4 @@ def _finite(values: F64, nan: float | None, part: tuple[slice, ...]) -> F64:
     start = [span.start for span in part] + [0] * (values.ndim - len(part))
     first = tuple(int(i) + at for i, at in zip(np.argwhere(bad)[0], start, strict=True))
     raise invalid("not-finite", "source", f"values that are infinite or no number, the first at index {first}",
-                  "finite numbers", "give the value that replaced them, --nan fill=0")
+                  "finite numbers", "give the value that replaced them, nan=0 or --nan fill=0")

@@ -341,7 +341,7 @@ def check_plan(plan: Plan, sizes: Sequence[int]) -> None:
             raise invalid("undecomposed-differ", f"R of level {number}", str(level), allowed)
         if level.own and (number < len(plan.levels) or (plan.snr is None and plan.size is None)):
             allowed = "R<= in the last level only, together with a goal"
-            raise invalid("own-ranks-place", f"level {number}", str(level), allowed, "add --snr or --size")
+            raise invalid("own-ranks-place", f"level {number}", str(level), allowed, "say an snr or a size")
         if level.own and level.cells > 1 and not level.grid and (len(plan.levels) > 1 or max(level.mixture) > 1):
             allowed = "R<= with blocks, grid=AXIS:COUNT, with C where it is the only level and K=1, or below clusters"
             raise invalid("own-ranks-clusters", f"level {number}", str(level), allowed)

@@ -50,7 +50,7 @@ def check_least_memory(elements: int, memory: int | None) -> None:
     """
     if memory is not None:
         least = PROCESS + WORKING * min(elements, SMALLEST)
-        check_memory(least, "compressing this array", "allow more with --max-memory", memory)
+        check_memory(least, "compressing this array", "allow more with max_memory or --max-memory", memory)
 
 
 def sampled_together(elements: int, memory: int | None) -> int:

@@ -245,7 +245,8 @@ def _scan(array: NDArray[Any], nan: float | None) -> tuple[str, bool]:
     if count and nan is None:
         index = tuple(int(i) for i in np.unravel_index(first, array.shape))
         found = f"{count} values that are NaN or infinite, the first at index {index}"
-        raise invalid("not-finite", "array", found, "finite numbers", "give a value to put there, --nan fill=0")
+        hint = "give a value to put there, nan=0 or --nan fill=0"
+        raise invalid("not-finite", "array", found, "finite numbers", hint)
     return digest.hexdigest(), bool(count)
 
 

@@ -28,8 +28,9 @@ def check_output(path: str | os.PathLike[str], overwrite: bool = False) -> Path:
         exists, regular = os.path.exists(path) or target.exists(), os.path.isfile(path)
         if exists and not (overwrite and regular):
             allowed = "a new file" if not overwrite else "a file, or nothing"
+            instead = ", or replace it by overwrite=True or --overwrite" if regular else ""
             raise fault("output-exists", str(target), "a file" if regular else "no regular file", allowed,
-                        "choose another name, or replace it by --overwrite" if regular else "choose another name")
+                        f"choose another name{instead}")
         if not target.parent.is_dir():
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(target.parent))
         if not os.access(target.parent, os.W_OK | os.X_OK):
