@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 import hmkcta
 from hmkcta import Axis, HmkctaError, Journal, LevelSpec, Plan, compress, parse_plan
 from hmkcta.plan import check_plan
+from hmkcta.render import Camera, Light, Scene, render
 from hmkcta.render.layout import lay_out
+from hmkcta.serve import serve
 from hmkcta.source import described as describe_source
 
 WAVE: NDArray[np.float64] = np.add.outer(np.sin(np.arange(20) / 3), np.arange(18.0) / 9)
@@ -155,6 +157,18 @@ def test_and_those_of_functions(name: str, function: Callable[..., object], give
     with pytest.raises(HmkctaError, match="argument-type") as caught:
         function(*given)
     assert caught.value.where == name
+
+
+@pytest.mark.parametrize(("name", "function", "given"), [
+    ("path", serve, {"path": compress(WAVE, "R=1")}), ("port", serve, {"path": "a.hmk", "port": "80"}),
+    ("model", render, {"model": "a.hmk"}), ("scene", render, {"model": compress(WAVE, "R=1"), "scene": {"width": 3}}),
+    ("surface", Scene, {"surface": "cloth"}), ("lights", Scene, {"lights": Light(0, 45)}),
+    ("light", Scene, {"lights": [{"azimuth": 0}]}), ("width", Scene, {"width": "640"}),
+    ("camera.azimuth", Camera, {"azimuth": "left"}),
+])
+def test_and_those_of_pages_and_pictures(name: str, function: Callable[..., object], given: dict[str, Any]) -> None:
+    error = raised(lambda: function(**given))
+    assert (error.reason, error.where) == ("argument-type", name)
 
 
 @pytest.mark.parametrize("shape", ["3,4", 3, [2.5]], ids=str)

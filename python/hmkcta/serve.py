@@ -17,6 +17,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import resources
 from importlib.resources.abc import Traversable
 from io import BytesIO
+from numbers import Integral
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, cast
@@ -24,7 +25,7 @@ from urllib.parse import quote, unquote, urlsplit
 
 from numpy.typing import NDArray
 
-from .errors import HmkctaError, Kind, invalid
+from .errors import HmkctaError, Kind, expect, invalid
 from .hmkfile import encode
 from .model import open as open_model
 from .packed import Metadata
@@ -125,6 +126,8 @@ def serve(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | ND
         HmkctaError: the file cannot be read or is no `.hmk` file, as `hmkcta.open` has it; the original does not fit,
             the port is taken, or the page was not built.
     """
+    expect("path", path, str | os.PathLike, "the path of an .hmk file", "save the model first: model.save(path)")
+    expect("port", port, Integral, "a whole number")
     file = Path(path)
     metadata = open_model(file).metadata
     table = dict(page if page is not None else installed_page())

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import invalid
+from ..errors import expect, invalid
 from ..model import Model
 from .animate import default_motion, moving
 from .display import Display, display_of, heat_gain, show
@@ -49,6 +49,7 @@ def render(model: Model, scene: Scene | None = None, *, original: Any = None, ba
     >>> render(model, Scene(width=32, height=24), backend="numpy").shape
     (24, 32, 3)
     """
+    expect("scene", scene, Scene | None, "a Scene")
     scene = scene or Scene()
     renderer = Renderer(model, original=original, backend=backend, kind=scene.kind, position=scene.position)
     return renderer.picture(scene)
@@ -75,6 +76,7 @@ class Renderer:
 
     def __init__(self, model: Model, *, original: Any = None, backend: str = "auto", kind: str | None = None,
                  position: dict[str, int] | None = None) -> None:
+        expect("model", model, Model, "a Model", "open the file: hmkcta.open(path)")
         if backend not in BACKENDS:
             raise invalid("unknown-backend", "backend", repr(backend), ", ".join(BACKENDS))
         if original is not None and tuple(original.shape) != model.shape:

@@ -11,10 +11,11 @@ import types
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from math import cos, isfinite, radians, sin
+from numbers import Real
 from pathlib import Path
 from typing import Any, Union, cast, get_args, get_origin, get_type_hints
 
-from ..errors import HmkctaError, Kind, invalid
+from ..errors import HmkctaError, Kind, expect, invalid
 
 KINDS = ("svbrdf", "lightfield", "volume", "generic")
 CURVES = ("linear", "reinhard", "filmic")
@@ -31,6 +32,7 @@ def _check_choice(where: str, value: str, allowed: Sequence[str]) -> None:
 
 
 def _check_range(where: str, value: float, low: float, high: float, meaning: str = "") -> None:
+    expect(where, value, Real, "a number")
     if not (isfinite(value) and low <= value <= high):
         raise invalid("out-of-range", where, value, f"{low:g} to {high:g}{meaning}")
 
@@ -252,6 +254,12 @@ class Scene:
         _check_range("height", self.height, 1, MOST_PIXELS, " pixels")
         if self.kind is not None:
             _check_choice("kind", self.kind, KINDS)
+        for name, part in (("camera", Camera), ("surface", Surface), ("viewpoint", Viewpoint), ("volume", Look),
+                           ("tone", Tone), ("compare", Compare)):
+            expect(name, getattr(self, name), part, f"a {part.__name__}")
+        expect("lights", self.lights, tuple | list, "a tuple of Light")
+        for light in self.lights:
+            expect("light", light, Light, "a Light")
         if len(self.lights) > MOST_LIGHTS:
             raise invalid("too-many-lights", "lights", len(self.lights), f"up to {MOST_LIGHTS}")
 
