@@ -211,7 +211,8 @@ def test_reconstruct_into_an_array(tmp_path: Path) -> None:
     whole = np.empty(SHAPE, np.int16)
     assert model.reconstruct(whole) is whole
     np.testing.assert_allclose(whole, reference, atol=0.51)
-    for out in (np.empty(SHAPE[1:], np.float32), np.empty(SHAPE, np.complex64), np.empty(SHAPE, "U3")):
+    fixed = np.broadcast_to(np.float32(0), SHAPE)
+    for out in (np.empty(SHAPE[1:], np.float32), np.empty(SHAPE, np.complex64), np.empty(SHAPE, "U3"), fixed):
         with pytest.raises(HmkctaError) as caught:
             model.reconstruct(out)
         assert caught.value.reason == "out-shape"

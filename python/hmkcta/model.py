@@ -241,13 +241,14 @@ class Model:
             `out`, or the new array.
 
         Raises:
-            HmkctaError: `out` has another shape or holds neither floats nor integers; the memory does not suffice.
+            HmkctaError: `out` has another shape, other numbers or is read-only; the memory does not suffice.
         """
         expect("out", out, np.ndarray | None, "an array")
         expect("max_memory", max_memory, Integral | None, "a whole number of bytes")
-        if out is not None and (out.shape != self.shape or out.dtype.kind not in "fiub"):
-            raise invalid("out-shape", "out", f"{out.dtype} of shape {out.shape}",
-                          f"floats or integers of shape {self.shape}")
+        if out is not None and (out.shape != self.shape or out.dtype.kind not in "fiub" or not out.flags.writeable):
+            kept = "" if out.flags.writeable else "read-only "
+            raise invalid("out-shape", "out", f"{kept}{out.dtype} of shape {out.shape}",
+                          f"floats or integers of shape {self.shape}, to be written to")
         limit = available_memory() if max_memory is None else max_memory
         own = 0 if out is not None else 4 * self.size
         # A slab and the decoder's working arrays take up to four times its elements.
