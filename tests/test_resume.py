@@ -223,6 +223,15 @@ def test_one_process_at_a_time(tmp_path: Path) -> None:
     log.close()
 
 
+def test_one_call_a_journal(tmp_path: Path) -> None:
+    """Whose block has not ended, so that there is no other process to wait for."""
+    with Journal(tmp_path / "partial") as journal:
+        fitted(journal=journal, plan="R=1")
+        with pytest.raises(HmkctaError, match="one call a journal") as caught:
+            fitted(journal=journal, plan="R=2")
+    assert caught.value.reason == "partial-busy"
+
+
 def test_another_node_than_the_one_written_down(tmp_path: Path) -> None:
     """A journal that got mixed up is noticed, not mixed in."""
     interrupted(tmp_path, 40, **CASES["levels"])

@@ -143,9 +143,12 @@ class Journal(NoJournal):
         """Make the folder, or compare what it holds with this run.
 
         Raises:
-            HmkctaError: `InvalidArgument`, reason ``partial-differs``, naming the fields; `Io` if another process
-                works on it (``partial-busy``), or the folder cannot be written to.
+            HmkctaError: `InvalidArgument`, reason ``partial-differs``, naming the fields; `Io` if another process, or
+                this journal in another call, works on it (``partial-busy``), or the folder cannot be written to.
         """
+        if self._log is not None:
+            raise HmkctaError(Kind.IO, "partial-busy", str(self.folder), found="another call that this journal keeps",
+                              allowed="one call a journal", hint="end its block first, or take another folder")
         with self._as_io():
             self._refuse_others()
             self.folder.mkdir(exist_ok=True)
