@@ -187,6 +187,12 @@ def test_importing_loads_neither_the_command_line_nor_pictures_nor_fitting() -> 
     assert json.loads(done.stdout) == []
 
 
+@pytest.mark.parametrize("name", ["backends.find_device", "render.render", "serve.serve", "synthetic.material"])
+def test_modules_of_examples_need_no_import_of_their_own(name: str) -> None:
+    program = f"import sys; sys.path.insert(0, {str(PACKAGE.parent)!r}); import hmkcta; hmkcta.{name}"
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=60)
+
+
 def test_type_checkers_are_told_of_the_annotations() -> None:
     """Without the marker (PEP 561) they take the installed package for one that has none."""
     assert (PACKAGE / "py.typed").read_bytes() == b""

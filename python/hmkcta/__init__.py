@@ -44,15 +44,17 @@ _MODULES = {
     "open_array": "readers",
     "parse_plan": "plan",
 }
+#: Modules that need no import of their own.
+_SUBMODULES = ("axes", "backends", "errors", "model", "plan", "render", "serve", "synthetic")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *__all__, *_SUBMODULES})
 
 
 def __getattr__(name: str) -> Any:
     """Public names and modules, loaded when they are first used."""
-    if name in ("axes", "errors", "model", "plan", "render", "serve"):
+    if name in _SUBMODULES:
         return import_module(f".{name}", __name__)
     if name in _MODULES:
         return getattr(import_module(f".{_MODULES[name]}", __name__), name)
