@@ -15,9 +15,6 @@ from .filesize import planned_bytes
 from .plan import MOST_RANKS, LevelSpec, Plan
 from .source import Source
 
-#: Bytes of a first level for each row: the part that it goes to, and its place there.
-ROW_BYTES = 6
-
 
 @dataclass(frozen=True)
 class Candidate:
@@ -73,15 +70,6 @@ def bytes_beside(source: Source, candidate: Candidate, seed: int) -> float:
     rows = sum(sizes[n] * nodes // clusters[n] for n in stored)
     each = 2.0 * float(np.prod(ranks, dtype=np.float64)) + 4 + empty_node_bytes(len(ranks), len(stored))
     return whole - nodes * each - 4 * rows
-
-
-def carrier_bytes(axes: Sequence[Axis], candidate: Candidate) -> float:
-    """Bytes of the first level that carries nodes, but for its header; none where a candidate has one level."""
-    if not candidate.carried:
-        return 0.0
-    sizes, clusters, flags, ranks = _carrier(axes, candidate)
-    rows = sum(size for size, flag in zip(sizes, flags, strict=True) if not flag)
-    return float(node_bytes(sizes, ranks, flags, clusters)) + ROW_BYTES * rows
 
 
 def _carrier(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from .allocation import Choices, best_of_one, choices_of, pareto, plausible, ration
 from .axes import Axis, Organisation, mode_sizes
 from .blocks import Blocks, finer, halved, organised, sampled_blocks, split
-from .candidates import Candidate, bytes_beside, carrier_bytes, clusters_of, plan_of
+from .candidates import Candidate, bytes_beside, clusters_of, plan_of
 from .detail import Detail, detail_of
 from .filesize import planned_bytes
 from .growth import Growth, growth_of
@@ -109,8 +109,8 @@ class Trial:
     room: float = inf
 
     @cached_property
-    def _headers(self) -> dict[tuple[bool, ...], float]:
-        """Bytes of files that are neither their nodes nor the level that carries these."""
+    def _headers(self) -> dict[Candidate, float]:
+        """What `beside` found before: of each candidate, as digits that one of its kind had first depend on threads."""
         return {}
 
     @cached_property
@@ -290,13 +290,10 @@ class Trial:
         return self.ceiling + log2(self.size / (spent / share + fixed)), spent
 
     def beside(self, candidate: Candidate) -> float:
-        """Bytes of the candidate's file besides what `choices_of` counts of its nodes, but for digits of its header."""
-        flags = tuple(n in candidate.undecomposed for n in range(len(candidate.organisation)))
-        kind = (*flags, candidate.carried, prod(candidate.grid) > 1)
-        carrier = carrier_bytes(self.source.axes, candidate)
-        if kind not in self._headers:
-            self._headers[kind] = bytes_beside(self.source, candidate, self.seed) - carrier
-        return self._headers[kind] + carrier
+        """Bytes of the candidate's file besides what `choices_of` counts of its nodes."""
+        if candidate not in self._headers:
+            self._headers[candidate] = bytes_beside(self.source, candidate, self.seed)
+        return self._headers[candidate]
 
 
 def trial_of(source: Source, size: int | None, ceiling: float | None, decode_cost: int, seed: int) -> Trial:
