@@ -142,17 +142,23 @@ def test_the_system_is_not_asked_for_memory_for_an_element(monkeypatch: pytest.M
     assert MODELS[0][5, -1, 0, 2] == pytest.approx(DENSE[0][5, -1, 0, 2])
 
 
-def test_only_what_is_asked_for_is_decoded(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A slice is one block of its own size; points of an outer product never become coordinates."""
-    asked: list[list[int]] = []
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[list[int]]:
+    """Rows of each mode of every block that is decoded from now on; single elements must not be."""
+    blocks: list[list[int]] = []
     original = model_module.decode_block
 
     def spy(levels: Any, sizes: Any, rows: Any, **options: Any) -> Any:
-        asked.append([len(index) for index in rows])
+        blocks.append([len(index) for index in rows])
         return original(levels, sizes, rows, **options)
 
     monkeypatch.setattr(model_module, "decode_block", spy)
     monkeypatch.setattr(model_module, "decode_elements", None)
+    return blocks
+
+
+def test_only_what_is_asked_for_is_decoded(asked: list[list[int]]) -> None:
+    """A slice is one block of its own size; points of an outer product never become coordinates."""
     model = make_model((("light", "rgb"), ("y", "x")))
     _ = model[2:4, :, 0, 5]
     _ = model[np.ix_([0, 3, 1], [4, 0], [0], [1, 2])]
@@ -173,19 +179,10 @@ def test_large_results_are_decoded_in_slabs(monkeypatch: pytest.MonkeyPatch) -> 
             assert_same(model[mask], reference[mask])
 
 
-def test_elements_that_nearly_fill_a_block_are_taken_out_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_elements_that_nearly_fill_a_block_are_taken_out_of_it(asked: list[list[int]]) -> None:
     """One by one, or in a block for each pixel of a region, they would take ten times as long and more."""
-    asked: list[list[int]] = []
-    original = model_module.decode_block
-
-    def spy(levels: Any, sizes: Any, rows: Any, **options: Any) -> Any:
-        asked.append([len(index) for index in rows])
-        return original(levels, sizes, rows, **options)
-
     model = make_model((("light",), ("y",), ("x", "rgb")), (12, 30, 20, 3))
     reference, disk = dense(model), np.hypot(*np.mgrid[-15:15, -10:10]) < 9
-    monkeypatch.setattr(model_module, "decode_block", spy)
-    monkeypatch.setattr(model_module, "decode_elements", None)
     assert_same(model[reference > 0], reference[reference > 0])
     assert_same(model[:, disk], reference[:, disk])
     assert_same(model[2:6, disk, 1], reference[2:6, disk, 1])

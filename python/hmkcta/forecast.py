@@ -14,11 +14,11 @@ from .fit import EFFORTS, Effort
 from .judging import CARES
 from .measure import SLAB as MEASURED
 from .plan import LevelSpec, Plan
-from .predict import FLAT, MODEL, WORKING, is_streamed, memory_limit, sampled_together
+from .predict import FLAT, MODEL, WORKING, is_streamed, joint_bytes, memory_limit, sampled_together
 from .source import SLAB as CHECKED
 from .streamed import SLAB
 from .subdivision import CAP
-from .workset import blocks, check_worksets, fitting_bytes, joint_bytes, projected_share, workset, worksets
+from .workset import blocks, check_worksets, fitting_bytes, projected_share, workset, worksets
 
 #: Bytes for each element of a tensor in memory: its residual lasts, the rest is `WORKING`; a saved residual for goals.
 _RESIDUAL, _SAVED = 4, 4
@@ -178,9 +178,10 @@ def _seconds(
     for number, level in enumerate(plan.levels, start=1):
         own = effort.at(number, len(plan.levels))
         sweep = _HOOI_NS if level.cells == 1 else _SWEEP_NS
-        fit = sweep * (1 + own.hooi) if level.cells == 1 else _START_NS + sweep * own.sweeps
         if level.search == "fast":
             fit = _VISIT_NS * _visits(level, own.hooi)
+        else:
+            fit = sweep * (1 + own.hooi) if level.cells == 1 else _START_NS + sweep * own.sweeps
         if prod(sizes) > limit and not level.disjoint:  # on a workset, and two passes for all rows
             fit = fit * workset(sizes, level, limit) / prod(sizes) + 2 * sweep
         each += fit

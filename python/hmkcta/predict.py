@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import prod
 
-from .memory import check_memory, memory_budget
-from .plan import Plan
+from .memory import available_memory, check_memory, memory_budget
+from .plan import LevelSpec, Plan
 
 #: Most elements of a tensor that is fitted in one piece: more elements fit it no better.
 WORKSET = 1 << 26
@@ -31,15 +31,34 @@ def memory_limit(plan: Plan, sizes: Sequence[int], memory: int | None) -> int:
     """
     check_least_memory(prod(sizes), memory)
     limit = max(1, min(WORKSET, (memory_budget(memory) - PROCESS) // WORKING))
-    first = next((level for level in plan.levels if level.cells > 1), plan.levels[0])
-    overlapping, clamped = max(first.mixture) > 1, first.clamped(sizes)
-    joint = first.search != "fast" if overlapping else PROCESS + clamped.products_bytes <= memory_budget(memory)
-    if prod(sizes) <= limit or first.disjoint or joint:
+    number, first = next(((n, level) for n, level in enumerate(plan.levels) if level.cells > 1), (0, plan.levels[0]))
+    if prod(sizes) <= limit or _jointly(first, sizes, memory):
         return limit
     # Its cells are too many for joint rows: nothing but sweeps over a residual in memory.
-    hint = "raise --max-memory, or fewer clusters, more levels"
-    check_memory(PROCESS + FLAT * prod(sizes), f"a level of {first.cells} cells", hint, memory)
+    what = f"level {number + 1} ({first}), {first.cells} cells"
+    check_memory(PROCESS + FLAT * prod(sizes), what, "raise --max-memory, or fewer clusters, more levels", memory)
     return prod(sizes)
+
+
+def _jointly(level: LevelSpec, sizes: Sequence[int], memory: int | None) -> bool:
+    """Whether rows that memory does not hold can be joint ones; those of cells that share no element need not be."""
+    if max(level.mixture) > 1:
+        return level.search != "fast"
+    allowed = available_memory() if memory is None else memory
+    return allowed is None or PROCESS // 2 + joint_bytes(sizes, level) <= allowed
+
+
+def joint_bytes(sizes: Sequence[int], level: LevelSpec, threads: int = 1) -> int:
+    """Bytes that joint rows of a level take on a node of these sizes that is streamed.
+
+    They are for `sides` of the mode that has most, of the slabs at work and in all, and for the inner products.
+    """
+    spec = level.clamped(sizes)
+    if spec.disjoint or spec.search == "fast":
+        return 0
+    columns = [(size, spec.cells * rank) for size, rank in zip(sizes, spec.ranks, strict=True) if rank is not None]
+    most = max((size * count for size, count in columns), default=0)
+    return 8 * (3 + threads) * most + spec.products_bytes
 
 
 def check_least_memory(elements: int, memory: int | None) -> None:

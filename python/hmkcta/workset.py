@@ -23,7 +23,7 @@ from .fit import Effort, Labels, fit_level
 from .memory import check_memory
 from .pieces import Rows
 from .plan import LevelSpec, Plan
-from .predict import PROCESS, WORKING
+from .predict import PROCESS, WORKING, joint_bytes
 from .projection import project_one
 from .search import choose_rows, project_model, right_sides
 from .slabs import slabs
@@ -105,19 +105,6 @@ def worksets(plan: Plan, sizes: Sequence[int], limit: int) -> list[int]:
         found.append(workset(sizes, level, limit))
         sizes = blocks(sizes, level)
     return found
-
-
-def joint_bytes(sizes: Sequence[int], level: LevelSpec, threads: int = 1) -> int:
-    """Bytes that joint rows of a level take on a node of these sizes that is streamed.
-
-    They are for `sides` of the mode that has most, of the slabs at work and in all, and for the inner products.
-    """
-    spec = level.clamped(sizes)
-    if spec.disjoint or spec.search == "fast":
-        return 0
-    columns = [(size, spec.cells * rank) for size, rank in zip(sizes, spec.ranks, strict=True) if rank is not None]
-    most = max((size * count for size, count in columns), default=0)
-    return 8 * (3 + threads) * most + spec.products_bytes
 
 
 def fitting_bytes(sizes: Sequence[int], level: LevelSpec, limit: int) -> int:

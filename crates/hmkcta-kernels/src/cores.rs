@@ -1,8 +1,7 @@
 //! Cores of all cells together, the bases given: least squares by conjugate gradients.
 
 use crate::machine::dispatch;
-use crate::pairs::{Laid, PARALLEL_PAIRS, Pairs, piece};
-use crate::threads::for_each;
+use crate::pairs::{Laid, Pairs};
 use pulp::{Simd, WithSimd};
 
 /// Where what is left of the right sides, squared, is a smaller share of them, the cores are exact.
@@ -39,10 +38,7 @@ pub fn solve_cores(pairs: &Pairs, cores: &mut [f32], b: &[f64], steps: usize) {
 fn normal(pairs: &Pairs, z: &Laid) -> Laid {
     let (cells, size) = (pairs.cells, pairs.core_size());
     let mut g = vec![0.0; cells * size];
-    let parallel = cells * cells >= PARALLEL_PAIRS;
-    let piece = piece(cells, parallel);
-    let tasks = g.chunks_mut(size * piece).enumerate().collect();
-    for_each(parallel, tasks, |(number, g)| dispatch(Rows { pairs, from: number * piece, z, g }));
+    pairs.share_cells(&mut g, |from, g| dispatch(Rows { pairs, from, z, g }));
     Laid::new(cells, size, g.into_iter())
 }
 

@@ -1,8 +1,7 @@
 //! Inner products of dictionaries in float64.
 
 use crate::machine::dispatch;
-use crate::pairs::{Group, Laid, PARALLEL_PAIRS, Pairs, piece};
-use crate::threads::for_each;
+use crate::pairs::{Group, Laid, Pairs};
 use pulp::{Simd, WithSimd};
 
 /// `H_n[c,c'] = unf_n(Z_c) (kron_{m != n} M_m(c,c')) unf_n(Z_c')^T` for all pairs: `[PC R_n, PC R_n]`, symmetric.
@@ -13,12 +12,7 @@ pub fn dictionary_gram(pairs: &Pairs, cores: &[f32], n: usize) -> Vec<f64> {
     let side = cells * pairs.ranks[n];
     let laid = Laid::new(cells, size, cores.iter().map(|&z| f64::from(z)));
     let mut h = vec![0.0; side * side];
-    let (parallel, row) = (cells * cells >= PARALLEL_PAIRS, pairs.ranks[n] * side);
-    let piece = piece(cells, parallel);
-    let tasks = h.chunks_mut(row * piece).enumerate().collect();
-    for_each(parallel, tasks, |(number, rows)| {
-        dispatch(Rows { pairs, cores, laid: &laid, n, from: number * piece, rows });
-    });
+    pairs.share_cells(&mut h, |from, rows| dispatch(Rows { pairs, cores, laid: &laid, n, from, rows }));
     mirror(&mut h, side);
     h
 }

@@ -20,8 +20,8 @@ const TUPLES: usize = 16;
 const GATHERED: usize = 64 * 1024;
 /// How many cache lines ahead of those being gathered are asked for: each lies on a page of its own.
 const AHEAD: usize = 12;
-/// Tuples worked on at a time where their numbers can be read from the tensor: more where they have few.
-const IN_PLACE: Range<usize> = 4..64;
+/// Fewest and most tuples worked on at a time where their numbers can be read from the tensor: more where they have few.
+const IN_PLACE: (usize, usize) = (4, 64);
 
 /// Numbers of the result for each tuple: `[C_a, C_b, R_a, PC / (C_a C_b), R_b]`.
 pub fn width(node: &Node, (a, b): (usize, usize)) -> usize {
@@ -78,7 +78,7 @@ impl<'a> Pair<'a> {
         let numbers = (0..node.clusters[a]).flat_map(|ka| (0..node.clusters[b]).map(move |kb| (ka, kb)));
         let inner = node.sizes[a.max(b) + 1..].iter().product();
         let fitting = GATHERED / (node.sizes[a] * node.sizes[b]);
-        let group = if inner > 1 { TUPLES } else { fitting.clamp(IN_PLACE.start, IN_PLACE.end) };
+        let group = if inner > 1 { TUPLES } else { fitting.clamp(IN_PLACE.0, IN_PLACE.1) };
         let rows =
             if inner > 1 { (GATHERED / (TUPLES * node.sizes[b])).clamp(1, node.sizes[a]) } else { node.sizes[a] };
         let panels = numbers.map(empty).collect();
@@ -202,7 +202,9 @@ impl<'a> Pair<'a> {
                 let step = self.panels.len() * size;
                 let mut product = Product { x, starts, rows, columns, panel, weights, rank, padded, sums, step };
                 let whole = padded - padded % WHOLE;
-                dispatch(Lanes(&mut product, 0..whole));
+                if whole > 0 {
+                    dispatch(Lanes(&mut product, 0..whole));
+                }
                 if whole < padded {
                     dispatch_narrow(Lanes(&mut product, whole..padded));
                 }

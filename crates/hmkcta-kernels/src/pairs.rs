@@ -1,17 +1,11 @@
 //! Pairs of cells by the inner products of their bases. The lanes of a vector are cells.
 
-use crate::threads::count;
+use crate::threads::{count, for_each};
 use pulp::Simd;
 
-/// Pairs of cells from which on several threads pay.
-pub const PARALLEL_PAIRS: usize = 4096;
-/// Pieces that threads share.
+/// Pairs of cells from which on several threads pay, and the pieces they share.
+const PARALLEL_PAIRS: usize = 4096;
 const PIECES: usize = 32;
-
-/// How many cells are a task: all of them for one thread, as buffers are made for each.
-pub fn piece(cells: usize, parallel: bool) -> usize {
-    if parallel && count() > 1 { cells.div_ceil(PIECES) } else { cells.max(1) }
-}
 
 /// All pairs of PC cells of ranks R.
 pub struct Pairs<'a> {
@@ -92,6 +86,16 @@ impl<'a> Pairs<'a> {
         self.ranks.iter().product()
     }
 
+    /// Work on numbers of all cells: the first of some cells, and theirs. All are one task for one thread, as buffers are
+    /// made for each.
+    pub fn share_cells(&self, numbers: &mut [f64], work: impl Fn(usize, &mut [f64]) + Sync + Send) {
+        let parallel = self.cells * self.cells >= PARALLEL_PAIRS;
+        let piece = if parallel && count() > 1 { self.cells.div_ceil(PIECES) } else { self.cells.max(1) };
+        let size = numbers.len() / self.cells.max(1) * piece;
+        let tasks = numbers.chunks_mut(size.max(1)).enumerate().collect();
+        for_each(parallel, tasks, |(number, numbers)| work(number * piece, numbers));
+    }
+
     /// All cells, from the group of `first` on.
     #[inline(always)]
     pub fn groups<S: Simd>(&self, _: S, first: usize) -> impl Iterator<Item = Group> + use<S> {
@@ -169,34 +173,19 @@ fn small_product<S: Simd, const R: usize>(simd: S, x: &[S::f64s], after: usize, 
             *m = matrices.at(simd, r, q);
         }
     }
-    if after == 1 {
-        for (x, y) in x.as_chunks::<R>().0.iter().zip(y.as_chunks_mut::<R>().0) {
-            *y = times(simd, *x, &matrix);
-        }
-        return;
-    }
     for (x, y) in x.chunks_exact(R * after).zip(y.chunks_exact_mut(R * after)) {
         for a in 0..after {
-            let mut column = [simd.splat_f64s(0.0); R];
-            for (r, value) in column.iter_mut().enumerate() {
-                *value = x[r * after + a];
+            let mut sums = [simd.splat_f64s(0.0); R];
+            for (r, row) in matrix.iter().enumerate() {
+                for (sum, &m) in sums.iter_mut().zip(row) {
+                    *sum = simd.mul_add_e_f64s(x[r * after + a], m, *sum);
+                }
             }
-            for (q, sum) in times(simd, column, &matrix).into_iter().enumerate() {
+            for (q, &sum) in sums.iter().enumerate() {
                 y[q * after + a] = sum;
             }
         }
     }
-}
-
-#[inline(always)]
-fn times<S: Simd, const R: usize>(simd: S, x: [S::f64s; R], matrix: &[[S::f64s; R]; R]) -> [S::f64s; R] {
-    let mut sums = [simd.splat_f64s(0.0); R];
-    for (x, row) in x.into_iter().zip(matrix) {
-        for (sum, &m) in sums.iter_mut().zip(row) {
-            *sum = simd.mul_add_e_f64s(x, m, *sum);
-        }
-    }
-    sums
 }
 
 #[inline(always)]
