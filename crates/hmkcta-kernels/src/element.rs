@@ -4,15 +4,18 @@
 //! widened for it. Either way the sums are the same, bit by bit.
 
 use crate::lanes::{Lanes, Plain};
-use crate::layout::{LANES, Layout, NOWHERE, Offsets, Steps};
+use crate::layout::{Layout, NOWHERE, Offsets, Steps};
 use crate::machine::dispatch;
-use crate::packed::NodeView;
+use crate::packed::{NodeView, Position};
 use crate::real::Real;
+use crate::threads::room;
 use crate::widened::{Picked, Source, Tables, Widened};
 use pulp::{Simd, WithSimd};
 
 /// Most numbers of a node that are widened at once, which bounds memory.
 const MOST_WIDENED: usize = 1 << 24;
+/// Elements whose choices are found together, as each is a chain of steps that wait for one another.
+const TOGETHER: usize = 8;
 /// Widening numbers one after the other costs so many times less than picking them.
 const IN_BULK: usize = 8;
 
@@ -21,20 +24,17 @@ const IN_BULK: usize = 8;
 pub struct Elements<T> {
     tables: Tables<T>,
     outer: Vec<T>,
-    choices: Vec<Offsets>,
+    choices: Vec<u32>,
 }
 
 impl<T: Decode> Elements<T> {
-    /// Add the node's part to `values` of the elements at row positions `pos` `[elements, N]`.
-    pub fn add(&mut self, node: &NodeView, pos: &[u32], values: &mut [T]) -> Result<(), String> {
+    /// Add the node's part to `values` of the elements at row positions `pos`.
+    pub fn add(&mut self, node: &NodeView, pos: &[Position], values: &mut [T]) -> Result<(), String> {
         let layout = Layout::new(node);
         let picked = values.len() * node.choices() * (layout.block() + 4 * layout.free.len());
         let numbers = node.numbers();
         let widened = numbers <= MOST_WIDENED && numbers <= IN_BULK * picked;
-        let steps = Steps::new(node, &layout, &layout.row_lengths(node, widened));
-        let count = node.choices();
-        self.choices.resize(self.choices.len().max(count), [0; LANES]);
-        dispatch(Task { node, layout: &layout, steps: &steps, pos, values, buffers: self, widened })
+        dispatch(Task { node, layout: &layout, pos, values, buffers: self, widened })
     }
 }
 
@@ -48,8 +48,7 @@ pub trait Decode: Real {
 pub struct Task<'t, T> {
     node: &'t NodeView<'t>,
     layout: &'t Layout,
-    steps: &'t Steps,
-    pos: &'t [u32],
+    pos: &'t [Position],
     values: &'t mut [T],
     buffers: &'t mut Elements<T>,
     widened: bool,
@@ -82,13 +81,13 @@ impl Decode for f32 {
             let machine = crate::lanes::Fused(v3);
             let unrolled = if task.layout.more.is_empty() { task.layout.ranks } else { [0; 3] };
             return match (task.layout.width, unrolled) {
-                (4, [2, 2, 3]) => task.run::<_, 4, 2, 2, 3>(machine),
-                (4, [2, 2, 2]) => task.run::<_, 4, 2, 2, 2>(machine),
-                (4, [1, ..]) => task.run::<_, 4, 1, 0, 0>(machine),
-                (4, _) => task.run::<_, 4, 0, 0, 0>(machine),
-                (8, [4, 4, 6]) => task.run::<_, 8, 4, 4, 6>(machine),
-                (8, _) => task.run::<_, 8, 0, 0, 0>(machine),
-                _ => task.run::<_, LANES, 0, 0, 0>(Plain::<true>),
+                (8, [4, 4, 6]) => task.run::<_, 8, 8, 4, 4, 6>(machine),
+                (8, [1, 2, 3]) => task.run::<_, 8, 8, 1, 2, 3>(machine),
+                (8, [1, 2, 2]) => task.run::<_, 8, 8, 1, 2, 2>(machine),
+                (8, _) => task.run::<_, 8, 8, 0, 0, 0>(machine),
+                (4, [1, ..]) => task.run::<_, 4, 8, 1, 0, 0>(machine),
+                (4, _) => task.run::<_, 4, 8, 0, 0, 0>(machine),
+                _ => task.run::<_, 16, 16, 0, 0, 0>(Plain::<true>),
             };
         }
         task.plain::<S>()
@@ -109,20 +108,23 @@ impl<T: Real> Task<'_, T> {
     #[inline(always)]
     fn by_width<const FUSED: bool>(self, machine: Plain<FUSED>) -> Result<(), String> {
         match self.layout.width {
-            4 => self.run::<_, 4, 0, 0, 0>(machine),
-            8 => self.run::<_, 8, 0, 0, 0>(machine),
-            _ => self.run::<_, LANES, 0, 0, 0>(machine),
+            4 => self.run::<_, 4, 8, 0, 0, 0>(machine),
+            8 => self.run::<_, 8, 8, 0, 0, 0>(machine),
+            _ => self.run::<_, 16, 16, 0, 0, 0>(machine),
         }
     }
 
+    /// `P` lanes, `W` offsets; `A`, `B`, `C`: the ranks of `Layout::ranks` where they are known, else 0.
     #[inline(always)]
-    fn run<M: Lanes<T, P>, const P: usize, const A: usize, const B: usize, const C: usize>(
+    fn run<M: Lanes<T, P>, const P: usize, const W: usize, const A: usize, const B: usize, const C: usize>(
         self,
         machine: M,
     ) -> Result<(), String> {
-        let Task { node, layout, steps, pos, values, buffers, widened } = self;
+        let Task { node, layout, pos, values, buffers, widened } = self;
         let Elements { tables, outer, choices } = buffers;
-        let sums = Sums { node, layout, steps, pos, values, choices: &mut choices[..node.choices()], outer };
+        let steps = &Steps::<W>::new(node, layout, &layout.row_lengths(node, widened));
+        let (choices, _) = room(choices, TOGETHER * node.choices() * W).as_chunks_mut();
+        let sums = Sums { node, layout, steps, pos, values, choices, outer };
         if widened {
             sums.add::<_, M, P, A, B, C>(Widened::new(node, layout, tables), machine)
         } else {
@@ -132,18 +134,17 @@ impl<T: Real> Task<'_, T> {
 }
 
 /// Elements of one node and where their values are summed up.
-struct Sums<'t, T> {
+struct Sums<'t, T, const W: usize> {
     node: &'t NodeView<'t>,
     layout: &'t Layout,
-    steps: &'t Steps,
-    pos: &'t [u32],
+    steps: &'t Steps<W>,
+    pos: &'t [Position],
     values: &'t mut [T],
-    choices: &'t mut [Offsets],
+    choices: &'t mut [Offsets<W>],
     outer: &'t mut Vec<T>,
 }
 
-impl<T: Real> Sums<'_, T> {
-    /// `A`, `B`, `C`: the ranks of `Layout::ranks` where they are known, else 0.
+impl<T: Real, const W: usize> Sums<'_, T, W> {
     #[inline(always)]
     fn add<Q: Source<T>, M: Lanes<T, P>, const P: usize, const A: usize, const B: usize, const C: usize>(
         self,
@@ -154,30 +155,35 @@ impl<T: Real> Sums<'_, T> {
         let known = |known: usize, rank: usize| if known > 0 { known } else { rank };
         let ranks = [known(A, layout.ranks[0]), known(B, layout.ranks[1]), known(C, layout.ranks[2])];
         assert!(ranks == layout.ranks && layout.width.is_multiple_of(P) && node.scale.len() == node.cells());
-        assert!(A == 0 || layout.more.is_empty());
-        let width = if P < LANES { P } else { layout.width };
-        let mut ones = [T::ZERO; LANES];
-        ones[0] = T::ONE;
-        let [a, b, c] = layout.loops.map(|f| f.map_or((ones.as_ptr(), NOWHERE), |f| source.rows(f)));
-        let last = layout.vector.map_or((ones.as_ptr(), NOWHERE), |f| source.rows(f));
+        assert!((A == 0 || layout.more.is_empty()) && (layout.beside.is_none() || (P, layout.row) == (8, 4)));
+        let width = if P < 16 { P } else { layout.width };
+        let ones = std::array::from_fn::<T, 16, _>(|l| if l == 0 { T::ONE } else { T::ZERO });
+        let mut rows = |f: Option<usize>| f.map_or((ones.as_ptr(), NOWHERE), |f| source.rows(f));
+        let [a, b, c] = layout.loops.map(&mut rows);
+        let (last, beside) = (rows(layout.vector), rows(layout.beside));
         let more: Vec<_> = layout.more.iter().map(|&(f, rank)| (source.rows(f), rank)).collect();
-        for (pos, value) in pos.chunks_exact(node.order).zip(values) {
-            steps.choices(node, layout, pos, choices)?;
-            source.element(pos);
-            let mut lanes = machine.splat(T::ZERO);
-            for choice in choices.iter() {
-                // SAFETY: `choice` is one of this element's; blocks and rows are as long as `layout` says, which `ranks`
-                // and `width` have been compared with; where no mode is left a row is `ones`.
-                unsafe {
-                    let scale = T::from_f32(*node.scale.get_unchecked(choice[0] as usize));
-                    let row = |(start, offset): (*const T, usize)| start.add(choice[offset % LANES] as usize);
-                    let block = source.choose(choice);
-                    let first = if A > 0 || more.is_empty() { row(a) } else { products(&more, choice, outer) };
-                    let cell = Cell { block, rows: [first, row(b), row(c)], last: row(last), ranks, width };
-                    lanes = cell.add(machine, scale, lanes);
-                }
+        for (pos, values) in pos.chunks(TOGETHER).zip(values.chunks_mut(TOGETHER)) {
+            for (pos, choices) in pos.iter().zip(choices.chunks_exact_mut(node.choices())) {
+                steps.choices(node, layout, pos, choices)?;
             }
-            *value = *value + total(machine.array(lanes));
+            for ((pos, value), choices) in pos.iter().zip(values).zip(choices.chunks_exact(node.choices())) {
+                source.element(pos);
+                let mut lanes = machine.splat(T::ZERO);
+                for choice in choices {
+                    // SAFETY: `choice` is one of this element's; blocks and rows are as long as `layout` says, which
+                    // `ranks` and `width` have been compared with; where no mode is left a row is `ones`.
+                    unsafe {
+                        let scale = T::from_f32(*node.scale.get_unchecked(choice[0] as usize));
+                        let row = |(start, offset): (*const T, usize)| start.add(choice[offset % W] as usize);
+                        let block = source.choose(choice);
+                        let first = if A > 0 || more.is_empty() { row(a) } else { products(&more, choice, outer) };
+                        let beside = layout.beside.map(|_| row(beside));
+                        let cell = Cell { block, rows: [first, row(b), row(c)], beside, last: row(last), ranks, width };
+                        lanes = cell.add(machine, scale, lanes);
+                    }
+                }
+                *value = *value + total(machine.array(lanes));
+            }
         }
         Ok(())
     }
@@ -188,12 +194,12 @@ impl<T: Real> Sums<'_, T> {
 /// # Safety
 /// The rows of that choice have these lengths.
 #[inline(never)]
-unsafe fn products<T: Real>(rows: &[((*const T, usize), usize)], choice: &Offsets, all: &mut Vec<T>) -> *const T {
+unsafe fn products<T: Real>(rows: &[((*const T, usize), usize)], choice: &[u32], all: &mut Vec<T>) -> *const T {
     all.clear();
     all.push(T::ONE);
     for &((start, offset), rank) in rows {
         // SAFETY: as promised by the caller.
-        let row = unsafe { std::slice::from_raw_parts(start.add(choice[offset] as usize), rank) };
+        let row = unsafe { std::slice::from_raw_parts(start.add(choice[offset % choice.len()] as usize), rank) };
         let before = all.len();
         for at in 0..before {
             let weight = all[at];
@@ -220,6 +226,7 @@ fn total<T: Real, const P: usize>(mut lanes: [T; P]) -> T {
 struct Cell<T> {
     block: *const T,
     rows: [*const T; 3],
+    beside: Option<*const T>,
     last: *const T,
     ranks: [usize; 3],
     width: usize,
@@ -250,7 +257,10 @@ impl<T: Real> Cell<T> {
                 }
                 sum = m.multiply_add(m.splat(unsafe { *outer.add(a) }), of_mid, sum);
             }
-            let last = unsafe { m.load(self.last.add(from)) };
+            let last = match self.beside {
+                Some(beside) => unsafe { m.products(beside, self.last) },
+                None => unsafe { m.load(self.last.add(from)) },
+            };
             lanes = m.multiply_add(m.multiply(sum, m.splat(scale)), last, lanes);
         }
         lanes
@@ -277,8 +287,11 @@ mod tests {
     }
 
     fn compare() {
-        // Ranks with unrolled loops of four and of eight lanes, without, beyond one vector, and many modes.
-        for ranks in [vec![2, 2, 3, 3], vec![4, 4, 6, 6], vec![3, 5, 2], vec![20], vec![2, 2, 1, 2, 3]] {
+        // Ranks with unrolled loops where one mode and where two run along the lanes, without, beyond one vector; and
+        // many modes, then so many that offsets take two vectors.
+        let unrolled = [vec![4, 4, 6, 6], vec![2, 2, 3, 3], vec![2, 2, 2, 2], vec![1, 4], vec![3, 2]];
+        let looped = [vec![3, 5, 2], vec![3, 3, 4], vec![20], vec![2, 2, 1, 2, 3], vec![1, 2, 1, 2, 1, 2, 2]];
+        for ranks in unrolled.into_iter().chain(looped) {
             let order = ranks.len();
             let mut node = NodeView {
                 order,
@@ -303,15 +316,15 @@ mod tests {
             for (n, basis) in bases.iter().enumerate() {
                 (node.cluster[n], node.basis[n]) = (&[0, 1, 0, 1, 0, 1], basis);
             }
-            let pos: Vec<u32> = (0..40 * order as u32).map(|i| i * 7 % 3).collect();
+            let pos: Vec<Position> = (0..40).map(|i| std::array::from_fn(|n| (i * order + n) as u32 * 7 % 3)).collect();
             let (mut wide, mut narrow, mut alone) = (vec![0.0f64; 40], vec![0.0f32; 40], vec![0.0f32; 1]);
             Elements::default().add(&node, &pos, &mut wide).unwrap();
             Elements::default().add(&node, &pos, &mut narrow).unwrap();
-            Elements::default().add(&node, &pos[..order], &mut alone).unwrap();
+            Elements::default().add(&node, &pos[..1], &mut alone).unwrap();
             assert_eq!(alone[0], narrow[0]);
             let largest = wide.iter().fold(1.0f64, |most, x| most.max(x.abs()));
             wide.iter().zip(&narrow).for_each(|(&x, &y)| close((f64::from(y) / largest) as f32, x / largest));
-            assert!(Elements::default().add(&node, &[9, 0, 0, 0, 0][..order], &mut alone).is_err());
+            assert!(Elements::default().add(&node, &[[9, 0, 0, 0, 0, 0, 0, 0]], &mut alone).is_err());
         }
     }
 }

@@ -3,6 +3,9 @@
 /// Modes a tensor has at most.
 pub const MOST_MODES: usize = 8;
 
+/// The row of an element in each mode.
+pub type Position = [u32; MOST_MODES];
+
 /// One level; slices indexed by mode are None where the format leaves an array out.
 pub struct Level<'a> {
     /// `[S, 3, N]`: C, K, R of each node.

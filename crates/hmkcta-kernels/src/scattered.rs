@@ -2,10 +2,10 @@
 //! is in the cache. The twin of `hmkcta.decode_scattered`.
 
 use crate::element::{Decode, Elements};
-use crate::packed::{Level, NodeView};
+use crate::packed::{Level, NodeView, Position};
 use crate::threads::{count, for_each};
 
-/// Elements walked together at most: the more, the more share what is widened of a node; some 60 bytes each and thread.
+/// Elements walked together at most: the more, the more share what is widened of a node; some 90 bytes each and thread.
 const BATCH: usize = 1 << 18;
 /// So few are not worth a task of their own.
 const FEW: usize = 1 << 11;
@@ -21,19 +21,19 @@ pub fn decode<T: Decode>(levels: &[Level], coords: &[i64], out: &mut [T]) -> Res
 }
 
 struct Batch<'b, T> {
-    order: usize,
-    /// Row positions in the present node `[elements, N]`.
-    pos: Vec<u32>,
+    /// Of each element in its present node.
+    pos: Vec<Position>,
     out: &'b mut [T],
     elements: Elements<T>,
     /// Positions and values of one group.
-    group: (Vec<u32>, Vec<T>),
+    group: (Vec<Position>, Vec<T>),
 }
 
 impl<'b, T: Decode> Batch<'b, T> {
     fn new(coords: &[i64], order: usize, out: &'b mut [T]) -> Self {
-        let pos = coords.iter().map(|&i| i as u32).collect();
-        Batch { order, pos, out, elements: Elements::default(), group: (vec![], vec![]) }
+        let position = |coords: &[i64]| std::array::from_fn(|n| coords.get(n).map_or(0, |&i| i as u32));
+        let pos = coords.chunks_exact(order).map(position).collect();
+        Batch { pos, out, elements: Elements::default(), group: (vec![], vec![]) }
     }
 
     fn walk(mut self, levels: &[Level]) -> Result<(), String> {
@@ -60,9 +60,7 @@ impl<'b, T: Decode> Batch<'b, T> {
     fn add(&mut self, node: &NodeView, group: &[u64]) -> Result<(), String> {
         let (pos, values) = &mut self.group;
         pos.clear();
-        for &item in group {
-            pos.extend_from_slice(&self.pos[number(item) * self.order..][..self.order]);
-        }
+        pos.extend(group.iter().map(|&item| self.pos[number(item)]));
         values.clear();
         values.resize(group.len(), T::ZERO);
         self.elements.add(node, pos, values)?;
@@ -77,7 +75,7 @@ impl<'b, T: Decode> Batch<'b, T> {
     fn descend(&mut self, level: &Level, s: usize, node: &NodeView, group: &[u64], next: &mut Vec<u64>) {
         let Some(first) = level.first_child(s) else { return };
         for &item in group {
-            let pos = &mut self.pos[number(item) * self.order..][..self.order];
+            let pos = &mut self.pos[number(item)][..node.order];
             let mut flat = 0;
             for (n, position) in pos.iter_mut().enumerate() {
                 let (part, local) = level.way_down(s, n, *position);

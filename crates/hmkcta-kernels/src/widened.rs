@@ -1,7 +1,7 @@
 //! Cores and basis rows of a node as floats: all of them, or what one choice of clusters needs at a time.
 
-use crate::layout::{Layout, NOWHERE, Offsets};
-use crate::packed::{MOST_MODES, NodeView};
+use crate::layout::{Layout, NOWHERE};
+use crate::packed::{MOST_MODES, NodeView, Position};
 use crate::real::{Real, widen_all};
 use crate::threads::room;
 
@@ -20,13 +20,13 @@ pub struct Tables<T> {
 /// `Steps::choices` gives with the row lengths of this source.
 pub unsafe trait Source<T> {
     /// Turn to an element, by its row positions, which `Steps::choices` has checked.
-    fn element(&mut self, pos: &[u32]);
+    fn element(&mut self, pos: &Position);
 
     /// Turn to one of its choices of clusters: the core, undecomposed modes fixed, in the order of `Layout`.
     ///
     /// # Safety
     /// The choice is one of `Steps::choices` for the element turned to.
-    unsafe fn choose(&mut self, choice: &Offsets) -> *const T;
+    unsafe fn choose(&mut self, choice: &[u32]) -> *const T;
 
     /// Where the basis rows of decomposed mode number `f` are found: the pointer, and which of a choice's offsets counts
     /// from there.
@@ -61,14 +61,14 @@ impl<'w, T: Real> Widened<'w, T> {
         }
         for (f, &n) in layout.free.iter().enumerate() {
             let (stored, rank) = (node.basis[n], node.ranks[n]);
-            if Some(f) != layout.vector || rank == layout.width {
+            if Some(f) != layout.vector || rank == layout.row {
                 widen_all(stored, room(&mut bases[f], stored.len()));
                 continue;
             }
             let numbers = room(plain, stored.len());
             widen_all(stored, numbers);
-            let padded = room(&mut bases[f], stored.len() / rank * layout.width);
-            for (row, to) in numbers.chunks_exact(rank).zip(padded.chunks_exact_mut(layout.width)) {
+            let padded = room(&mut bases[f], stored.len() / rank * layout.row);
+            for (row, to) in numbers.chunks_exact(rank).zip(padded.chunks_exact_mut(layout.row)) {
                 to[..rank].copy_from_slice(row);
                 to[rank..].fill(T::ZERO);
             }
@@ -82,12 +82,12 @@ impl<'w, T: Real> Widened<'w, T> {
 // made as long as padding needs, and `Steps::choices` gives offsets of clusters and rows that exist.
 unsafe impl<T: Real> Source<T> for Widened<'_, T> {
     #[inline(always)]
-    fn element(&mut self, pos: &[u32]) {
+    fn element(&mut self, pos: &Position) {
         self.start = self.core[self.layout.block_number(self.node, pos) * self.layout.block()..].as_ptr();
     }
 
     #[inline(always)]
-    unsafe fn choose(&mut self, choice: &Offsets) -> *const T {
+    unsafe fn choose(&mut self, choice: &[u32]) -> *const T {
         unsafe { self.start.add(choice[0] as usize * self.stride) }
     }
 
@@ -124,12 +124,12 @@ impl<'w, T: Real> Picked<'w, T> {
 // SAFETY: pointers are those of buffers of the padded lengths.
 unsafe impl<T: Real> Source<T> for Picked<'_, T> {
     #[inline(always)]
-    fn element(&mut self, pos: &[u32]) {
+    fn element(&mut self, pos: &Position) {
         self.start = self.layout.stored_start(pos);
     }
 
     #[inline(always)]
-    unsafe fn choose(&mut self, choice: &Offsets) -> *const T {
+    unsafe fn choose(&mut self, choice: &[u32]) -> *const T {
         let stored = &self.node.core[choice[0] as usize * self.node.core_size() + self.start..];
         self.layout.arrange(stored, self.core, T::ZERO, T::widen);
         for (f, &n) in self.layout.free.iter().enumerate() {
