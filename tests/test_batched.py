@@ -20,9 +20,10 @@ from cupy_stand_in import StandIn
 from hmkcta.backends import Kernels, batched, batches, reference
 from hmkcta.backends.batched import Arrays
 from hmkcta.backends.batches import MOST_PADDED, Batch, projection_batches, sweep_batches
-from hmkcta.cells import Cells, all_products, dense_basis
+from hmkcta.cells import Cells, dense_basis
 from hmkcta.errors import HmkctaError
 from hmkcta.plan import LevelSpec
+from hmkcta.search import all_products
 from test_kernels import (
     LARGE,
     SCALES,

@@ -348,18 +348,20 @@ def test_freed_memory_is_kept_for_what_comes_next_unless_the_user_says_otherwise
 ) -> None:
     program = """
 import resource
+from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from hmkcta.memory import keep_freed_memory
-keep_freed_memory()
+keep_freed_memory(2)
 def faults():
     return resource.getrusage(resource.RUSAGE_SELF).ru_minflt
 def node():
-    return [np.ones(n << 16) for n in (11, 23, 7, 31)]
-node()
-before = faults()
-for _ in range(20):
-    node()
-print(faults() - before)
+    return [np.ones(n << 16) for n in (11, 23, 7, 15)]
+with ThreadPoolExecutor(2) as pool:
+    for _ in range(3):
+        list(pool.map(lambda _: len(node()), range(2)))
+    before = faults()
+    list(pool.map(lambda _: len(node()), range(20)))
+    print(faults() - before)
 """
     for name in [name for name in os.environ if name.startswith(("MALLOC_", "GLIBC_TUNABLES"))]:
         monkeypatch.delenv(name)

@@ -21,6 +21,7 @@ def decomposed(cells: Cells) -> list[int]:
 def check_same(cells: Cells) -> None:
     expected = model_of(cells)
     for n in decomposed(cells):
+        np.testing.assert_array_equal(native.dense_basis(cells, n), dense_basis(cells, n))
         found, readable = cells.copy(), cells.copy()
         native.orthonormalise(found, n)
         reference.orthonormalise(readable, n)
@@ -56,5 +57,7 @@ def test_columns_are_orthonormal_or_zero(backend: Kernels) -> None:
 
 def test_an_undecomposed_mode_has_nothing_to_turn() -> None:
     cells = random_cells((4, 3), LevelSpec((None, 2), (1, 2), (1, 1)), 2)
-    with pytest.raises(ValueError, match="decomposed"):
+    with pytest.raises(ValueError, match="mode 1 is not decomposed"):
         native.orthonormalise(cells, 0)
+    with pytest.raises(ValueError, match="mode 1 is not decomposed"):
+        native.dense_basis(cells, 0)

@@ -16,11 +16,11 @@ from dense_reference import energy, node_rows, unfold
 from hmkcta import backends as kernels
 from hmkcta import compress, projection
 from hmkcta import fit as fitting
-from hmkcta.cells import Cells, all_products, dense_basis, empty_cells
+from hmkcta.cells import Cells, dense_basis, empty_cells
 from hmkcta.fit import EFFORTS, fit_level, left_by
 from hmkcta.memberships import start_candidates
 from hmkcta.plan import GRAM_CELLS, OPTIMAL_SUBSETS, LevelSpec, parse_level
-from hmkcta.search import OVER_RELAXED, choose_rows, extend, refit_cores, right_sides
+from hmkcta.search import OVER_RELAXED, all_products, choose_rows, extend, refit_cores, right_sides
 from hmkcta.subdivision import CAP, subdivide
 from test_special_cases import MODES, shuffled, smooth
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from math import prod
 
 import numpy as np
@@ -48,7 +49,7 @@ class Cells:
     @property
     def ranks(self) -> tuple[int, ...]:
         """R_n, an undecomposed mode's being its size."""
-        return tuple(i if r is None else r for r, i in zip(self.spec.ranks, self.sizes, strict=True))
+        return _whole_ranks(self.spec.ranks, self.sizes)
 
     @property
     def undecomposed(self) -> tuple[bool, ...]:
@@ -125,6 +126,12 @@ def zero_cells(sizes: Sequence[int], spec: LevelSpec) -> Cells:
     return Cells(tuple(sizes), spec, members, bases, np.zeros((spec.cells, *ranks), np.float32))
 
 
+@lru_cache(1 << 10)
+def _whole_ranks(ranks: tuple[int | None, ...], sizes: tuple[int, ...]) -> tuple[int, ...]:
+    """Asked for at every step of a sweep."""
+    return tuple(size if rank is None else rank for rank, size in zip(ranks, sizes, strict=True))
+
+
 def dense_basis(cells: Cells, n: int) -> F32:
     """U_n of all cells with its zero rows written out: `[PC, I_n, R_n]`."""
     clusters = cells.spec.clusters
@@ -136,16 +143,3 @@ def dense_basis(cells: Cells, n: int) -> F32:
         rows = np.arange(size)
         dense[:, cells.members[n][:, k], :, rows] = stored[:, k]
     return dense.reshape(cells.spec.cells, size, rank)
-
-
-def inner_products(cells: Cells, m: int) -> Products | None:
-    """`M_m(c, c') = U_{m,c}^T U_{m,c'}` of all pairs of cells; None: mode m is undecomposed."""
-    if cells.undecomposed[m]:
-        return None
-    columns = dense_basis(cells, m).transpose(1, 2, 0).reshape(cells.sizes[m], -1).astype(np.float64)  # [I_m, R_m PC]
-    return (columns.T @ columns).reshape(2 * (cells.ranks[m], cells.spec.cells))
-
-
-def all_products(cells: Cells) -> list[Products | None]:
-    """The `inner_products` of every mode."""
-    return [inner_products(cells, m) for m in range(cells.order)]

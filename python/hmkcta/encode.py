@@ -174,7 +174,7 @@ def _threads(count: int) -> Generator[None]:
 
     Nodes and blocks run in threads already; BLAS threads beside them only fight, and would change sums.
     """
-    keep_freed_memory()
+    keep_freed_memory(count)
     with kernels.threads(count), _ONE_BLAS_THREAD:
         yield
 

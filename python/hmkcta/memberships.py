@@ -50,7 +50,7 @@ def row_features(tensor: NDArray[Any], n: int) -> F64:
     rows = np.moveaxis(tensor, n, 0)
     step = max(1, round((tensor.size / SAMPLE) ** (1 / max(1, tensor.ndim - 1))))
     rows = rows[(slice(None), *[slice(None, None, min(step, max(1, i // 2))) for i in rows.shape[1:]])]
-    unfolded = rows.reshape(len(rows), -1).astype(np.float64)
+    unfolded = rows.astype(np.float64, order="C").reshape(len(rows), -1)
     if len(rows) <= unfolded.shape[1]:
         values, vectors = np.linalg.eigh(unfolded @ unfolded.T)
         return vectors[:, : -FEATURES - 1 : -1] * np.sqrt(np.maximum(values[: -FEATURES - 1 : -1], 0))
@@ -82,8 +82,11 @@ def _spread_centres(features: F64, clusters: int, rng: np.random.Generator) -> F
     nearest = np.full(len(features), np.inf)
     while len(chosen) < clusters:
         nearest = np.minimum(nearest, np.square(features - features[chosen[-1]]).sum(axis=1))
-        total = nearest.sum()
-        chosen.append(rng.choice(len(features), p=nearest / total if total > 0 else None))
+        upto = np.cumsum(nearest)
+        if upto[-1] > 0:
+            chosen.append(int(np.searchsorted(upto / upto[-1], rng.random(), side="right")))
+        else:
+            chosen.append(int(rng.integers(len(upto))))
     return features[chosen]
 
 

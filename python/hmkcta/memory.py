@@ -18,8 +18,8 @@ from .errors import HmkctaError, Kind
 _MEMINFO = Path("/proc/meminfo")
 _LIMIT, _USED = Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory.current")
 #: Parameters of glibc's `mallopt` by number: freed bytes at the top of a heap from which on they are given back; bytes
-#: from which on an allocation is mapped for itself; heaps.
-_MALLOC = {-1: 2**28, -3: 2**25, -8: 1}
+#: from which on an allocation is mapped for itself; and how many heaps there may be.
+_MALLOC, _HEAPS = {-1: 2**28, -3: 2**25}, -8
 #: Bytes of a mapped file that a read brings into memory around each place it touches; and together, at the most.
 _AROUND, _LOOKED_AT = 1 << 16, 1 << 24
 
@@ -52,18 +52,18 @@ def memory_budget(limit: int | None = None) -> int:
 
 
 @cache
-def keep_freed_memory() -> None:
-    """Let freed memory serve the next node instead of going back to the system, and all threads share one heap.
+def keep_freed_memory(threads: int) -> None:
+    """Let freed memory serve the next node instead of going back to the system, and each thread have a heap.
 
     Nodes come and go by the hundred, each with arrays of some megabytes: mapping, zeroing and unmapping these took a
-    third of the time of a level. Where the C library is not glibc, or its environment variables say how it should be,
-    it stays as it is.
+    third of the time of a level, and what one core has just written costs another one dear. Where the C library is not
+    glibc, or its environment variables say how it should be, it stays as it is.
     """
     if any(name.startswith(("MALLOC_", "GLIBC_TUNABLES")) for name in os.environ):
         return
     with suppress(TypeError, OSError, AttributeError):  # Windows; other C libraries
         mallopt = ctypes.CDLL(None).mallopt
-        for parameter, value in _MALLOC.items():
+        for parameter, value in {**_MALLOC, _HEAPS: max(1, threads)}.items():
             mallopt(parameter, value)
 
 

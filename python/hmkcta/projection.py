@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import backends as kernels
-from .cells import Cells, dense_basis
+from .cells import Cells
 
 F32 = NDArray[np.float32]
 #: I_m, C_m or R_m: what an axis of a projection runs over.
@@ -109,7 +109,7 @@ def _sizes(cells: Cells, axes: Sequence[Axis]) -> list[int]:
 def _spread(cells: Cells, m: int, lanes: Sequence[Axis]) -> F32:
     """U_m of all cells over the lanes: `[I_m, R_m, lanes]`."""
     rows = [cells.sizes[m], cells.ranks[m]]
-    dense = dense_basis(cells, m).reshape(*cells.spec.clusters, *rows)
+    dense = kernels.dense_basis(cells, m).reshape(*cells.spec.clusters, *rows)
     order = [cells.order, cells.order + 1, *(k for kind, k in lanes if kind == "C")]
     thin = [cells.spec.clusters[k] if kind == "C" else 1 for kind, k in lanes]
     wide = np.broadcast_to(dense.transpose(order).reshape(*rows, *thin), [*rows, *_sizes(cells, lanes)])

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import backends as kernels
-from .cells import Cells, Products, all_products, dense_basis, inner_products
+from .cells import Cells, Products
 from .projection import passes, project
 
 F32 = NDArray[np.float32]
@@ -41,9 +41,25 @@ def sweep(
             y = seen.onto(cells, n)
             choose_rows(cells, products, right_sides(cells, y, n), n, mixture[n], search, omega)
             kernels.orthonormalise(cells, n)
-            products[n] = inner_products(cells, n)
+            products[n] = _inner_products(cells, n)
             if n == last:
                 refit_cores(cells, products, y, n)
+
+
+def all_products(cells: Cells) -> list[Products | None]:
+    """Inner products `M_m(c, c') = U_{m,c}^T U_{m,c'}` of every mode; None where it is undecomposed."""
+    return [None if skip else _inner_products(cells, m) for m, skip in enumerate(cells.undecomposed)]
+
+
+def _dense(cells: Cells, m: int) -> F64:
+    """U_m of all cells, `[PC, I_m, R_m]`."""
+    return kernels.dense_basis(cells, m).astype(np.float64)
+
+
+def _inner_products(cells: Cells, m: int) -> Products:
+    columns = kernels.dense_basis(cells, m).transpose(1, 2, 0).astype(np.float64, order="C")  # [I_m, R_m, PC]
+    columns = columns.reshape(cells.sizes[m], -1)
+    return (columns.T @ columns).reshape(2 * (cells.ranks[m], cells.spec.cells))
 
 
 def choose_rows(
@@ -68,7 +84,8 @@ def choose_rows(
     h = kernels.dictionary_gram(cells, products, n)
     cells.members[n], x = kernels.code_rows(h, b, spec.clusters, n, kept, mixture, search)
     cells.bases[n] = x.reshape(size, mixture, spec.cells // spec.clusters[n], cells.ranks[n])
-    cells.spec = replace(spec, mixture=(*spec.mixture[:n], mixture, *spec.mixture[n + 1 :]))
+    if mixture != spec.mixture[n]:
+        cells.spec = replace(spec, mixture=(*spec.mixture[:n], mixture, *spec.mixture[n + 1 :]))
     if omega != 1 and kept is not None:
         same = (kept == cells.members[n]).all(axis=1)
         cells.bases[n][same] += np.float32(omega - 1) * (cells.bases[n][same] - before[same])
@@ -85,7 +102,7 @@ def refit_cores(cells: Cells, products: Sequence[Products | None], y: NDArray[np
 
     New rows change a core by one matrix a mode; this finds what else would help.
     """
-    b = np.matmul(dense_basis(cells, n).transpose(0, 2, 1).astype(np.float64), y)
+    b = np.matmul(_dense(cells, n).transpose(0, 2, 1), y)
     others = [rank for m, rank in enumerate(cells.ranks) if m != n]
     kernels.solve_cores(cells, products, np.moveaxis(b.reshape(*b.shape[:2], *others), 1, n + 1), CORE_STEPS)
 
@@ -98,8 +115,8 @@ def project_model(cells: Cells, other: Cells, n: int) -> F64:
     """
     decomposed = [m for m in range(cells.order) if not cells.undecomposed[m]]
     modes = [m for m in decomposed if m != n]
-    theirs = {m: dense_basis(other, m).astype(np.float64).transpose(0, 2, 1) for m in decomposed}  # [PD, R_m, I_m]
-    ours = {m: dense_basis(cells, m).astype(np.float64) for m in modes}  # [PC, I_m, R_m]
+    theirs = {m: _dense(other, m).transpose(0, 2, 1) for m in decomposed}  # [PD, R_m, I_m]
+    ours = {m: _dense(cells, m) for m in modes}  # [PC, I_m, R_m]
     y: list[F64] = []
     for c in range(cells.spec.cells):
         x: F64 = other.cores.astype(np.float64)

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import backends as kernels
-from .cells import Cells, Products, all_products
+from .cells import Cells, Products
 from .coding import Dictionary
 from .memberships import uniform_blocks
 from .projection import Projection, passes, project
-from .search import project_model, right_sides
+from .search import all_products, project_model, right_sides
 
 F32 = NDArray[np.float32]
 

@@ -18,14 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import backends as kernels
-from .cells import Cells, all_products
+from .cells import Cells
 from .fit import Effort, Labels, fit_level
 from .memory import check_memory
 from .pieces import Rows
 from .plan import LevelSpec, Plan
 from .predict import PROCESS, WORKING, joint_bytes
 from .projection import project_one
-from .search import choose_rows, project_model, right_sides
+from .search import all_products, choose_rows, project_model, right_sides
 from .slabs import slabs
 from .streamed import Block, Streamed, thinned_cells
 

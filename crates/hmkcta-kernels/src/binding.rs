@@ -119,6 +119,14 @@ pub fn check_mode(order: usize, mode: usize) -> PyResult<()> {
     Err(PyValueError::new_err(format!("mode must be below {order}, got {mode}")))
 }
 
+pub fn check_decomposed(node: &Node, mode: usize) -> PyResult<()> {
+    check_mode(node.order(), mode)?;
+    if node.undecomposed[mode] {
+        return Err(PyValueError::new_err(format!("mode {} is not decomposed", mode + 1)));
+    }
+    Ok(())
+}
+
 pub fn tensor_of<'a>(node: &Node, tensor: &'a Floats) -> PyResult<&'a [f32]> {
     let tensor = tensor.as_slice()?;
     check_tensor(node, tensor.len())?;

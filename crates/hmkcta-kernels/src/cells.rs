@@ -164,6 +164,25 @@ impl<'a> Node<'a> {
         basis
     }
 
+    /// `U_n` of all cells with its zero rows written out: `[PC, I_n, R_n]`.
+    pub fn dense_basis(&self, n: usize, stored: &[f32]) -> Vec<f32> {
+        let (clusters, mixture, rank) = (self.clusters[n], self.mixture[n], self.ranks[n]);
+        let behind: usize = self.clusters[n + 1..].iter().product();
+        let step = self.sizes[n] * rank;
+        let mut dense = vec![0.0; self.cells() * step];
+        let slots = stored.chunks_exact(self.combinations(n) * rank).zip(self.members[n]).enumerate();
+        for (at, (numbers, &k)) in slots {
+            let row = at / mixture * rank;
+            for (before, numbers) in numbers.chunks_exact(behind * rank).enumerate() {
+                let first = (before * clusters + usize::from(k)) * behind * step + row;
+                for (after, numbers) in numbers.chunks_exact(rank).enumerate() {
+                    dense[first + after * step..][..rank].copy_from_slice(numbers);
+                }
+            }
+        }
+        dense
+    }
+
     /// Store the cell's basis `[R_n, m_n]` of mode `n`.
     pub fn store_basis(&self, cell: &Cell, n: usize, basis: &[f32], stored: &mut [f32]) {
         let slots = &self.subsets[n][cell.subset[n]].slots;

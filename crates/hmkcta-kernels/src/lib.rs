@@ -45,8 +45,8 @@ mod turned;
 mod widened;
 
 use binding::{
-    Arrays, Doubles, Floats, Members, bases_of, check_bases, check_cores, check_length, check_mode, check_tensor,
-    cores_of, node, pairs_of, slices, tensor_of,
+    Arrays, Doubles, Floats, Members, bases_of, check_bases, check_cores, check_decomposed, check_length, check_mode,
+    check_tensor, cores_of, node, pairs_of, slices, tensor_of,
 };
 use cells::Shape;
 use coding::Search;
@@ -135,9 +135,9 @@ fn project_pair<'py>(
     let node = node(shape, &members)?;
     let (tensor, bases) = (tensor_of(&node, &tensor)?, bases_of(&node, &bases)?);
     let (a, b) = pair;
-    [a, b].into_iter().try_for_each(|n| check_mode(node.order(), n))?;
-    if a == b || node.undecomposed[a] || node.undecomposed[b] {
-        return Err(PyValueError::new_err("two decomposed modes are needed"));
+    [a, b].into_iter().try_for_each(|n| check_decomposed(&node, n))?;
+    if a == b {
+        return Err(PyValueError::new_err("two modes are needed"));
     }
     Ok(py.detach(|| pair::project_pair(&node, tensor, &bases, pair)).into_pyarray(py))
 }
@@ -156,6 +156,22 @@ fn contract_lanes<'py>(
     check_length("p", p.len(), sizes.iter().product::<usize>() * lanes)?;
     check_length("w", w.len(), sizes[1] * rank * lanes)?;
     Ok(py.detach(|| contract::contract_lanes(p, w, sizes, rank, lanes)).into_pyarray(py))
+}
+
+/// `U_n` of all cells with its zero rows written out, flat.
+#[pyfunction]
+fn dense_basis<'py>(
+    py: Python<'py>,
+    shape: Shape,
+    members: Members,
+    mode: usize,
+    basis: Floats,
+) -> PyResult<Bound<'py, PyArray1<f32>>> {
+    let node = node(shape, &members)?;
+    let basis = basis.as_slice()?;
+    check_decomposed(&node, mode)?;
+    check_length("the basis", basis.len(), node.basis_size(mode))?;
+    Ok(py.detach(|| node.dense_basis(mode, basis)).into_pyarray(py))
 }
 
 /// `H_n` of all pairs of cells, flat.
@@ -204,12 +220,9 @@ fn orthonormalise(
 ) -> PyResult<()> {
     let node = node(shape, &members)?;
     let (basis, cores) = (basis.as_slice_mut()?, cores.as_slice_mut()?);
-    check_mode(node.order(), mode)?;
+    check_decomposed(&node, mode)?;
     check_length("the basis", basis.len(), node.basis_size(mode))?;
     check_cores(&node, cores.len())?;
-    if node.undecomposed[mode] {
-        return Err(PyValueError::new_err("a decomposed mode is needed"));
-    }
     py.detach(|| orthonormal::orthonormalise(&node, mode, basis, cores));
     Ok(())
 }
@@ -365,6 +378,7 @@ fn _native(module: &Bound<PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(project_cells, module)?)?;
     module.add_function(wrap_pyfunction!(project_pair, module)?)?;
     module.add_function(wrap_pyfunction!(contract_lanes, module)?)?;
+    module.add_function(wrap_pyfunction!(dense_basis, module)?)?;
     module.add_function(wrap_pyfunction!(dictionary_gram, module)?)?;
     module.add_function(wrap_pyfunction!(solve_cores, module)?)?;
     module.add_function(wrap_pyfunction!(orthonormalise, module)?)?;

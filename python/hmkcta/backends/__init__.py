@@ -22,9 +22,9 @@ from . import reference
 from .device import Device, Kernels
 from .reference import F64, Rows
 
-__all__ = ["Device", "Kernels", "accumulate", "cluster_rows", "code_rows", "contract_lanes", "dictionary_gram",
-           "find_device", "fit_cells", "gather", "name", "nearest_with_room", "orthonormalise", "project_cells",
-           "project_pair", "scatter", "set_threads", "solve_cores", "threads", "use"]  # fmt: skip
+__all__ = ["Device", "Kernels", "accumulate", "cluster_rows", "code_rows", "contract_lanes", "dense_basis",
+           "dictionary_gram", "find_device", "fit_cells", "gather", "name", "nearest_with_room", "orthonormalise",
+           "project_cells", "project_pair", "scatter", "set_threads", "solve_cores", "threads", "use"]  # fmt: skip
 
 #: Where the kernels of the work at hand run; None: on the CPU.
 _device: ContextVar[Kernels | None] = ContextVar("device", default=None)
@@ -146,6 +146,11 @@ def gather(tensor: F32, rows: Rows) -> F32:
 def scatter(tensor: F32, rows: Rows, block: F32) -> None:
     """Put a sub-tensor back, in place; several threads may, where no two write to the same elements."""
     _kernels().scatter(tensor, rows, block)
+
+
+def dense_basis(cells: Cells, n: int) -> F32:
+    """`U_n` of all cells with its zero rows written out; see `cells.dense_basis`."""
+    return _kernels().dense_basis(cells, n)
 
 
 def dictionary_gram(cells: Cells, products: Sequence[Products | None], n: int) -> F64:

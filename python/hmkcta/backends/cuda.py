@@ -103,6 +103,10 @@ class Cuda:
         """Put a sub-tensor back, on the CPU."""
         self._cpu.scatter(tensor, rows, block)
 
+    def dense_basis(self, cells: Cells, n: int) -> F32:
+        """U_n of all cells with its zero rows written out, on the CPU."""
+        return self._cpu.dense_basis(cells, n)
+
     def dictionary_gram(self, cells: Cells, products: Sequence[Products | None], n: int) -> F64:
         """Inner products of all dictionary columns of mode n."""
         if self._worthwhile(cells.spec.cells**2 * prod(cells.ranks)):

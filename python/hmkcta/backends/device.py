@@ -48,6 +48,10 @@ class Kernels(Protocol):
         """Put a sub-tensor back, in place."""
         ...
 
+    def dense_basis(self, cells: Cells, n: int) -> F32:
+        """U_n of all cells with its zero rows written out."""
+        ...
+
     def dictionary_gram(self, cells: Cells, products: Sequence[Products | None], n: int) -> F64:
         """Inner products of all dictionary columns of mode n."""
         ...

@@ -89,6 +89,12 @@ def scatter(tensor: F32, rows: Rows, block: F32) -> None:
     _native.scatter(_in_place(tensor), list(tensor.shape), _rows(rows), _flat(block))
 
 
+def dense_basis(cells: Cells, n: int) -> F32:
+    """`U_n` of all cells with its zero rows written out: `[PC, I_n, R_n]`."""
+    found = _native.dense_basis(*_node(cells), n, _flat(cells.bases[n]))
+    return found.reshape(cells.spec.cells, cells.sizes[n], cells.ranks[n])
+
+
 def dictionary_gram(cells: Cells, products: Sequence[Products | None], n: int) -> F64:
     """`H_n = D_n^T D_n` of the dictionaries of all cells: `[PC R_n, PC R_n]`."""
     side = cells.spec.cells * cells.ranks[n]

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cells import F32, Cells, Products
+from ..cells import dense_basis as dense_basis
 from ..coding import code_rows as code_rows  # the twin of the native search
 from ..kmeans import cluster_rows as cluster_rows  # and of the native clustering
 from ..kmeans import nearest_with_room as nearest_with_room
@@ -132,7 +133,7 @@ def dictionary_gram(cells: Cells, products: Sequence[Products | None], n: int) -
 
     Args:
         cells: their cores are used, not their bases.
-        products: M_m of all pairs of cells, as `cells.inner_products` has them; that of mode n is not used.
+        products: M_m of all pairs of cells, as `search.all_products` has them; that of mode n is not used.
         n: the mode.
 
     Returns:
@@ -157,7 +158,7 @@ def solve_cores(cells: Cells, products: Sequence[Products | None], b: F64, steps
 
     Args:
         cells: their cores are replaced.
-        products: M_m of all pairs of cells, as `cells.inner_products` has them.
+        products: M_m of all pairs of cells, as `search.all_products` has them.
         b: the tensor projected on the bases of every cell, `[PC, R_1, .., R_N]`.
         steps: of conjugate gradients, at the most.
     """
