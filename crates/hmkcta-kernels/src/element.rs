@@ -14,8 +14,10 @@ use pulp::{Simd, WithSimd};
 
 /// Most numbers of a node that are widened at once, which bounds memory.
 const MOST_WIDENED: usize = 1 << 24;
-/// Elements whose choices are found together, as each is a chain of steps that wait for one another.
+/// Elements whose choices are found together, as each is a chain of steps that wait for one another; fewer where they
+/// have more choices than this, which the level 1 cache holds.
 const TOGETHER: usize = 8;
+const CHOICES: usize = 1 << 10;
 /// Widening numbers one after the other costs so many times less than picking them.
 const IN_BULK: usize = 8;
 
@@ -123,7 +125,8 @@ impl<T: Real> Task<'_, T> {
         let Task { node, layout, pos, values, buffers, widened } = self;
         let Elements { tables, outer, choices } = buffers;
         let steps = &Steps::<W>::new(node, layout, &layout.row_lengths(node, widened));
-        let (choices, _) = room(choices, TOGETHER * node.choices() * W).as_chunks_mut();
+        let together = (CHOICES / node.choices()).clamp(1, TOGETHER);
+        let (choices, _) = room(choices, together * node.choices() * W).as_chunks_mut();
         let sums = Sums { node, layout, steps, pos, values, choices, outer };
         if widened {
             sums.add::<_, M, P, A, B, C>(Widened::new(node, layout, tables), machine)
@@ -162,7 +165,8 @@ impl<T: Real, const W: usize> Sums<'_, T, W> {
         let [a, b, c] = layout.loops.map(&mut rows);
         let (last, beside) = (rows(layout.vector), rows(layout.beside));
         let more: Vec<_> = layout.more.iter().map(|&(f, rank)| (source.rows(f), rank)).collect();
-        for (pos, values) in pos.chunks(TOGETHER).zip(values.chunks_mut(TOGETHER)) {
+        let together = choices.len() / node.choices();
+        for (pos, values) in pos.chunks(together).zip(values.chunks_mut(together)) {
             for (pos, choices) in pos.iter().zip(choices.chunks_exact_mut(node.choices())) {
                 steps.choices(node, layout, pos, choices)?;
             }

@@ -1,4 +1,4 @@
-//! How the numbers of a node are laid out while elements are decoded: one mode, padded, runs along the lanes.
+//! How the numbers of a node are laid out while elements are decoded: one mode, padded, runs along the lanes, or two.
 
 use crate::packed::{MOST_MODES, NodeView, Position};
 
@@ -12,7 +12,8 @@ const PADDING: u32 = u32::MAX;
 /// What a choice of clusters leads to: the cell's number, then where each decomposed mode's basis row starts.
 pub type Offsets<const W: usize> = [u32; W];
 
-/// The order in which a core is contracted: undecomposed modes select, `heads` are summed, `vector` runs along lanes.
+/// The order in which a core is contracted: undecomposed modes select, those of `loops` and `more` are summed one after the
+/// other, `beside` and `vector` run along lanes.
 pub struct Layout {
     /// Decomposed modes, ascending.
     pub free: Vec<usize>,
