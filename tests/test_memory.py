@@ -355,7 +355,7 @@ keep_freed_memory(2)
 def faults():
     return resource.getrusage(resource.RUSAGE_SELF).ru_minflt
 def node():
-    return [np.ones(n << 16) for n in (11, 23, 7, 15)]
+    return [np.ones(n << 16) for n in (11, 23, 7, 31)]
 with ThreadPoolExecutor(2) as pool:
     for _ in range(3):
         list(pool.map(lambda _: len(node()), range(2)))

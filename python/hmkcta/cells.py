@@ -115,7 +115,7 @@ def zero_cells(sizes: Sequence[int], spec: LevelSpec) -> Cells:
     """Cells of the right shapes with nothing in them."""
     spec = spec.clamped(sizes)
     members = [np.zeros((size, k), np.uint16) for size, k in zip(sizes, spec.mixture, strict=True)]
-    ranks = [i if r is None else r for r, i in zip(spec.ranks, sizes, strict=True)]
+    ranks = _whole_ranks(spec.ranks, tuple(sizes))
     bases = [
         np.zeros(
             0 if spec.ranks[n] is None else (sizes[n], spec.mixture[n], spec.cells // spec.clusters[n], ranks[n]),

@@ -82,11 +82,8 @@ def _spread_centres(features: F64, clusters: int, rng: np.random.Generator) -> F
     nearest = np.full(len(features), np.inf)
     while len(chosen) < clusters:
         nearest = np.minimum(nearest, np.square(features - features[chosen[-1]]).sum(axis=1))
-        upto = np.cumsum(nearest)
-        if upto[-1] > 0:
-            chosen.append(int(np.searchsorted(upto / upto[-1], rng.random(), side="right")))
-        else:
-            chosen.append(int(rng.integers(len(upto))))
+        total = nearest.sum()
+        chosen.append(int(rng.choice(len(features), p=nearest / total if total > 0 else None)))
     return features[chosen]
 
 

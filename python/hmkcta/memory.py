@@ -6,7 +6,6 @@ import ctypes
 import mmap
 import os
 from contextlib import suppress
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +50,6 @@ def memory_budget(limit: int | None = None) -> int:
     return 2**30 if free is None else free // 2
 
 
-@cache
 def keep_freed_memory(threads: int) -> None:
     """Let freed memory serve the next node instead of going back to the system, and each thread have a heap.
 

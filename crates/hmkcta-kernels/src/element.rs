@@ -4,7 +4,7 @@
 //! widened for it. Either way the sums are the same, bit by bit.
 
 use crate::lanes::{Lanes, Plain};
-use crate::layout::{Layout, NOWHERE, Offsets, Steps};
+use crate::layout::{LANES, Layout, NOWHERE, Offsets, Steps};
 use crate::machine::dispatch;
 use crate::packed::{NodeView, Position};
 use crate::real::Real;
@@ -89,7 +89,7 @@ impl Decode for f32 {
                 (8, _) => task.run::<_, 8, 8, 0, 0, 0>(machine),
                 (4, [1, ..]) => task.run::<_, 4, 8, 1, 0, 0>(machine),
                 (4, _) => task.run::<_, 4, 8, 0, 0, 0>(machine),
-                _ => task.run::<_, 16, 16, 0, 0, 0>(Plain::<true>),
+                _ => task.run::<_, LANES, LANES, 0, 0, 0>(Plain::<true>),
             };
         }
         task.plain::<S>()
@@ -112,7 +112,7 @@ impl<T: Real> Task<'_, T> {
         match self.layout.width {
             4 => self.run::<_, 4, 8, 0, 0, 0>(machine),
             8 => self.run::<_, 8, 8, 0, 0, 0>(machine),
-            _ => self.run::<_, 16, 16, 0, 0, 0>(machine),
+            _ => self.run::<_, LANES, LANES, 0, 0, 0>(machine),
         }
     }
 
@@ -159,8 +159,8 @@ impl<T: Real, const W: usize> Sums<'_, T, W> {
         let ranks = [known(A, layout.ranks[0]), known(B, layout.ranks[1]), known(C, layout.ranks[2])];
         assert!(ranks == layout.ranks && layout.width.is_multiple_of(P) && node.scale.len() == node.cells());
         assert!((A == 0 || layout.more.is_empty()) && (layout.beside.is_none() || (P, layout.row) == (8, 4)));
-        let width = if P < 16 { P } else { layout.width };
-        let ones = std::array::from_fn::<T, 16, _>(|l| if l == 0 { T::ONE } else { T::ZERO });
+        let width = if P < LANES { P } else { layout.width };
+        let ones = std::array::from_fn::<T, LANES, _>(|l| if l == 0 { T::ONE } else { T::ZERO });
         let mut rows = |f: Option<usize>| f.map_or((ones.as_ptr(), NOWHERE), |f| source.rows(f));
         let [a, b, c] = layout.loops.map(&mut rows);
         let (last, beside) = (rows(layout.vector), rows(layout.beside));

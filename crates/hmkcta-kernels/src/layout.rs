@@ -4,9 +4,10 @@ use crate::packed::{MOST_MODES, NodeView, Position};
 
 /// Where there is no row: modulo the number of offsets the last of them, always zero.
 pub const NOWHERE: usize = usize::MAX;
-/// Offsets that one vector holds, and all that there may be.
+/// Offsets that one vector holds.
 const FEW: usize = 8;
-const MANY: usize = 16;
+/// The most lanes and offsets there are.
+pub const LANES: usize = 16;
 const PADDING: u32 = u32::MAX;
 
 /// What a choice of clusters leads to: the cell's number, then where each decomposed mode's basis row starts.
@@ -46,10 +47,10 @@ impl Layout {
         let rank_of = |f: &usize| node.ranks[free[*f]];
         let rank = vector.map_or(1, |f| rank_of(&f));
         let row = match rank {
-            _ if free.len() + 2 > FEW => rank.next_multiple_of(MANY),
+            _ if free.len() + 2 > FEW => rank.next_multiple_of(LANES),
             0..=4 => 4,
             5..=8 => 8,
-            _ => rank.next_multiple_of(MANY),
+            _ => rank.next_multiple_of(LANES),
         };
         let beside = (0..free.len()).rev().find(|f| row == 4 && Some(*f) != vector && rank_of(f) == 2);
         let heads: Vec<usize> = (0..free.len()).filter(|&f| Some(f) != vector && Some(f) != beside).collect();
@@ -173,7 +174,7 @@ impl<const W: usize> Steps<W> {
         }
         let mut first = [0u32; W];
         for (&n, row) in layout.free.iter().zip(&self.by_row) {
-            first = sum(&first, &row.map(|step| step.wrapping_mul(pos[n])));
+            first = sum(first, row.map(|step| step.wrapping_mul(pos[n])));
         }
         choices[0] = first;
         let mut count = 1;
@@ -185,21 +186,11 @@ impl<const W: usize> Steps<W> {
                 let c = usize::from(subsets[k]);
                 steps.get(k * clusters + c).filter(|_| c < clusters).ok_or_else(|| missing("cluster", c, n))
             };
-            if mixture == 2 {
-                // What is most common takes half as long so.
-                let (first, second) = (step(0)?, step(1)?);
-                let (begun, new) = choices.split_at_mut(count);
-                for (begun, new) in begun.iter_mut().zip(new) {
-                    *new = sum(begun, second);
-                    *begun = sum(begun, first);
-                }
-            } else {
-                // The first choice last: the others start from what it overwrites.
-                for k in (0..mixture).rev() {
-                    let step = step(k)?;
-                    for at in 0..count {
-                        choices[k * count + at] = sum(&choices[at], step);
-                    }
+            // The first choice last: the others start from what it overwrites.
+            for k in (0..mixture).rev() {
+                let step = *step(k)?;
+                for at in 0..count {
+                    choices[k * count + at] = sum(choices[at], step);
                 }
             }
             count *= mixture;
@@ -209,7 +200,7 @@ impl<const W: usize> Steps<W> {
 }
 
 #[inline(always)]
-fn sum<const W: usize>(a: &Offsets<W>, b: &Offsets<W>) -> Offsets<W> {
+fn sum<const W: usize>(a: Offsets<W>, b: Offsets<W>) -> Offsets<W> {
     std::array::from_fn(|l| a[l].wrapping_add(b[l]))
 }
 
