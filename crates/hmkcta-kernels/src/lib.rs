@@ -34,6 +34,7 @@ mod project;
 mod real;
 mod reconstruct;
 mod scattered;
+mod shuffle;
 mod sorting;
 mod subspace;
 #[cfg(test)]

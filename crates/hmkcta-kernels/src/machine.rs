@@ -22,6 +22,20 @@ pub fn dispatch_narrow<Op: WithSimd>(op: Op) -> Op::Output {
     }
 }
 
+/// How many float32 numbers its vectors have.
+pub fn lanes() -> usize {
+    struct Lanes;
+    impl WithSimd for Lanes {
+        type Output = usize;
+
+        #[inline(always)]
+        fn with_simd<S: Simd>(self, _: S) -> usize {
+            S::F32_LANES
+        }
+    }
+    dispatch(Lanes)
+}
+
 /// Have the numbers fetched into the cache.
 #[inline(always)]
 pub fn prefetch(numbers: &[f32]) {

@@ -2,10 +2,9 @@
 
 use crate::cells::Node;
 use crate::lines::PAD;
+use crate::machine::lanes;
+use crate::shuffle::{FILLED, Order, Shuffle};
 use pulp::Simd;
-
-/// Columns of a line put back at a time.
-const BLOCK: usize = 16;
 
 /// Where columns are in a line of all clusters' members: a column is found once for each of its clusters. A line may be
 /// of several tuples, whose members of a cluster lie side by side.
@@ -16,8 +15,14 @@ pub struct Places {
     /// Where those of each cluster start, padded, and where the last ones end: of one tuple, of as many as there may be.
     pub starts: Vec<usize>,
     pub segments: Vec<usize>,
-    /// For each block of columns the clusters that have members among them.
-    blocks: Vec<Vec<Source>>,
+    blocks: Vec<Block>,
+}
+
+/// Columns put back at a time: as many as a vector has lanes, or all if they are fewer.
+struct Block {
+    first: usize,
+    /// Of each cluster that has members among them.
+    sources: Vec<Source>,
 }
 
 /// The members of one cluster among the columns of a block: neighbours in the line.
@@ -25,14 +30,14 @@ struct Source {
     start: usize,
     /// From one tuple to the next.
     step: usize,
-    /// Which columns of the block they are, and which of them each such column is.
-    mask: u16,
-    order: [u32; BLOCK],
+    /// Which of them each column of the block is.
+    order: Order,
 }
 
 impl Places {
     /// Of the columns of mode b, in lines of up to so many tuples.
     pub fn new(node: &Node, b: usize, tuples: usize) -> Places {
+        let (columns, lanes) = (node.sizes[b], lanes());
         let members: Vec<usize> = (0..node.clusters[b]).map(|c| node.rows(b, c).len()).collect();
         let ends = |length: &dyn Fn(usize) -> usize| {
             let mut ends = vec![0];
@@ -41,19 +46,24 @@ impl Places {
         };
         let starts = ends(&|members| members.next_multiple_of(PAD));
         let segments = ends(&|members| ((tuples - 1) * members + members.next_multiple_of(PAD)).next_multiple_of(PAD));
-        let source = |block: usize, c: usize| {
+        let source = |c: usize, first: usize, new: usize| {
             let before = |column: usize| node.rows(b, c).partition_point(|&j| (j as usize) < column);
-            let (first, last) = (before(block * BLOCK), before((block + 1) * BLOCK));
-            let mut source = Source { start: segments[c] + first, step: members[c], mask: 0, order: [0; BLOCK] };
-            for (at, &j) in node.rows(b, c)[first..last].iter().enumerate() {
-                source.mask |= 1 << (j as usize % BLOCK);
-                source.order[j as usize % BLOCK] = at as u32;
+            let inside = before(new)..before(first + lanes);
+            let mut source = Source { start: segments[c] + inside.start, step: members[c], order: Order::default() };
+            for (at, &j) in node.rows(b, c)[inside.clone()].iter().enumerate() {
+                source.order[j as usize - first] = FILLED | at as u32;
             }
-            Some(source).filter(|source| source.mask != 0)
+            Some(source).filter(|_| !inside.is_empty())
         };
-        let sources = |block| (0..members.len()).filter_map(|c| source(block, c)).collect();
-        let blocks = (0..node.sizes[b].div_ceil(BLOCK)).map(sources).collect();
-        Places { columns: node.sizes[b], blocks, members, starts, segments }
+        // The last columns that fill no vector are put back with some before them, where nothing is written just before.
+        let whole = columns - columns % lanes;
+        let rest = (whole < columns).then_some((columns.saturating_sub(lanes), whole));
+        let blocks = rest.into_iter().chain((0..whole).step_by(lanes).map(|first| (first, first)));
+        let blocks = blocks.map(|(first, new)| Block {
+            first,
+            sources: (0..members.len()).filter_map(|c| source(c, first, new)).collect(),
+        });
+        Places { columns, blocks: blocks.collect(), members, starts, segments }
     }
 
     /// Numbers of a line.
@@ -61,67 +71,54 @@ impl Places {
         self.segments[self.members.len()]
     }
 
-    /// Add `M` lines of one of the tuples to these rows; `lines` ends with a block more than the last.
+    /// Add `M` lines of one of the tuples to these rows; `lines` ends with a vector more than the last.
     ///
     /// # Safety
     /// The rows have all columns, and nobody else refers to them.
     #[inline(always)]
     pub unsafe fn add<S: Simd, const M: usize>(&self, _: S, lines: &[f32], tuple: usize, rows: [*mut f32; M]) {
-        assert!(M * self.line() + BLOCK <= lines.len());
-        for (number, sources) in self.blocks.iter().enumerate() {
-            let columns = BLOCK.min(self.columns - number * BLOCK);
-            let mut blocks = rows;
-            blocks.iter_mut().for_each(|block| *block = block.wrapping_add(number * BLOCK));
-            #[cfg(target_arch = "x86_64")]
-            if S::F32_LANES == BLOCK {
-                // SAFETY: 16 lanes are AVX-512; all sources lie within the lines and a block behind them.
-                unsafe { add_block(sources, lines, self.line(), tuple, blocks, columns) };
-                continue;
-            }
-            for (block, line) in blocks.into_iter().zip(lines.chunks(self.line())) {
-                // SAFETY: as promised by the caller.
-                let x = unsafe { std::slice::from_raw_parts_mut(block, columns) };
-                for Source { start, step, mask, order } in sources {
-                    let line = &line[start + tuple * step..];
-                    let x = x.iter_mut().zip(order).enumerate();
-                    x.filter(|(lane, _)| mask >> lane & 1 == 1).for_each(|(_, (x, at))| *x += line[*at as usize]);
-                }
+        unsafe {
+            match S::F32_LANES {
+                #[cfg(target_arch = "x86_64")]
+                16 => self.rows::<std::arch::x86_64::__m512, M>(lines, tuple, rows),
+                #[cfg(target_arch = "x86_64")]
+                8 => self.rows::<std::arch::x86_64::__m256, M>(lines, tuple, rows),
+                _ => self.rows::<[f32; 4], M>(lines, tuple, rows),
             }
         }
     }
-}
 
-/// Add the same block of columns to `M` rows of `x`.
-///
-/// # Safety
-/// The machine has AVX-512, from each source's start on the lines have 16 numbers, and the rows have `columns`.
-#[cfg(target_arch = "x86_64")]
-#[inline(always)]
-unsafe fn add_block<const M: usize>(
-    sources: &[Source],
-    lines: &[f32],
-    length: usize,
-    tuple: usize,
-    rows: [*mut f32; M],
-    columns: usize,
-) {
-    use std::arch::x86_64::*;
-    let inside = u16::MAX >> (BLOCK - columns);
-    unsafe {
-        let mut sums = [_mm512_setzero_ps(); M];
-        for (sum, &x) in sums.iter_mut().zip(&rows) {
-            *sum = _mm512_maskz_loadu_ps(inside, x);
+    /// # Safety
+    /// That of `add`; the machine has these vectors.
+    #[inline(always)]
+    unsafe fn rows<V: Shuffle, const M: usize>(&self, lines: &[f32], tuple: usize, rows: [*mut f32; M]) {
+        assert!(V::LANES == lanes() && M * self.line() + V::LANES <= lines.len());
+        if self.columns >= V::LANES {
+            return unsafe { self.blocks::<V, M>(lines, tuple, rows) };
         }
-        for Source { start, step, mask, order } in sources {
-            let start = start + tuple * step;
-            let order = _mm512_loadu_si512(order.as_ptr().cast());
-            for (m, sum) in sums.iter_mut().enumerate() {
-                let members = _mm512_loadu_ps(lines.as_ptr().add(m * length + start));
-                *sum = _mm512_add_ps(*sum, _mm512_maskz_permutexvar_ps(*mask, order, members));
+        let mut few = [[0.0; PAD]; M];
+        unsafe {
+            few.iter_mut().zip(rows).for_each(|(few, row)| row.copy_to_nonoverlapping(few.as_mut_ptr(), self.columns));
+            self.blocks::<V, M>(lines, tuple, few.each_mut().map(|few| few.as_mut_ptr()));
+            few.iter().zip(rows).for_each(|(few, row)| row.copy_from_nonoverlapping(few.as_ptr(), self.columns));
+        }
+    }
+
+    /// # Safety
+    /// From each source's start on the lines have a vector of numbers, and so have the rows from each block's.
+    #[inline(always)]
+    unsafe fn blocks<V: Shuffle, const M: usize>(&self, lines: &[f32], tuple: usize, rows: [*mut f32; M]) {
+        for Block { first, sources } in &self.blocks {
+            unsafe {
+                let mut sums = rows.map(|row| V::load(row.add(*first)));
+                for Source { start, step, order } in sources {
+                    let members = lines.as_ptr().add(start + tuple * step);
+                    for (m, sum) in sums.iter_mut().enumerate() {
+                        *sum = sum.add_shuffled(order, members.add(m * self.line()));
+                    }
+                }
+                rows.into_iter().zip(sums).for_each(|(row, sum)| sum.store(row.add(*first)));
             }
-        }
-        for (x, sum) in rows.into_iter().zip(sums) {
-            _mm512_mask_storeu_ps(x, inside, sum);
         }
     }
 }

@@ -1,0 +1,100 @@
+//! Vectors whose lanes are filled from neighbours in any order: arrays, and on x86 registers.
+
+/// In an order, this lane is filled; the bits below say from which number.
+pub const FILLED: u32 = 1 << 31;
+/// The most lanes there are.
+pub const LANES: usize = 16;
+
+/// Which number each lane is filled from; the others are zero.
+pub type Order = [u32; LANES];
+
+/// Some numbers side by side.
+pub trait Shuffle: Copy {
+    const LANES: usize;
+
+    /// # Safety
+    /// The machine has such vectors, here and below, and `from` points to `LANES` numbers.
+    unsafe fn load(from: *const f32) -> Self;
+
+    /// # Safety
+    /// `to` points to `LANES` numbers.
+    unsafe fn store(self, to: *mut f32);
+
+    /// # Safety
+    /// `from` points to `LANES` numbers, whatever the order.
+    unsafe fn add_shuffled(self, order: &Order, from: *const f32) -> Self;
+}
+
+impl Shuffle for [f32; 4] {
+    const LANES: usize = 4;
+
+    #[inline(always)]
+    unsafe fn load(from: *const f32) -> Self {
+        unsafe { from.cast::<Self>().read_unaligned() }
+    }
+
+    #[inline(always)]
+    unsafe fn store(self, to: *mut f32) {
+        unsafe { to.cast::<Self>().write_unaligned(self) }
+    }
+
+    #[inline(always)]
+    unsafe fn add_shuffled(self, order: &Order, from: *const f32) -> Self {
+        let numbers = unsafe { Self::load(from) };
+        std::array::from_fn(|l| self[l] + if order[l] < FILLED { 0.0 } else { numbers[order[l] as usize % 4] })
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+mod x86 {
+    use super::{Order, Shuffle};
+    use std::arch::x86_64::*;
+
+    /// AVX2.
+    impl Shuffle for __m256 {
+        const LANES: usize = 8;
+
+        #[inline(always)]
+        unsafe fn load(from: *const f32) -> Self {
+            unsafe { _mm256_loadu_ps(from) }
+        }
+
+        #[inline(always)]
+        unsafe fn store(self, to: *mut f32) {
+            unsafe { _mm256_storeu_ps(to, self) }
+        }
+
+        #[inline(always)]
+        unsafe fn add_shuffled(self, order: &Order, from: *const f32) -> Self {
+            unsafe {
+                let order = _mm256_loadu_si256(order.as_ptr().cast());
+                let numbers = _mm256_permutevar8x32_ps(Self::load(from), order);
+                _mm256_add_ps(self, _mm256_and_ps(numbers, _mm256_castsi256_ps(_mm256_srai_epi32::<31>(order))))
+            }
+        }
+    }
+
+    /// AVX-512.
+    impl Shuffle for __m512 {
+        const LANES: usize = 16;
+
+        #[inline(always)]
+        unsafe fn load(from: *const f32) -> Self {
+            unsafe { _mm512_loadu_ps(from) }
+        }
+
+        #[inline(always)]
+        unsafe fn store(self, to: *mut f32) {
+            unsafe { _mm512_storeu_ps(to, self) }
+        }
+
+        #[inline(always)]
+        unsafe fn add_shuffled(self, order: &Order, from: *const f32) -> Self {
+            unsafe {
+                let order = _mm512_loadu_si512(order.as_ptr().cast());
+                let filled = _mm512_movepi32_mask(order);
+                _mm512_add_ps(self, _mm512_maskz_permutexvar_ps(filled, order, Self::load(from)))
+            }
+        }
+    }
+}
