@@ -6,11 +6,9 @@ use pulp::{MemMask, Simd, WithSimd};
 
 /// Rows of B worked off before the next columns: 256 rows of a tile's columns fit the level 1 or 2 cache.
 const DEPTH: usize = 256;
-/// Rows of a tile.
-const ROWS: usize = 4;
-/// Vectors of a row of a tile where there are 32 registers, and where there are 16.
-const WIDE: usize = 4;
-const NARROW: usize = 2;
+/// Rows of a tile and vectors of each, where there are 32 registers, and where there are 16.
+const WIDE: (usize, usize) = (4, 4);
+const NARROW: (usize, usize) = (6, 2);
 
 /// A matrix within a slice.
 #[derive(Clone, Copy)]
@@ -96,7 +94,10 @@ impl WithSimd for Run<'_> {
                 };
                 // SAFETY: `multiply` has checked that all rows and columns lie within the slices.
                 unsafe {
-                    if S::REGISTER_COUNT >= 32 { panel.run::<S, WIDE>(simd) } else { panel.run::<S, NARROW>(simd) }
+                    match S::REGISTER_COUNT {
+                        32.. => panel.run::<S, { WIDE.0 }, { WIDE.1 }>(simd),
+                        _ => panel.run::<S, { NARROW.0 }, { NARROW.1 }>(simd),
+                    }
                 }
             }
         }
@@ -120,12 +121,12 @@ struct Panel {
 impl Panel {
     /// All columns, `MAX` vectors at a time, then what is left.
     #[inline(always)]
-    unsafe fn run<S: Simd, const MAX: usize>(self, simd: S) {
+    unsafe fn run<S: Simd, const M: usize, const MAX: usize>(self, simd: S) {
         let wide = MAX * S::F32_LANES;
         let whole = self.n - self.n % wide;
-        let full = simd.mask_between_m32s(0, S::F32_LANES as u32);
+        let full = MemMask::new(simd.mask_between_m32s(0, S::F32_LANES as u32).mask());
         for column in (0..whole).step_by(wide) {
-            unsafe { self.columns::<S, MAX>(simd, column, MemMask::new(full.mask())) };
+            unsafe { self.columns::<S, M, MAX, false>(simd, column, full) };
         }
         let rest = self.n - whole;
         if rest > 0 {
@@ -135,36 +136,43 @@ impl Panel {
             let last = MemMask::new(last.mask());
             unsafe {
                 match vectors {
-                    1 => self.columns::<S, 1>(simd, whole, last),
-                    2 => self.columns::<S, 2>(simd, whole, last),
-                    3 => self.columns::<S, 3>(simd, whole, last),
-                    _ => self.columns::<S, 4>(simd, whole, last),
+                    1 => self.columns::<S, M, 1, true>(simd, whole, last),
+                    2 => self.columns::<S, M, 2, true>(simd, whole, last),
+                    3 => self.columns::<S, M, 3, true>(simd, whole, last),
+                    _ => self.columns::<S, M, 4, true>(simd, whole, last),
                 }
             }
         }
     }
 
-    /// `V` vectors of columns, the last one masked, of all rows of C.
+    /// `V` vectors of columns, the last one `MASKED` or whole, of all rows of C, `M` at a time.
     #[inline(always)]
-    unsafe fn columns<S: Simd, const V: usize>(self, simd: S, column: usize, last: MemMask<S::m32s>) {
+    unsafe fn columns<S: Simd, const M: usize, const V: usize, const MASKED: bool>(
+        self,
+        simd: S,
+        column: usize,
+        last: MemMask<S::m32s>,
+    ) {
         let mut row = 0;
         unsafe {
-            while row + ROWS <= self.m {
-                self.tile::<S, ROWS, V>(simd, row, column, last);
-                row += ROWS;
+            while row + M <= self.m {
+                self.tile::<S, M, V, MASKED>(simd, row, column, last);
+                row += M;
             }
             match self.m - row {
                 0 => (),
-                1 => self.tile::<S, 1, V>(simd, row, column, last),
-                2 => self.tile::<S, 2, V>(simd, row, column, last),
-                _ => self.tile::<S, 3, V>(simd, row, column, last),
+                1 => self.tile::<S, 1, V, MASKED>(simd, row, column, last),
+                2 => self.tile::<S, 2, V, MASKED>(simd, row, column, last),
+                3 => self.tile::<S, 3, V, MASKED>(simd, row, column, last),
+                4 => self.tile::<S, 4, V, MASKED>(simd, row, column, last),
+                _ => self.tile::<S, 5, V, MASKED>(simd, row, column, last),
             }
         }
     }
 
     /// `M` rows by `V` vectors of C, kept in registers.
     #[inline(always)]
-    unsafe fn tile<S: Simd, const M: usize, const V: usize>(
+    unsafe fn tile<S: Simd, const M: usize, const V: usize, const MASKED: bool>(
         self,
         simd: S,
         row: usize,
@@ -176,13 +184,13 @@ impl Panel {
             let out = self.out.add(row * self.n + column);
             if self.add {
                 for (i, line) in sums.iter_mut().enumerate() {
-                    *line = load::<S, V>(simd, out.add(i * self.n), last);
+                    *line = load::<S, V, MASKED>(simd, out.add(i * self.n), last);
                 }
             }
             let mut a = self.a.add(row * self.a_steps.0);
             let mut b = self.b.add(column);
             for _ in 0..self.depth {
-                let values = load::<S, V>(simd, b, last);
+                let values = load::<S, V, MASKED>(simd, b, last);
                 for (i, line) in sums.iter_mut().enumerate() {
                     let weight = simd.splat_f32s(*a.add(i * self.a_steps.0));
                     for (sum, &value) in line.iter_mut().zip(&values) {
@@ -194,32 +202,42 @@ impl Panel {
                 b = b.wrapping_add(self.b_row);
             }
             for (i, line) in sums.iter().enumerate() {
-                store(simd, out.add(i * self.n), line, last);
+                store::<S, V, MASKED>(simd, out.add(i * self.n), line, last);
             }
         }
     }
 }
 
-/// `V` vectors of which the last one is masked.
+/// `V` vectors of which the last one may be masked.
 #[inline(always)]
-unsafe fn load<S: Simd, const V: usize>(simd: S, from: *const f32, last: MemMask<S::m32s>) -> [S::f32s; V] {
-    let mut values = [simd.splat_f32s(0.0); V];
-    unsafe {
-        for (v, value) in values.iter_mut().enumerate().take(V - 1) {
-            *value = from.add(v * S::F32_LANES).cast::<S::f32s>().read_unaligned();
-        }
-        values[V - 1] = simd.mask_load_ptr_f32s(last, from.add((V - 1) * S::F32_LANES));
-    }
-    values
+unsafe fn load<S: Simd, const V: usize, const MASKED: bool>(
+    simd: S,
+    from: *const f32,
+    last: MemMask<S::m32s>,
+) -> [S::f32s; V] {
+    std::array::from_fn(|v| unsafe {
+        let from = from.add(v * S::F32_LANES);
+        if MASKED && v == V - 1 { simd.mask_load_ptr_f32s(last, from) } else { from.cast::<S::f32s>().read_unaligned() }
+    })
 }
 
+/// The same: masked stores are slow without AVX-512.
 #[inline(always)]
-unsafe fn store<S: Simd, const V: usize>(simd: S, to: *mut f32, values: &[S::f32s; V], last: MemMask<S::m32s>) {
-    unsafe {
-        for (v, &value) in values.iter().enumerate().take(V - 1) {
-            to.add(v * S::F32_LANES).cast::<S::f32s>().write_unaligned(value);
+unsafe fn store<S: Simd, const V: usize, const MASKED: bool>(
+    simd: S,
+    to: *mut f32,
+    values: &[S::f32s; V],
+    last: MemMask<S::m32s>,
+) {
+    for (v, &value) in values.iter().enumerate() {
+        unsafe {
+            let to = to.add(v * S::F32_LANES);
+            if MASKED && v == V - 1 {
+                simd.mask_store_ptr_f32s(last, to, value);
+            } else {
+                to.cast::<S::f32s>().write_unaligned(value);
+            }
         }
-        simd.mask_store_ptr_f32s(last, to.add((V - 1) * S::F32_LANES), values[V - 1]);
     }
 }
 

@@ -267,7 +267,7 @@ impl Product<'_> {
             unsafe {
                 match (wide, (some.end - lane) / lanes) {
                     (_, 1) => self.rows::<S, 8, 1>(simd, lane),
-                    (2, _) => self.rows::<S, 4, 2>(simd, lane),
+                    (2, _) => self.rows::<S, 6, 2>(simd, lane),
                     (_, 2) => self.rows::<S, 8, 2>(simd, lane),
                     (_, 3) => self.rows::<S, 8, 3>(simd, lane),
                     _ => self.rows::<S, 6, 4>(simd, lane),

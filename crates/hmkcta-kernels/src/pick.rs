@@ -136,17 +136,35 @@ impl<F: Fn(usize, usize) -> (*const f32, *mut f32), const ADD: bool> WithSimd fo
 /// Copy or add `length` contiguous elements.
 #[inline(always)]
 unsafe fn stretch<S: Simd, const ADD: bool>(simd: S, from: *const f32, to: *mut f32, length: usize) {
-    let whole = length - length % S::F32_LANES;
-    let sum = |value, before: S::f32s| if ADD { simd.add_f32s(value, before) } else { value };
+    let sum = |at: usize| unsafe {
+        let read = |from: *const f32| from.add(at).cast::<S::f32s>().read_unaligned();
+        if ADD { simd.add_f32s(read(from), read(to)) } else { read(from) }
+    };
     unsafe {
-        for at in (0..whole).step_by(S::F32_LANES) {
-            let read = |from: *const f32| from.add(at).cast::<S::f32s>().read_unaligned();
-            to.add(at).cast::<S::f32s>().write_unaligned(sum(read(from), read(to)));
+        let Some(last) = length.checked_sub(S::F32_LANES) else {
+            return few::<S, ADD>(simd, from, to, length);
+        };
+        // Summed up before and written after the others, with which it may overlap.
+        let end = sum(last);
+        for at in (0..last).step_by(S::F32_LANES) {
+            to.add(at).cast::<S::f32s>().write_unaligned(sum(at));
         }
-        if whole < length {
-            let mask = MemMask::new(simd.mask_between_m32s(0, (length - whole) as u32).mask());
-            let read = |from: *const f32| simd.mask_load_ptr_f32s(mask, from.add(whole));
-            simd.mask_store_ptr_f32s(mask, to.add(whole), sum(read(from), read(to)));
+        to.add(last).cast::<S::f32s>().write_unaligned(end);
+    }
+}
+
+/// Fewer than a vector has lanes; AVX-512 alone stores a part of a vector as fast as a whole one.
+#[inline(always)]
+unsafe fn few<S: Simd, const ADD: bool>(simd: S, from: *const f32, to: *mut f32, length: usize) {
+    unsafe {
+        if S::F32_LANES == 16 {
+            let mask = MemMask::new(simd.mask_between_m32s(0, length as u32).mask());
+            let read = |from| simd.mask_load_ptr_f32s(mask, from);
+            let value = if ADD { simd.add_f32s(read(from), read(to)) } else { read(from) };
+            return simd.mask_store_ptr_f32s(mask, to, value);
+        }
+        for at in 0..length {
+            *to.add(at) = *from.add(at) + if ADD { *to.add(at) } else { 0.0 };
         }
     }
 }
