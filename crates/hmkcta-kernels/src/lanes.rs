@@ -4,7 +4,7 @@
 use crate::real::Real;
 
 /// `P` numbers that are worked on together.
-pub trait Lanes<T: Real, const P: usize>: Copy {
+pub trait Lanes<T, const P: usize>: Copy {
     type Vector: Copy;
 
     fn splat(self, x: T) -> Self::Vector;
@@ -17,12 +17,7 @@ pub trait Lanes<T: Real, const P: usize>: Copy {
     ///
     /// # Safety
     /// `a` points to two numbers, `b` to four.
-    #[inline(always)]
-    unsafe fn products(self, a: *const T, b: *const T) -> Self::Vector {
-        let (a, b) = unsafe { (a.cast::<[T; 2]>().read_unaligned(), b.cast::<[T; 4]>().read_unaligned()) };
-        let all: [T; P] = std::array::from_fn(|l| a[l / 4 % 2] * b[l % 4]);
-        unsafe { self.load(all.as_ptr()) }
-    }
+    unsafe fn products(self, a: *const T, b: *const T) -> Self::Vector;
 
     fn multiply(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
 
@@ -47,6 +42,12 @@ impl<T: Real, const P: usize, const FUSED: bool> Lanes<T, P> for Plain<FUSED> {
     #[inline(always)]
     unsafe fn load(self, from: *const T) -> [T; P] {
         unsafe { from.cast::<[T; P]>().read_unaligned() }
+    }
+
+    #[inline(always)]
+    unsafe fn products(self, a: *const T, b: *const T) -> [T; P] {
+        let (a, b) = unsafe { (a.cast::<[T; 2]>().read_unaligned(), b.cast::<[T; 4]>().read_unaligned()) };
+        std::array::from_fn(|l| a[l / 4 % 2] * b[l % 4])
     }
 
     #[inline(always)]
@@ -85,7 +86,7 @@ mod x86 {
     pub struct Fused(#[allow(dead_code, reason = "a proof, not a value")] pub V3);
 
     macro_rules! registers {
-        ($count:literal, $vector:ty, $splat:ident, $load:ident, $multiply:ident, $multiply_add:ident, $store:ident) => {
+        ($count:literal, $vector:ty, $splat:ident, $load:ident, $products:expr, $multiply:ident, $multiply_add:ident, $store:ident) => {
             impl Lanes<f32, $count> for Fused {
                 type Vector = $vector;
 
@@ -97,6 +98,11 @@ mod x86 {
                 #[inline(always)]
                 unsafe fn load(self, from: *const f32) -> $vector {
                     unsafe { $load(from) }
+                }
+
+                #[inline(always)]
+                unsafe fn products(self, a: *const f32, b: *const f32) -> $vector {
+                    unsafe { $products(a, b) }
                 }
 
                 #[inline(always)]
@@ -119,6 +125,30 @@ mod x86 {
         };
     }
 
-    registers!(4, __m128, _mm_set1_ps, _mm_loadu_ps, _mm_mul_ps, _mm_fmadd_ps, _mm_storeu_ps);
-    registers!(8, __m256, _mm256_set1_ps, _mm256_loadu_ps, _mm256_mul_ps, _mm256_fmadd_ps, _mm256_storeu_ps);
+    #[inline(always)]
+    unsafe fn of_eight(_: *const f32, _: *const f32) -> __m128 {
+        unreachable!("two times four numbers are eight")
+    }
+
+    #[inline(always)]
+    unsafe fn two_by_four(a: *const f32, b: *const f32) -> __m256 {
+        unsafe {
+            let a = _mm256_castpd_ps(_mm256_set1_pd(a.cast::<f64>().read_unaligned()));
+            let a = _mm256_permutevar_ps(a, _mm256_setr_epi32(0, 0, 0, 0, 1, 1, 1, 1));
+            let b = _mm_loadu_ps(b);
+            _mm256_mul_ps(a, _mm256_set_m128(b, b))
+        }
+    }
+
+    registers!(4, __m128, _mm_set1_ps, _mm_loadu_ps, of_eight, _mm_mul_ps, _mm_fmadd_ps, _mm_storeu_ps);
+    registers!(
+        8,
+        __m256,
+        _mm256_set1_ps,
+        _mm256_loadu_ps,
+        two_by_four,
+        _mm256_mul_ps,
+        _mm256_fmadd_ps,
+        _mm256_storeu_ps
+    );
 }

@@ -236,6 +236,9 @@ mod tests {
         check(&[3, 4, 12], &[&[0, 2], &[1, 3], &[0, 2, 3, 4, 9]]);
         check(&[3, 4, 12], &[&[0, 2], &[1, 3], &all[2..11]]);
         check(&[3, 4, 3], &[&[0, 2], &[1, 3], &all[..3]]);
+        // Runs of several vectors, of whole ones, and shorter.
+        let long: Vec<u32> = (3..38).chain(40..56).chain(58..63).collect();
+        check(&[3, 64], &[&[0, 2], &long]);
         check(&[], &[]);
     }
 }
