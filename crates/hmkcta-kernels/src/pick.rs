@@ -124,13 +124,19 @@ impl<F: Fn(usize, usize) -> (*const f32, *mut f32), const ADD: bool> WithSimd fo
                     for &element in elements {
                         let (from, to) = places(line + element as usize, at);
                         // SAFETY: as above.
-                        unsafe { *to = if ADD { *to + *from } else { *from } };
+                        unsafe { single::<ADD>(from, to) };
                         at += 1;
                     }
                 }
             }
         }
     }
+}
+
+/// Copy or add one element.
+#[inline(always)]
+unsafe fn single<const ADD: bool>(from: *const f32, to: *mut f32) {
+    unsafe { *to = if ADD { *to + *from } else { *from } };
 }
 
 /// Copy or add `length` contiguous elements.
@@ -163,9 +169,7 @@ unsafe fn few<S: Simd, const ADD: bool>(simd: S, from: *const f32, to: *mut f32,
             let value = if ADD { simd.add_f32s(read(from), read(to)) } else { read(from) };
             return simd.mask_store_ptr_f32s(mask, to, value);
         }
-        for at in 0..length {
-            *to.add(at) = *from.add(at) + if ADD { *to.add(at) } else { 0.0 };
-        }
+        (0..length).for_each(|at| single::<ADD>(from.add(at), to.add(at)));
     }
 }
 

@@ -10,6 +10,8 @@ use pulp::Simd;
 /// of several tuples, whose members of a cluster lie side by side.
 pub struct Places {
     columns: usize,
+    /// Of the vectors that columns are put back by.
+    lanes: usize,
     /// How many columns each cluster has.
     pub members: Vec<usize>,
     /// Where those of each cluster start, padded, and where the last ones end: of one tuple, of as many as there may be.
@@ -63,7 +65,7 @@ impl Places {
             first,
             sources: (0..members.len()).filter_map(|c| source(c, first, new)).collect(),
         });
-        Places { columns, blocks: blocks.collect(), members, starts, segments }
+        Places { columns, lanes, blocks: blocks.collect(), members, starts, segments }
     }
 
     /// Numbers of a line.
@@ -92,7 +94,7 @@ impl Places {
     /// That of `add`; the machine has these vectors.
     #[inline(always)]
     unsafe fn rows<V: Shuffle, const M: usize>(&self, lines: &[f32], tuple: usize, rows: [*mut f32; M]) {
-        assert!(V::LANES == lanes() && M * self.line() + V::LANES <= lines.len());
+        assert!(V::LANES == self.lanes && M * self.line() + V::LANES <= lines.len());
         if self.columns >= V::LANES {
             return unsafe { self.blocks::<V, M>(lines, tuple, rows) };
         }

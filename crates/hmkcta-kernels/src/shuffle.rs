@@ -1,24 +1,30 @@
 //! Vectors whose lanes are filled from neighbours in any order: arrays, and on x86 registers.
 
+use crate::lines::PAD;
+
 /// In an order, this lane is filled; the bits below say from which number.
 pub const FILLED: u32 = 1 << 31;
-/// The most lanes there are.
-pub const LANES: usize = 16;
 
 /// Which number each lane is filled from; the others are zero.
-pub type Order = [u32; LANES];
+pub type Order = [u32; PAD];
 
 /// Some numbers side by side.
 pub trait Shuffle: Copy {
-    const LANES: usize;
+    const LANES: usize = size_of::<Self>() / size_of::<f32>();
 
     /// # Safety
     /// The machine has such vectors, here and below, and `from` points to `LANES` numbers.
-    unsafe fn load(from: *const f32) -> Self;
+    #[inline(always)]
+    unsafe fn load(from: *const f32) -> Self {
+        unsafe { from.cast::<Self>().read_unaligned() }
+    }
 
     /// # Safety
     /// `to` points to `LANES` numbers.
-    unsafe fn store(self, to: *mut f32);
+    #[inline(always)]
+    unsafe fn store(self, to: *mut f32) {
+        unsafe { to.cast::<Self>().write_unaligned(self) }
+    }
 
     /// # Safety
     /// `from` points to `LANES` numbers, whatever the order.
@@ -26,18 +32,6 @@ pub trait Shuffle: Copy {
 }
 
 impl Shuffle for [f32; 4] {
-    const LANES: usize = 4;
-
-    #[inline(always)]
-    unsafe fn load(from: *const f32) -> Self {
-        unsafe { from.cast::<Self>().read_unaligned() }
-    }
-
-    #[inline(always)]
-    unsafe fn store(self, to: *mut f32) {
-        unsafe { to.cast::<Self>().write_unaligned(self) }
-    }
-
     #[inline(always)]
     unsafe fn add_shuffled(self, order: &Order, from: *const f32) -> Self {
         let numbers = unsafe { Self::load(from) };
@@ -52,18 +46,6 @@ mod x86 {
 
     /// AVX2.
     impl Shuffle for __m256 {
-        const LANES: usize = 8;
-
-        #[inline(always)]
-        unsafe fn load(from: *const f32) -> Self {
-            unsafe { _mm256_loadu_ps(from) }
-        }
-
-        #[inline(always)]
-        unsafe fn store(self, to: *mut f32) {
-            unsafe { _mm256_storeu_ps(to, self) }
-        }
-
         #[inline(always)]
         unsafe fn add_shuffled(self, order: &Order, from: *const f32) -> Self {
             unsafe {
@@ -76,18 +58,6 @@ mod x86 {
 
     /// AVX-512.
     impl Shuffle for __m512 {
-        const LANES: usize = 16;
-
-        #[inline(always)]
-        unsafe fn load(from: *const f32) -> Self {
-            unsafe { _mm512_loadu_ps(from) }
-        }
-
-        #[inline(always)]
-        unsafe fn store(self, to: *mut f32) {
-            unsafe { _mm512_storeu_ps(to, self) }
-        }
-
         #[inline(always)]
         unsafe fn add_shuffled(self, order: &Order, from: *const f32) -> Self {
             unsafe {
