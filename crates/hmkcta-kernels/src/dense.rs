@@ -149,8 +149,9 @@ fn halves(requested: &Requested) -> [Requested; 2] {
 /// The requested rows of one mode by the part they go to, with their positions in it.
 fn split(level: &Level, s: usize, n: usize, parts: usize, requested: &Requested) -> Vec<Requested> {
     let mut all = vec![Requested::default(); parts];
+    let way = level.way_down(s, n);
     for (&position, &place) in requested.pos.iter().zip(&requested.place) {
-        let (part, local) = level.way_down(s, n, position);
+        let (part, local) = way.of(position);
         all[part].pos.push(local);
         all[part].place.push(place);
     }

@@ -4,10 +4,11 @@
 //! widened for it. Either way the sums are the same, bit by bit.
 
 use crate::lanes::{Lanes, Plain};
-use crate::layout::{LANES, Layout, NOWHERE, Offsets, Steps};
+use crate::layout::{BESIDE, CORE, INNER, LANES, Layout, MID, OUTER, VECTOR};
 use crate::machine::dispatch;
 use crate::packed::{NodeView, Position};
 use crate::real::Real;
+use crate::steps::{Offsets, Steps};
 use crate::threads::room;
 use crate::widened::{Picked, Source, Tables, Widened};
 use pulp::{Simd, WithSimd};
@@ -81,15 +82,15 @@ impl Decode for f32 {
             && let Some(v3) = pulp::x86::V3::try_new()
         {
             let machine = crate::lanes::Fused(v3);
-            let unrolled = if task.layout.more.is_empty() { task.layout.ranks } else { [0; 3] };
-            return match (task.layout.width, unrolled) {
-                (8, [4, 4, 6]) => task.run::<_, 8, 8, 4, 4, 6>(machine),
-                (8, [1, 2, 3]) => task.run::<_, 8, 8, 1, 2, 3>(machine),
-                (8, [1, 2, 2]) => task.run::<_, 8, 8, 1, 2, 2>(machine),
-                (8, _) => task.run::<_, 8, 8, 0, 0, 0>(machine),
-                (4, [1, ..]) => task.run::<_, 4, 8, 1, 0, 0>(machine),
-                (4, _) => task.run::<_, 4, 8, 0, 0, 0>(machine),
-                _ => task.run::<_, LANES, LANES, 0, 0, 0>(Plain::<true>),
+            return match (task.layout.width, task.layout.beside, task.unrolled()) {
+                (8, true, [1, 2, 3]) => task.run::<_, 8, 8, true, 1, 2, 3>(machine),
+                (8, true, [1, 2, 2]) => task.run::<_, 8, 8, true, 1, 2, 2>(machine),
+                (8, true, _) => task.run::<_, 8, 8, true, 0, 0, 0>(machine),
+                (8, false, [4, 4, 6]) => task.run::<_, 8, 8, false, 4, 4, 6>(machine),
+                (8, false, _) => task.run::<_, 8, 8, false, 0, 0, 0>(machine),
+                (4, _, [1, ..]) => task.run::<_, 4, 8, false, 1, 0, 0>(machine),
+                (4, ..) => task.run::<_, 4, 8, false, 0, 0, 0>(machine),
+                _ => task.run::<_, LANES, LANES, false, 0, 0, 0>(Plain::<true>),
             };
         }
         task.plain::<S>()
@@ -97,6 +98,12 @@ impl Decode for f32 {
 }
 
 impl<T: Real> Task<'_, T> {
+    /// The ranks of the loops, where each stands for one mode and the first for none if it is 1; else zeros.
+    fn unrolled(&self) -> [usize; 3] {
+        let Layout { slots, more, ranks, .. } = self.layout;
+        if more.is_empty() && slots.contains(&OUTER) == (ranks[0] > 1) { *ranks } else { [0; 3] }
+    }
+
     #[inline(always)]
     fn plain<S: Simd>(self) -> Result<(), String> {
         // All machines of more than four lanes fuse, and so does NEON.
@@ -109,81 +116,97 @@ impl<T: Real> Task<'_, T> {
 
     #[inline(always)]
     fn by_width<const FUSED: bool>(self, machine: Plain<FUSED>) -> Result<(), String> {
-        match self.layout.width {
-            4 => self.run::<_, 4, 8, 0, 0, 0>(machine),
-            8 => self.run::<_, 8, 8, 0, 0, 0>(machine),
-            _ => self.run::<_, LANES, LANES, 0, 0, 0>(machine),
+        match (self.layout.width, self.layout.beside) {
+            (4, _) => self.run::<_, 4, 8, false, 0, 0, 0>(machine),
+            (8, true) => self.run::<_, 8, 8, true, 0, 0, 0>(machine),
+            (8, false) => self.run::<_, 8, 8, false, 0, 0, 0>(machine),
+            _ => self.run::<_, LANES, LANES, false, 0, 0, 0>(machine),
         }
     }
 
-    /// `P` lanes, `W` offsets; `A`, `B`, `C`: the ranks of `Layout::ranks` where they are known, else 0.
+    /// `P` lanes, `W` slots, `TWO` modes along the lanes or one; `A`, `B`, `C`: the ranks of `unrolled`, or 0.
     #[inline(always)]
-    fn run<M: Lanes<T, P>, const P: usize, const W: usize, const A: usize, const B: usize, const C: usize>(
+    fn run<
+        M: Lanes<T, P>,
+        const P: usize,
+        const W: usize,
+        const TWO: bool,
+        const A: usize,
+        const B: usize,
+        const C: usize,
+    >(
         self,
         machine: M,
     ) -> Result<(), String> {
         let Task { node, layout, pos, values, buffers, widened } = self;
         let Elements { tables, outer, choices } = buffers;
-        let steps = &Steps::<W>::new(node, layout, &layout.row_lengths(node, widened));
+        let unrolled = [(A, layout.ranks[0]), (B, layout.ranks[1]), (C, layout.ranks[2])];
+        assert!(unrolled.iter().all(|&(known, rank)| known == 0 || known == rank));
+        assert!(if P < LANES { layout.width == P } else { layout.width.is_multiple_of(P) });
+        assert!(
+            layout.beside == TWO && (A != 1 || !layout.slots.contains(&OUTER)) && (A == 0 || layout.more.is_empty())
+        );
+        let ranks = unrolled.map(|(known, rank)| if known > 0 { known } else { rank });
+        let width = if P < LANES { P } else { layout.width };
         let together = (CHOICES / node.choices()).clamp(1, TOGETHER);
-        let (choices, _) = room(choices, together * node.choices() * W).as_chunks_mut();
-        let sums = Sums { node, layout, steps, pos, values, choices, outer };
+        let (choices, _) = room(choices, together * node.choices() * W).as_chunks_mut::<W>();
+        let sums = Sums { node, layout, pos, values, choices, outer, ranks, width };
         if widened {
-            sums.add::<_, M, P, A, B, C>(Widened::new(node, layout, tables), machine)
+            sums.add::<_, M, P, TWO, A>(Widened::new(node, layout, tables), machine)
         } else {
-            sums.add::<_, M, P, A, B, C>(Picked::new(node, layout, tables), machine)
+            sums.add::<_, M, P, TWO, A>(Picked::new(node, layout, tables), machine)
         }
     }
 }
-
 /// Elements of one node and where their values are summed up.
 struct Sums<'t, T, const W: usize> {
     node: &'t NodeView<'t>,
     layout: &'t Layout,
-    steps: &'t Steps<W>,
     pos: &'t [Position],
     values: &'t mut [T],
     choices: &'t mut [Offsets<W>],
     outer: &'t mut Vec<T>,
+    ranks: [usize; 3],
+    width: usize,
 }
 
 impl<T: Real, const W: usize> Sums<'_, T, W> {
     #[inline(always)]
-    fn add<Q: Source<T>, M: Lanes<T, P>, const P: usize, const A: usize, const B: usize, const C: usize>(
+    fn add<Q: Source<T>, M: Lanes<T, P>, const P: usize, const TWO: bool, const A: usize>(
         self,
         mut source: Q,
         machine: M,
     ) -> Result<(), String> {
-        let Sums { node, layout, steps, pos, values, choices, outer } = self;
-        let known = |known: usize, rank: usize| if known > 0 { known } else { rank };
-        let ranks = [known(A, layout.ranks[0]), known(B, layout.ranks[1]), known(C, layout.ranks[2])];
-        assert!(ranks == layout.ranks && layout.width.is_multiple_of(P) && node.scale.len() == node.cells());
-        assert!((A == 0 || layout.more.is_empty()) && (layout.beside.is_none() || (P, layout.row) == (8, 4)));
-        let width = if P < LANES { P } else { layout.width };
-        let ones = std::array::from_fn::<T, LANES, _>(|l| if l == 0 { T::ONE } else { T::ZERO });
-        let mut rows = |f: Option<usize>| f.map_or((ones.as_ptr(), NOWHERE), |f| source.rows(f));
-        let [a, b, c] = layout.loops.map(&mut rows);
-        let (last, beside) = (rows(layout.vector), rows(layout.beside));
-        let more: Vec<_> = layout.more.iter().map(|&(f, rank)| (source.rows(f), rank)).collect();
+        let Sums { node, layout, pos, values, choices, outer, ranks, width } = self;
+        let (steps, more) = (Steps::<W>::new(node, layout, source.addresses()), layout.more.as_slice());
         let together = choices.len() / node.choices();
         for (pos, values) in pos.chunks(together).zip(values.chunks_mut(together)) {
             for (pos, choices) in pos.iter().zip(choices.chunks_exact_mut(node.choices())) {
-                steps.choices(node, layout, pos, choices)?;
+                steps.choices(pos, choices)?;
             }
-            for ((pos, value), choices) in pos.iter().zip(values).zip(choices.chunks_exact(node.choices())) {
-                source.element(pos);
+            for (value, choices) in values.iter_mut().zip(choices.chunks_exact(node.choices())) {
                 let mut lanes = machine.splat(T::ZERO);
                 for choice in choices {
                     // SAFETY: `choice` is one of this element's; blocks and rows are as long as `layout` says, which
-                    // `ranks` and `width` have been compared with; where no mode is left a row is `ones`.
+                    // `ranks` and `width` have been compared with.
                     unsafe {
-                        let scale = T::from_f32(*node.scale.get_unchecked(choice[0] as usize));
-                        let row = |(start, offset): (*const T, usize)| start.add(choice[offset % W] as usize);
-                        let block = source.choose(choice);
-                        let first = if A > 0 || more.is_empty() { row(a) } else { products(&more, choice, outer) };
-                        let beside = layout.beside.map(|_| row(beside));
-                        let cell = Cell { block, rows: [first, row(b), row(c)], beside, last: row(last), ranks, width };
-                        lanes = cell.add(machine, scale, lanes);
+                        source.choose(choice);
+                        let outer = match A {
+                            1 => None,
+                            0 if !more.is_empty() => Some(products(&source, more, choice, outer)),
+                            _ => Some(source.numbers(OUTER, choice)),
+                        };
+                        let cell = Cell {
+                            block: source.numbers(CORE, choice),
+                            outer,
+                            mid: source.numbers(MID, choice),
+                            inner: source.numbers(INNER, choice),
+                            beside: if TWO { Some(source.numbers(BESIDE, choice)) } else { None },
+                            last: source.numbers(VECTOR, choice),
+                            ranks,
+                            width,
+                        };
+                        lanes = cell.add(machine, lanes);
                     }
                 }
                 *value = *value + total(machine.array(lanes));
@@ -193,17 +216,22 @@ impl<T: Real, const W: usize> Sums<'_, T, W> {
     }
 }
 
-/// All products of one number of each row, the last row's fastest; rows are given by where they are found and length.
+/// All products of one number of each row, the last row's fastest; rows are given by slot and length.
 ///
 /// # Safety
-/// The rows of that choice have these lengths.
+/// The choice is one the source has been turned to, and its rows have these lengths.
 #[inline(never)]
-unsafe fn products<T: Real>(rows: &[((*const T, usize), usize)], choice: &[u32], all: &mut Vec<T>) -> *const T {
+unsafe fn products<T: Real, const W: usize>(
+    source: &impl Source<T>,
+    rows: &[(usize, usize)],
+    choice: &Offsets<W>,
+    all: &mut Vec<T>,
+) -> *const T {
     all.clear();
     all.push(T::ONE);
-    for &((start, offset), rank) in rows {
+    for &(slot, rank) in rows {
         // SAFETY: as promised by the caller.
-        let row = unsafe { std::slice::from_raw_parts(start.add(choice[offset % choice.len()] as usize), rank) };
+        let row = unsafe { std::slice::from_raw_parts(source.numbers(slot, choice), rank) };
         let before = all.len();
         for at in 0..before {
             let weight = all[at];
@@ -226,10 +254,12 @@ fn total<T: Real, const P: usize>(mut lanes: [T; P]) -> T {
     lanes[0]
 }
 
-/// One cluster's core `[outer, mid, inner, width]` and the basis rows of one element.
+/// One cluster's core `[outer, mid, inner, width]`, scaled, and the basis rows of one element.
 struct Cell<T> {
     block: *const T,
-    rows: [*const T; 3],
+    outer: Option<*const T>,
+    mid: *const T,
+    inner: *const T,
     beside: Option<*const T>,
     last: *const T,
     ranks: [usize; 3],
@@ -237,13 +267,12 @@ struct Cell<T> {
 }
 
 impl<T: Real> Cell<T> {
-    /// `lanes + scale * core x_1 u_1 .. x_N u_N`, left to be summed over the lanes.
+    /// `lanes + core x_1 u_1 .. x_N u_N`, left to be summed over the lanes.
     ///
     /// # Safety
-    /// The pointers are good for as many numbers as `ranks` and `width` say.
+    /// The pointers are good for as many numbers as `ranks` and `width` say; without an outer row its rank is 1.
     #[inline(always)]
-    unsafe fn add<M: Lanes<T, P>, const P: usize>(&self, m: M, scale: T, mut lanes: M::Vector) -> M::Vector {
-        let [outer, mid, inner] = self.rows;
+    unsafe fn add<M: Lanes<T, P>, const P: usize>(&self, m: M, mut lanes: M::Vector) -> M::Vector {
         for from in (0..self.width).step_by(P) {
             let mut sum = m.splat(T::ZERO);
             let mut line = from;
@@ -253,19 +282,22 @@ impl<T: Real> Cell<T> {
                     let mut of_inner = m.splat(T::ZERO);
                     for c in 0..self.ranks[2] {
                         // SAFETY: as the caller promises, here and below.
-                        let (weight, numbers) = unsafe { (*inner.add(c), m.load(self.block.add(line))) };
+                        let (weight, numbers) = unsafe { (*self.inner.add(c), m.load(self.block.add(line))) };
                         of_inner = m.multiply_add(m.splat(weight), numbers, of_inner);
                         line += self.width;
                     }
-                    of_mid = m.multiply_add(m.splat(unsafe { *mid.add(b) }), of_inner, of_mid);
+                    of_mid = m.multiply_add(m.splat(unsafe { *self.mid.add(b) }), of_inner, of_mid);
                 }
-                sum = m.multiply_add(m.splat(unsafe { *outer.add(a) }), of_mid, sum);
+                sum = match self.outer {
+                    Some(outer) => m.multiply_add(m.splat(unsafe { *outer.add(a) }), of_mid, sum),
+                    None => of_mid,
+                };
             }
             let last = match self.beside {
                 Some(beside) => unsafe { m.products(beside, self.last) },
                 None => unsafe { m.load(self.last.add(from)) },
             };
-            lanes = m.multiply_add(m.multiply(sum, m.splat(scale)), last, lanes);
+            lanes = m.multiply_add(sum, last, lanes);
         }
         lanes
     }

@@ -19,8 +19,6 @@ pub trait Lanes<T, const P: usize>: Copy {
     /// `a` points to two numbers, `b` to four.
     unsafe fn products(self, a: *const T, b: *const T) -> Self::Vector;
 
-    fn multiply(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
-
     /// `a * b + c`
     fn multiply_add(self, a: Self::Vector, b: Self::Vector, c: Self::Vector) -> Self::Vector;
 
@@ -48,13 +46,6 @@ impl<T: Real, const P: usize, const FUSED: bool> Lanes<T, P> for Plain<FUSED> {
     unsafe fn products(self, a: *const T, b: *const T) -> [T; P] {
         let (a, b) = unsafe { (a.cast::<[T; 2]>().read_unaligned(), b.cast::<[T; 4]>().read_unaligned()) };
         std::array::from_fn(|l| a[l / 4 % 2] * b[l % 4])
-    }
-
-    #[inline(always)]
-    fn multiply(self, a: [T; P], b: [T; P]) -> [T; P] {
-        let mut product = a;
-        product.iter_mut().zip(&b).for_each(|(x, &y)| *x = *x * y);
-        product
     }
 
     #[inline(always)]
@@ -86,7 +77,7 @@ mod x86 {
     pub struct Fused(#[allow(dead_code, reason = "a proof, not a value")] pub V3);
 
     macro_rules! registers {
-        ($count:literal, $vector:ty, $splat:ident, $load:ident, $products:expr, $multiply:ident, $multiply_add:ident, $store:ident) => {
+        ($count:literal, $vector:ty, $splat:ident, $load:ident, $products:expr, $multiply_add:ident, $store:ident) => {
             impl Lanes<f32, $count> for Fused {
                 type Vector = $vector;
 
@@ -103,11 +94,6 @@ mod x86 {
                 #[inline(always)]
                 unsafe fn products(self, a: *const f32, b: *const f32) -> $vector {
                     unsafe { $products(a, b) }
-                }
-
-                #[inline(always)]
-                fn multiply(self, a: $vector, b: $vector) -> $vector {
-                    unsafe { $multiply(a, b) }
                 }
 
                 #[inline(always)]
@@ -140,15 +126,6 @@ mod x86 {
         }
     }
 
-    registers!(4, __m128, _mm_set1_ps, _mm_loadu_ps, of_eight, _mm_mul_ps, _mm_fmadd_ps, _mm_storeu_ps);
-    registers!(
-        8,
-        __m256,
-        _mm256_set1_ps,
-        _mm256_loadu_ps,
-        two_by_four,
-        _mm256_mul_ps,
-        _mm256_fmadd_ps,
-        _mm256_storeu_ps
-    );
+    registers!(4, __m128, _mm_set1_ps, _mm_loadu_ps, of_eight, _mm_fmadd_ps, _mm_storeu_ps);
+    registers!(8, __m256, _mm256_set1_ps, _mm256_loadu_ps, two_by_four, _mm256_fmadd_ps, _mm256_storeu_ps);
 }

@@ -36,6 +36,7 @@ mod reconstruct;
 mod scattered;
 mod shuffle;
 mod sorting;
+mod steps;
 mod subspace;
 #[cfg(test)]
 mod testing;

@@ -147,14 +147,23 @@ impl<'a> Level<'a> {
         (edges[0] < edges[1]).then_some(edges[0] as usize)
     }
 
-    /// Part and position in it of a row of mode `n` of node `s`; an undecomposed mode has part 0 and keeps the position.
-    #[inline]
-    pub fn way_down(&self, s: usize, n: usize, position: u32) -> (usize, u32) {
-        match self.part[n].zip(self.local[n]) {
-            Some((part, local)) => {
-                let row = self.row_offset[n][s] as usize + position as usize;
-                (usize::from(part[row]), local[row])
-            }
+    /// Where the rows of mode `n` of node `s` go.
+    pub fn way_down(&self, s: usize, n: usize) -> WayDown<'a> {
+        let Some((part, local)) = self.part[n].zip(self.local[n]) else { return WayDown(None) };
+        let rows = self.row_offset[n][s] as usize..self.row_offset[n][s + 1] as usize;
+        WayDown(Some((&part[rows.clone()], &local[rows])))
+    }
+}
+
+/// Parts and positions in them of the rows of one mode of a node; None for an undecomposed mode.
+pub struct WayDown<'a>(Option<(&'a [u16], &'a [u32])>);
+
+impl WayDown<'_> {
+    /// Part and position in it of a row; an undecomposed mode has part 0 and keeps the position.
+    #[inline(always)]
+    pub fn of(&self, position: u32) -> (usize, u32) {
+        match self.0 {
+            Some((part, local)) => (usize::from(part[position as usize]), local[position as usize]),
             None => (0, position),
         }
     }

@@ -16,78 +16,109 @@ pub fn decode<T: Decode>(levels: &[Level], coords: &[i64], out: &mut [T]) -> Res
     let batch = out.len().div_ceil(count()).clamp(FEW, BATCH);
     let mut results: Vec<Result<(), String>> = vec![Ok(()); out.len().div_ceil(batch)];
     let tasks: Vec<_> = coords.chunks(batch * order).zip(out.chunks_mut(batch)).zip(&mut results).collect();
-    for_each(true, tasks, |((coords, out), result)| *result = Batch::new(coords, order, out).walk(levels));
+    for_each(true, tasks, |((coords, out), result)| *result = Batch::new(out).walk(levels, coords, order));
     results.into_iter().collect()
 }
 
 struct Batch<'b, T> {
-    /// Of each element in its present node.
-    pos: Vec<Position>,
     out: &'b mut [T],
     elements: Elements<T>,
-    /// Positions and values of one group.
-    group: (Vec<Position>, Vec<T>),
+    /// What one node gives its elements.
+    values: Vec<T>,
+}
+
+/// Elements that go on, in the order of their nodes.
+#[derive(Default)]
+struct Walkers {
+    /// The present node of each.
+    node: Vec<u32>,
+    /// Its position there.
+    pos: Vec<Position>,
+    /// Its number in the batch.
+    number: Vec<u32>,
 }
 
 impl<'b, T: Decode> Batch<'b, T> {
-    fn new(coords: &[i64], order: usize, out: &'b mut [T]) -> Self {
-        let position = |coords: &[i64]| std::array::from_fn(|n| coords.get(n).map_or(0, |&i| i as u32));
-        let pos = coords.chunks_exact(order).map(position).collect();
-        Batch { pos, out, elements: Elements::default(), group: (vec![], vec![]) }
+    fn new(out: &'b mut [T]) -> Self {
+        Batch { out, elements: Elements::default(), values: vec![] }
     }
 
-    fn walk(mut self, levels: &[Level]) -> Result<(), String> {
-        // Node and number of each element that goes on, to be sorted as one integer.
-        let mut present: Vec<u64> = (0..self.out.len() as u64).collect();
-        let mut next = vec![];
+    fn walk(mut self, levels: &[Level], coords: &[i64], order: usize) -> Result<(), String> {
+        let (mut present, mut next, mut keys) = (Walkers::all(coords, order), Walkers::default(), vec![]);
         for (depth, level) in levels.iter().enumerate() {
             next.clear();
-            for group in present.chunk_by(|a, b| a >> 32 == b >> 32) {
-                let s = (group[0] >> 32) as usize;
+            let mut from = 0;
+            for group in present.node.chunk_by(|a, b| a == b) {
+                let range = from..from + group.len();
+                from = range.end;
+                let s = group[0] as usize;
                 let Some(node) = level.node(s)? else { continue };
-                self.add(&node, group)?;
+                self.add(&node, &present.pos[range.clone()], &present.number[range.clone()])?;
                 if depth + 1 < levels.len() {
-                    self.descend(level, s, &node, group, &mut next);
+                    next.descend(level, s, &node, &present.pos[range.clone()], &present.number[range]);
                 }
             }
-            next.sort_unstable();
-            std::mem::swap(&mut present, &mut next);
+            next.sort(&mut keys, &mut present);
         }
         Ok(())
     }
 
     /// Add what a node gives its elements.
-    fn add(&mut self, node: &NodeView, group: &[u64]) -> Result<(), String> {
-        let (pos, values) = &mut self.group;
-        pos.clear();
-        pos.extend(group.iter().map(|&item| self.pos[number(item)]));
-        values.clear();
-        values.resize(group.len(), T::ZERO);
-        self.elements.add(node, pos, values)?;
-        for (&item, &value) in group.iter().zip(values.iter()) {
-            let out = &mut self.out[number(item)];
+    fn add(&mut self, node: &NodeView, pos: &[Position], number: &[u32]) -> Result<(), String> {
+        self.values.clear();
+        self.values.resize(pos.len(), T::ZERO);
+        self.elements.add(node, pos, &mut self.values)?;
+        for (&number, &value) in number.iter().zip(&self.values) {
+            let out = &mut self.out[number as usize];
             *out = *out + value;
         }
         Ok(())
     }
-
-    /// Child node and position in it of the elements of node `s`; those of a leaf stop.
-    fn descend(&mut self, level: &Level, s: usize, node: &NodeView, group: &[u64], next: &mut Vec<u64>) {
-        let Some(first) = level.first_child(s) else { return };
-        for &item in group {
-            let pos = &mut self.pos[number(item)][..node.order];
-            let mut flat = 0;
-            for (n, position) in pos.iter_mut().enumerate() {
-                let (part, local) = level.way_down(s, n, *position);
-                flat = flat * node.clusters[n] + part;
-                *position = local;
-            }
-            next.push(((first + flat) as u64) << 32 | item & 0xffff_ffff);
-        }
-    }
 }
 
-/// Which element of the batch it is.
-fn number(item: u64) -> usize {
-    (item & 0xffff_ffff) as usize
+impl Walkers {
+    /// The elements at `coords` `[elements, N]`, at the root.
+    fn all(coords: &[i64], order: usize) -> Walkers {
+        let position = |coords: &[i64]| std::array::from_fn(|n| coords.get(n).map_or(0, |&i| i as u32));
+        let pos: Vec<Position> = coords.chunks_exact(order).map(position).collect();
+        Walkers { node: vec![0; pos.len()], number: (0..pos.len() as u32).collect(), pos }
+    }
+
+    fn clear(&mut self) {
+        self.node.clear();
+        self.pos.clear();
+        self.number.clear();
+    }
+
+    /// Take up the elements of node `s`, at their child node and position in it; those of a leaf stop.
+    fn descend(&mut self, level: &Level, s: usize, node: &NodeView, pos: &[Position], number: &[u32]) {
+        let Some(first) = level.first_child(s) else { return };
+        let ways: Vec<_> = (0..node.order).map(|n| level.way_down(s, n)).collect();
+        self.number.extend_from_slice(number);
+        for &pos in pos {
+            let (mut flat, mut inside) = (0, pos);
+            for ((way, clusters), position) in ways.iter().zip(&node.clusters).zip(&mut inside) {
+                let (part, local) = way.of(*position);
+                flat = flat * clusters + part;
+                *position = local;
+            }
+            self.node.push((first + flat) as u32);
+            self.pos.push(inside);
+        }
+    }
+
+    /// Into the order of their nodes, as `sorted`; `keys` is a buffer.
+    fn sort(&mut self, keys: &mut Vec<u64>, sorted: &mut Walkers) {
+        if self.node.is_sorted() {
+            return std::mem::swap(self, sorted);
+        }
+        keys.clear();
+        keys.extend(self.node.iter().zip(0u64..).map(|(&node, at)| u64::from(node) << 32 | at));
+        keys.sort_unstable();
+        let order = || keys.iter().map(|key| (key & 0xffff_ffff) as usize);
+        sorted.clear();
+        sorted.node.extend(keys.iter().map(|key| (key >> 32) as u32));
+        sorted.pos.extend(order().map(|at| self.pos[at]));
+        sorted.number.extend(order().map(|at| self.number[at]));
+    }
 }
