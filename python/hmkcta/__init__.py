@@ -8,7 +8,7 @@ from ._version import __version__
 if TYPE_CHECKING:
     from .axes import Axis
     from .encode import choose_plan, compress
-    from .errors import HmkctaError
+    from .errors import GoalMissed, HmkctaError
     from .journal import Journal
     from .model import Model, open
     from .plan import LevelSpec, Plan, parse_plan
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Axis",
+    "GoalMissed",
     "HmkctaError",
     "Journal",
     "LevelSpec",
@@ -33,6 +34,7 @@ __all__ = [
 #: command line is ready for Ctrl-C before NumPy is loaded.
 _MODULES = {
     "Axis": "axes",
+    "GoalMissed": "errors",
     "HmkctaError": "errors",
     "Journal": "journal",
     "LevelSpec": "plan",

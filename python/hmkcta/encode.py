@@ -15,7 +15,7 @@ from warnings import warn
 from . import backends as kernels
 from .axes import Axis, check_kind, check_organisation, format_organisation, mode_sizes
 from .backends import Device
-from .errors import expect, invalid
+from .errors import GoalMissed, expect, invalid
 from .finer import SMALL, finer
 from .fit import EFFORTS
 from .follow import Task, follow, follow_any
@@ -23,6 +23,7 @@ from .hierarchy import Run
 from .hmkfile import KINDS
 from .journal import Journal, decisive
 from .memory import keep_freed_memory
+from .metrics import misses
 from .model import Model
 from .plan import SCHEMES, Plan, parse_plan
 from .predict import check_least_memory
@@ -133,9 +134,11 @@ def compress(
 
     Raises:
         HmkctaError: an argument is out of range, the array holds NaN or infinity, memory would not do, or the journal
-            is of another call. A goal that is out of reach is no error: the model is the best found, see `Model.snr`.
+            is of another call.
 
-    Where a plan chosen for an SNR misses it, a warning says so, and another one is fitted.
+    Warns:
+        GoalMissed: the SNR is out of reach; the model is the best found.
+        UserWarning: a plan chosen for an SNR missed it, and another one is fitted; a device is missing.
 
     >>> import numpy as np
     >>> ramp = np.add.outer(np.arange(32.0), np.arange(24.0))
@@ -165,7 +168,11 @@ def compress(
         plans = [plan] if plan else run.journal.plans(lambda: _chosen(source, run, wanted))
         task = Task(source, plans[0], scheme, wanted.decode_cost, kind or source.kind, run, wanted.max_memory)
         with kernels.use(device):
-            return follow(task) if plan else follow_any(task, plans[1:], lambda said: warn(said, stacklevel=4))
+            model = follow(task) if plan else follow_any(task, plans[1:], lambda said: warn(said, stacklevel=4))
+    if misses(model.snr, goal := task.plan.snr):
+        said = f"the SNR is {model.snr:.2f} dB, below the {goal:g} dB asked for; the model is the best found"
+        warn(said, GoalMissed, stacklevel=2)
+    return model
 
 
 @contextmanager

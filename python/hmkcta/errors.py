@@ -28,6 +28,10 @@ class Kind(Enum):
         self.exit_code = exit_code
 
 
+class GoalMissed(UserWarning):
+    """The SNR that was asked for is out of reach: the model is the best found."""
+
+
 class HmkctaError(Exception):
     """Any failure that hmkcta foresees.
 

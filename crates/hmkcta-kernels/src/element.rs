@@ -158,6 +158,7 @@ impl<T: Real> Task<'_, T> {
         }
     }
 }
+
 /// Elements of one node and where their values are summed up.
 struct Sums<'t, T, const W: usize> {
     node: &'t NodeView<'t>,

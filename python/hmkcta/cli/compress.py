@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from ..backends import Device, find_device
 from ..encode import compress
+from ..errors import GoalMissed
 from ..hmkfile import check_output
+from ..metrics import misses
 from ..model import Model
 from .failure import Exit
 from .goal import Goal, goal_from, goal_options
@@ -41,8 +43,6 @@ EXAMPLES = (
 
 #: From about so many dB a level on it is float16 that ends what it reaches, not its ranks.
 FLOAT16_SNR = 60.0
-#: How far below --snr a result may be and still be what was asked for: what is printed is rounded more.
-SNR_SLACK = 0.005
 
 
 @click.command("compress", cls=Command, examples=EXAMPLES)
@@ -65,6 +65,7 @@ def compress_command(source: str, output: str, plan: str | None, device: str, re
           catch_warnings(record=True) as warned):
         simplefilter("ignore")
         simplefilter("always", UserWarning)  # what `compress` says; not what NumPy makes of flags
+        simplefilter("ignore", GoalMissed)  # which is said below, with what to do next
         if resume and not journal.holds_work:
             click.echo(f"hmkcta: there is nothing in {journal.folder} to go on with: it begins anew.", err=True)
         array = goal.open(source, progress)
@@ -127,7 +128,7 @@ def on_device(device: Device) -> str:
 
 def missed_goal(model: Model, goal: Goal) -> str | None:
     """A sentence on the goal that was not reached; None if all were."""
-    if goal.snr is not None and model.snr < goal.snr - SNR_SLACK:
+    if misses(model.snr, goal.snr):
         return f"the SNR is {model.snr:.2f} dB, below --snr {goal.snr:g}."
     if goal.size is not None and model.nbytes > goal.size:
         return f"the file has {model.nbytes} bytes, more than --size {goal.size}."
