@@ -232,11 +232,24 @@ MISFITS: list[tuple[Callable[[], object], str]] = [
     (lambda: Plan((("axis0",),), (LevelSpec((2,), (1,), (1,)),)), "organisation"),
     (lambda: Plan(MODES, ()), "plan-levels"),
     (lambda: Plan(MODES, (LevelSpec((2,), (1,), (1,)),)), "plan-modes"),
+    (lambda: Plan(MODES, (LevelSpec((1, 1), (1, 1), (1, 1)),) * 17), "plan-levels"),
     (lambda: Plan(MODES, ("R=2",)), "argument-type"),  # pyright: ignore[reportArgumentType]
     (lambda: Plan(MODES, (LevelSpec((2, 2), (1, 1), (1, 1)),), snr="30"), "argument-type"),  # pyright: ignore
     (lambda: LevelSpec((2.0, 2), (1, 1), (1, 1)), "argument-type"),  # pyright: ignore[reportArgumentType]
     (lambda: LevelSpec((2, 2), (1, 1), (1, "1")), "argument-type"),  # pyright: ignore[reportArgumentType]
 ]
+
+
+@pytest.mark.parametrize(("text", "reason"), [
+    ("R=30 C=8 K=8", "level-cost"), ("R=1 C=101 / R=1 C=2 / R=1", "plan-nodes"),
+])
+def test_plans_for_files_that_readers_refuse_are_refused_before_the_fit(text: str, reason: str) -> None:
+    modes, sizes = (("z",), ("y",), ("x",)), (120, 120, 120)
+    with pytest.raises(HmkctaError) as caught:
+        check_plan(parse_plan(text, modes), sizes)
+    assert caught.value.reason == reason
+    check_plan(parse_plan("R=12 C=8 K=8", modes), sizes)
+    check_plan(parse_plan("R=1 C=60 / R=1", modes), sizes)
 
 
 @pytest.mark.parametrize(("made", "reason"), MISFITS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from functools import cache
 from math import isfinite
@@ -262,6 +263,28 @@ def test_an_snr_is_met_whatever_the_data(shape: tuple[int, ...], cost: int) -> N
     model = compress(noise, snr=50.0, decode_cost=cost, threads=1, quality="fast")
     assert model.snr >= 50
     assert model.decode_cost <= cost
+    assert model.nbytes < 2 * noise.size + 4096
+
+
+@pytest.mark.parametrize("quality", ["fast", "medium"])
+def test_an_snr_beyond_what_one_level_keeps_takes_little_more_bytes(quality: str) -> None:
+    """Errors below those of float16 are told apart where a goal asks for it, or all plans would be alike."""
+    z, y, x = np.mgrid[:24, :28, :32] / 16
+    smooth = 1 / (0.1 + z**2 + (y - x / 2) ** 2)
+    lower = compress(smooth, snr=60.0, threads=1, quality=quality)
+    with pytest.warns(UserWarning, match="another is tried"):
+        higher = compress(smooth, snr=80.0, threads=1, quality=quality)
+    assert higher.snr >= 80
+    assert higher.nbytes < 3 * lower.nbytes < smooth.size
+
+
+def test_an_snr_takes_no_more_bytes_than_the_values_as_float16() -> None:
+    """Which are exact here, so that two levels of anything else are of no use."""
+    noise = np.random.default_rng(0).integers(0, 256, (24, 30, 40))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        model = compress(noise, snr=75.0, threads=1, quality="fast")
+    assert model.snr >= 75
     assert model.nbytes < 2 * noise.size + 4096
 
 

@@ -193,6 +193,11 @@ def test_a_plan_costs_more_time_the_more_it_does() -> None:
     assert seconds == sorted(set(seconds))
 
 
+def test_many_nodes_cost_what_each_takes_beside_its_elements() -> None:
+    plan = parse_plan("R=1 grid=y:24,x:24 / R=1", (("y",), ("x",)))
+    assert 0.5 < forecast(plan, (480, 480), EFFORTS["medium"], 2, None).seconds < 2
+
+
 def test_clusters_of_long_modes_cost_what_finding_them_takes() -> None:
     """K-means of many rows takes longer than all of the fit."""
     modes, sizes = (("pixel",), ("frame",)), (200_000, 60)

@@ -289,7 +289,8 @@ class Labelled:
 
 @pytest.mark.parametrize(("dims", "axes", "names"), [
     (("t", "y", "x"), None, ["t", "y", "x"]), (("t", "y", "x"), "z,y,x", ["z", "y", "x"]),
-    (("a:b", "y", "x"), None, ["axis0", "axis1", "axis2"]), ([1, 2], None, ["axis0", "axis1", "axis2"]),
+    (("my time", "y-pos", "a:b"), None, ["my_time", "y-pos", "a_b"]),
+    (("a b", "a_b", "x"), None, ["axis0", "axis1", "axis2"]), ([1, 2], None, ["axis0", "axis1", "axis2"]),
 ])
 def test_labels_of_an_array_name_its_axes(dims: Any, axes: Any, names: list[str]) -> None:
     model = hmkcta.compress(Labelled(VALUES, dims), "R=2", axes=axes)

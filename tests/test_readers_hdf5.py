@@ -113,6 +113,22 @@ def test_packed_numbers_are_unpacked_and_fill_values_are_none(
     assert np.array_equal(array, np.where(VALUES == 7, np.nan, VALUES / 2 + 10), equal_nan=True)
 
 
+def test_unsigned_numbers_may_be_stored_as_signed_ones(h5py: Any, tmp_path: Path) -> None:
+    """As netCDF says it, whose old files have no others; fill values are said in either type."""
+    meant = np.array([[0, 7, 40_000], [65_535, 60_000, 1]], np.uint16)
+    with h5py.File(tmp_path / "a.nc", "w") as file:
+        file.create_dataset("plain", data=meant.view(">i2")).attrs["_Unsigned"] = "true"
+        for name, fill in (("signed", np.int16(-1)), ("unsigned", np.uint16(65_535))):
+            packed = file.create_dataset(name, data=meant.view(np.int16))
+            packed.attrs.update({"_Unsigned": b"true", "scale_factor": 0.5, "_FillValue": fill})
+        file.create_dataset("bytes", data=np.array([255, 1], np.uint8)).attrs["_Unsigned"] = "false"
+    assert open_array(f"{tmp_path}/a.nc:/plain").tolist() == meant.view(">i2").view(">u2").tolist()
+    for name in ("signed", "unsigned"):
+        array = open_array(f"{tmp_path}/a.nc:/{name}")
+        assert np.array_equal(array, np.where(meant == 65_535, np.nan, meant / 2), equal_nan=True)
+    assert open_array(f"{tmp_path}/a.nc:/bytes").tolist() == [-1, 1]
+
+
 def test_attributes_of_another_convention_are_nobodys_business(h5py: Any, tmp_path: Path) -> None:
     with h5py.File(tmp_path / "a.h5", "w") as file:
         dataset = file.create_dataset("field", data=VALUES)

@@ -111,6 +111,16 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
         missed(f"a plan chosen for {task.plan.snr:g} dB came to {model.snr:.2f}: another is tried, {plan}")
         model = follow(replace(task, plan=plan))
         best = max(best, model, key=lambda each: each.snr)
+    return best if task.plan.snr is None else _unless_verbatim(task, best, others)
+
+
+def _unless_verbatim(task: Task, best: Model, others: Sequence[Plan]) -> Model:
+    """The model for an SNR, or the values as float16 if that takes fewer bytes and does as well."""
+    undecomposed = (plan for plan in others if len(plan.levels) == 1 and not any(plan.levels[0].ranks))
+    for plan in undecomposed if best.nbytes > 2 * prod(task.source.shape) else ():
+        model = follow(replace(task, plan=plan))
+        if model.nbytes < best.nbytes and model.snr >= min(best.snr, task.plan.snr or best.snr):
+            return model
     return best
 
 

@@ -43,6 +43,8 @@ _HEAPS = 40 * 2**20
 _SOURCE_NS, _START_NS, _SWEEP_NS, _HOOI_NS, _PIECE_NS = 35.0, 25.0, 15.0, 10.0, 15.0
 #: Of k-means for each row, cluster and start; of a sweep of cells in turn for each element of each cell.
 _ROW_NS, _VISIT_NS = 215.0, 6.5
+#: Of whatever is done for a node beside work on its elements, which holds the interpreter.
+_NODE_NS = 1.5e6
 #: What each further thread does of the work of one.
 _SECOND = 0.7
 
@@ -175,6 +177,7 @@ def _seconds(
     plan: Plan, sizes: Sequence[int], effort: Effort, threads: int, limit: int, cut: int | None = None
 ) -> float:
     elements, starts, each = prod(sizes), 0.0, _SOURCE_NS + (0 if cut is None else _PIECE_NS * (1 + effort.backfits))
+    alone, nodes = 0.0, 1
     for number, level in enumerate(plan.levels, start=1):
         own = effort.at(number, len(plan.levels))
         sweep = _HOOI_NS if level.cells == 1 else _SWEEP_NS
@@ -191,8 +194,9 @@ def _seconds(
             starts += _ROW_NS * max(1, tried - 1) * rows * elements / prod(sizes)
         if len(plan.levels) > 1:
             each += effort.backfits * (_SWEEP_NS + 10)
+        alone, nodes = alone + _NODE_NS * nodes, min(nodes * level.cells, elements)
         sizes = blocks(sizes, level)
-    return 1e-9 * (each * elements + starts) / (1 + _SECOND * (threads - 1))
+    return 1e-9 * ((each * elements + starts) / (1 + _SECOND * (threads - 1)) + alone)
 
 
 def _visits(level: LevelSpec, sweeps: int) -> int:

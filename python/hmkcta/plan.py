@@ -22,6 +22,8 @@ OPTIMAL_SUBSETS = 64
 
 #: Most ranks of a mode that a file may have.
 HIGHEST_RANK = 1024
+#: What no reader takes without being told to: levels, nodes, and multiply-adds for one element of a level.
+MOST_LEVELS, MOST_NODES, MOST_LEVEL_COST = 16, 1_000_000, 2**20
 #: Most ranks of a mode that a level with ranks of its own (R<=..) is given.
 MOST_RANKS = 160
 
@@ -362,3 +364,21 @@ def check_plan(plan: Plan, sizes: Sequence[int]) -> None:
         if clusters > size:
             allowed = f"1 to {size}, the number of its rows"
             raise invalid("more-clusters-than-rows", f"C of mode {n + 1}", clusters, allowed)
+    _check_readable(plan, sizes)
+
+
+def _check_readable(plan: Plan, sizes: Sequence[int]) -> None:
+    """Refuse what would be fitted to a file that readers refuse, as far as the plan tells."""
+    if len(plan.levels) > MOST_LEVELS:
+        raise invalid("plan-levels", "levels of the plan", len(plan.levels), f"at most {MOST_LEVELS}")
+    nodes = below = 1
+    for number, level in enumerate(plan.levels, start=1):
+        cost = 0 if level.own else level.clamped(sizes).decode_cost()
+        if below == 1 and cost > MOST_LEVEL_COST:  # nodes further down may be too small for so many ranks
+            raise invalid("level-cost", f"level {number}", f"{cost} multiply-adds for an element",
+                          f"at most {MOST_LEVEL_COST}, as prod R_n K_n", "lower K or R")
+        below = min(below * level.cells, prod(sizes))
+        nodes += below if number < len(plan.levels) else 0
+    if nodes > MOST_NODES:
+        allowed = f"at most {MOST_NODES}"
+        raise invalid("plan-nodes", "nodes of the plan", nodes, allowed, "lower C, or write fewer levels")

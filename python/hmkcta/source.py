@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -204,12 +205,12 @@ def prepare(
 
 
 def _dimensions(array: Any) -> list[str] | None:
-    """Names that the array has for its own axes, as xarray's do; None: it has none, or some that are no words."""
+    """Names that the array has for its own axes, as xarray's do, made words of; None: it has none, or two alike."""
     names: Any = getattr(array, "dims", None)
     if not isinstance(names, tuple):
         return None
-    words = [str(name) for name in cast("tuple[Any, ...]", names)]
-    return words if all(word.isidentifier() for word in words) else None
+    words = ["_".join(re.findall(r"[^+, /=:]+", str(name))) for name in cast("tuple[Any, ...]", names)]
+    return words if all(words) and len(set(words)) == len(words) and "".join(words).isprintable() else None
 
 
 def _named(shape: tuple[int, ...], axes: Sequence[Axis | str] | None) -> tuple[Axis, ...]:

@@ -39,8 +39,10 @@ LONGEST_UNDECOMPOSED, NEARLY_FULL = 128, 0.2
 TOGETHER = 3
 #: Highest rank looked at, of matrices and of tensors.
 HIGHEST = (MOST_RANKS, 64)
-#: What float16 leaves, as a share of the energy, at the most; errors below it are not told apart.
+#: What float16 leaves, as a share of the energy, at the most; errors below it are not told apart, unless a goal asks.
 VERBATIM = 1e-7
+#: What float32 can tell.
+FINEST = 1e-14
 #: Beyond so many dB Gram matrices are summed in float64.
 PRECISE = 50.0
 #: Bytes besides two float16 for each element, that no candidate worth a look takes.
@@ -107,6 +109,12 @@ class Trial:
     detail: Detail
     energy: float
     room: float = inf
+
+    @property
+    def floor(self) -> float:
+        """Errors below this share of the energy are not told apart: what reaches a goal is, by its bytes."""
+        beyond = 0.0 if self.ceiling is None else self.ceiling + 1
+        return max(FINEST, min(VERBATIM, 10 ** (-beyond / 10)))
 
     @cached_property
     def _headers(self) -> dict[Candidate, float]:
@@ -187,7 +195,8 @@ class Trial:
         meant = ladder if growth is None else growth.unthinned(ladder)
         choices = choices_of(meant, cut.edges, flags, max(1, self.decode_cost - 1), clusters)
         together = (len(cut.batch), prod(way), -1)
-        left = _left(energy.reshape(together).sum(axis=(1, 2)), table.reshape(together).sum(axis=1), choices)
+        whole, tables = energy.reshape(together).sum(axis=(1, 2)), table.reshape(together).sum(axis=1)
+        left = _left(whole, tables, choices, self.floor)
         # Parts of a block share a row where it is no multiple of theirs.
         left *= cut.energy.sum() / max(energy.sum(), 1e-300)
         kept = plausible(left)
@@ -239,7 +248,7 @@ class Trial:
         meant = kept if cut.growth is None else cut.growth.unthinned(kept)
         whole = choices_of(meant, cut.sizes, flags, self.decode_cost, cut.clusters)
         weights, nbytes = cut.blocks.weights, whole.nbytes
-        left = _left((weights @ cut.energy)[None], (weights @ table)[None], whole)[0]
+        left = _left((weights @ cut.energy)[None], (weights @ table)[None], whole, self.floor)[0]
         best = pareto(nbytes, left)
         path = partial(best_of_one, nbytes[best], left[best])
         worth, spent = self._worth(path, cut, 1.0, one, float(nbytes[1]))
@@ -248,7 +257,7 @@ class Trial:
         if prod(cut.clusters) > 1 and self.decode_cost > 1:
             many = replace(one, carried=True)
             nodes = choices_of(meant, cut.edges, flags, self.decode_cost - 1, (1,) * order)
-            path = partial(ration, _left(cut.energy, table, nodes), nodes.nbytes, weights)
+            path = partial(ration, _left(cut.energy, table, nodes, self.floor), nodes.nbytes, weights)
             least = float(nodes.nbytes[0] * weights.sum())
             found.append((self._worth(path, cut, cut.blocks.overlap, many, least)[0], many))
         return found, [int(rank) for rank in ranks]
@@ -323,13 +332,13 @@ def trial_of(source: Source, size: int | None, ceiling: float | None, decode_cos
 
 def decibels(signal: float, error: float) -> float:
     """SNR, bounded by what float32 can tell."""
-    return snr_db(max(signal, 1e-300), max(error, 1e-14 * signal, 1e-300))
+    return snr_db(max(signal, 1e-300), max(error, FINEST * signal, 1e-300))
 
 
-def _left(energy: F64, table: F64, choices: Choices) -> F64:
+def _left(energy: F64, table: F64, choices: Choices, floor: float) -> F64:
     """Squared error of each block by each choice, `[B, choices]`, the first of which is to store nothing."""
     whole = energy[:, None]
-    return np.concatenate([whole, np.maximum(whole - table[:, choices.entry], VERBATIM * whole)], axis=1)
+    return np.concatenate([whole, np.maximum(whole - table[:, choices.entry], floor * whole)], axis=1)
 
 
 def _divisors(most: int) -> list[int]:

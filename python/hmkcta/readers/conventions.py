@@ -18,9 +18,11 @@ class Packing:
     """How numbers are unpacked: ``scale * stored + offset``, and NaN for fill values.
 
     Attributes:
+        stored: the type that the stored bytes are meant to have.
         dtype: of the result.
     """
 
+    stored: np.dtype[Any]
     dtype: np.dtype[Any]
     scale: float
     offset: float
@@ -28,6 +30,7 @@ class Packing:
 
     def __call__(self, stored: NDArray[Any]) -> NDArray[Any]:
         """The numbers that are meant."""
+        stored = np.asarray(stored).view(self.stored)
         values = np.asarray(stored, self.dtype)
         if (self.scale, self.offset) != (1.0, 0.0):
             values = values * self.dtype.type(self.scale) + self.dtype.type(self.offset)
@@ -39,6 +42,8 @@ def packing(attributes: Mapping[str, Any], dtype: np.dtype[Any]) -> Packing | No
 
     >>> packing({"scale_factor": 0.5, "_FillValue": -1}, np.dtype("i2"))(np.array([4, -1], "i2")).tolist()
     [2.0, nan]
+    >>> packing({"_Unsigned": "true"}, np.dtype("i2"))(np.array([4, -1], "i2")).tolist()
+    [4, 65535]
     """
     if dtype.kind not in "iuf":
         return None
@@ -46,11 +51,24 @@ def packing(attributes: Mapping[str, Any], dtype: np.dtype[Any]) -> Packing | No
     # Several factors are somebody's own convention, for whatever axis.
     scale, offset = (float(values[0]) if values.size == 1 else otherwise
                      for values, otherwise in ((held["scale_factor"], 1.0), (held["add_offset"], 0.0)))
-    fills = np.concatenate([held[name] for name in FILLS])
-    fills = fills[np.isfinite(fills)].astype(dtype)
+    fills, meant = np.concatenate([held[name] for name in FILLS]), _signed(attributes, dtype)
+    fills = fills[np.isfinite(fills)]
+    if meant != dtype:  # they may be said in either type
+        count = 2.0 ** (8 * meant.itemsize)
+        least = -count / 2 if meant.kind == "i" else 0.0
+        fills = (fills - least) % count + least
+    fills = fills.astype(meant)
     if (scale, offset) == (1.0, 0.0) and not fills.size:
-        return None
-    return Packing(scaled_type(dtype), scale, offset, fills)
+        return None if meant == dtype else Packing(meant, meant, scale, offset, fills)
+    return Packing(meant, scaled_type(dtype), scale, offset, fills)
+
+
+def _signed(attributes: Mapping[str, Any], dtype: np.dtype[Any]) -> np.dtype[Any]:
+    """The type that the netCDF attribute ``_Unsigned`` makes of one of integers: old files have signed ones alone."""
+    said = attributes.get("_Unsigned")
+    word = said.decode() if isinstance(said, bytes) else str(said)
+    kind = {("i", "true"): "u", ("u", "false"): "i"}.get((dtype.kind, word.lower()))
+    return dtype if kind is None else np.dtype(f"{kind}{dtype.itemsize}").newbyteorder(dtype.byteorder)
 
 
 def _numbers(value: Any) -> NDArray[Any]:

@@ -35,7 +35,8 @@ def open_nifti(path: Path, unpacker: Unpacker) -> NDArray[Any]:
             packed = file.read(len(GZIP)) == GZIP
         if not packed and (plain or stored.dtype.kind not in "iuf"):
             return map_part(numbers, stored, int(proxy.offset), where)
-        scaled = Packing(scaled_type(stored.dtype), float(proxy.slope), float(proxy.inter), np.empty(0))
+        kind, slope, inter = scaled_type(stored.dtype), float(proxy.slope), float(proxy.inter)
+        scaled = Packing(stored.dtype, kind, slope, inter, np.empty(0))
         with (gzip.open if packed else open)(numbers, "rb") as stream:
             stream.seek(int(proxy.offset))
             return unpacker.stream(where, stream.read, stored, None if plain else scaled)

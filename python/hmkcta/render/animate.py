@@ -41,7 +41,8 @@ def moving(scene: Scene, motion: str, count: int, kind: str, axes: Sequence[Axis
         raise invalid("unknown-motion", "animate", repr(motion), ", ".join(MOTIONS))
     if kind not in fitting.get(motion, (kind,)) or (motion == "time" and layout.time is None):
         suiting = [m for m in MOTIONS if kind in fitting.get(m, ()) or (m == "time" and layout.time is not None)]
-        raise invalid("motion-kind", "animate", motion, f"{', '.join(suiting) or 'nothing'} for this {kind}")
+        hint = "" if suiting else "give roles when compressing, --axes NAME:ROLE,.., for a kind that moves"
+        raise invalid("motion-kind", "animate", motion, f"{', '.join(suiting) or 'nothing'} for this {kind}", hint)
     if count < 1:
         raise invalid("no-frames", "frames", count, "1 or more")
     for number in range(count):
