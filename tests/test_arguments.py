@@ -240,6 +240,10 @@ MISFITS: list[tuple[Callable[[], object], str]] = [
 ]
 
 
+def test_complex_numbers_are_refused_with_what_to_do() -> None:
+    assert "real and imaginary part" in str(raised(lambda: compress(np.ones((4, 5), complex), "R=1")))
+
+
 @pytest.mark.parametrize(("text", "reason"), [
     ("R=30 C=8 K=8", "level-cost"), ("R=1 C=101 / R=1 C=2 / R=1", "plan-nodes"),
 ])

@@ -126,6 +126,14 @@ def test_what_is_assumed_is_said(tmp_path: Path) -> None:
     assert len(report("render", path, "-o", tmp_path / "b.png", *SIZE)["notes"]) == 2
 
 
+def test_options_that_do_nothing_are_said(files: Path, tmp_path: Path) -> None:
+    idle = ("--colours", "ice", "--focus", 3, "--stops", 1)
+    for name, kind, options in (("jet", "volume", "--focus"), ("jet", "generic", "--focus, --colours"),
+                                ("cloth", "svbrdf", "--focus, --colours")):
+        words = ("render", files / f"{name}.hmk", "-o", tmp_path / f"{name}-{kind}.png", "--kind", kind, *idle, *SIZE)
+        assert report(*words)["notes"][-1] == f"for a {kind} these do nothing: {options}"
+
+
 @pytest.mark.parametrize(("words", "code", "says"), [
     (("-o", "a.jpg"), 2, "output-format"),
     (("-o", "a.png", "--animate", "orbit"), 2, "output-format"),

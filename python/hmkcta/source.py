@@ -163,7 +163,8 @@ def described(array: Any, axes: Sequence[Axis | str] | None = None, transform: s
     except ValueError:  # nested lists of different lengths
         raise invalid("array-shape", "array", shown(array), "as many numbers in each of its lists") from None
     if array.dtype.kind not in "bfiu":
-        raise invalid("dtype", "array", f"dtype {array.dtype}", "floating point, integers or booleans")
+        hint = "compress real and imaginary part as an axis of two" if array.dtype.kind == "c" else ""
+        raise invalid("dtype", "array", f"dtype {array.dtype}", "floating point, integers or booleans", hint)
     if np.ma.is_masked(array):  # what is behind a mask would be compressed as if it were data
         found = f"{int(np.ma.getmaskarray(array).sum())} masked values"
         raise invalid("masked", "array", found, "no mask", "give a value to put there, array.filled(0)")

@@ -24,7 +24,7 @@ from .options import (
 )
 from .output import emit, seconds
 from .progress import Progress
-from .scene_options import fill_scene, scene_options
+from .scene_options import fill_scene, idle_options, scene_options
 
 if TYPE_CHECKING:
     from ..render import Renderer, Scene
@@ -85,7 +85,9 @@ def render_command(file: str, output: str, scene: str | None, against: str | Non
             count = _save_film(output, pictures, fps, overwrite)
     else:
         count = _save_still(output, renderer, described, overwrite)
-    _report(output, renderer, described, count, time.monotonic() - started, as_json, quiet)
+    idle = idle_options(given, renderer.kind)
+    notes = [*renderer.notes, *([f"for a {renderer.kind} these do nothing: {', '.join(idle)}"] if idle else [])]
+    _report(output, renderer, described, count, time.monotonic() - started, notes, as_json, quiet)
 
 
 def _scene(path: str | None, given: dict[str, Any]) -> Scene:
@@ -119,15 +121,15 @@ def _save_still(output: str, renderer: Renderer, scene: Scene, overwrite: bool) 
     return 1
 
 
-def _report(output: str, renderer: Renderer, scene: Scene, count: int, spent: float, as_json: bool, quiet: bool
-            ) -> None:
+def _report(output: str, renderer: Renderer, scene: Scene, count: int, spent: float, notes: list[str], as_json: bool,
+            quiet: bool) -> None:
     by = renderer.adapter if renderer.backend == "gpu" else "NumPy"
     if as_json:
         emit({"output": output, "kind": renderer.kind, "width": scene.width, "height": scene.height, "frames": count,
-              "backend": renderer.backend, "adapter": renderer.adapter, "notes": list(renderer.notes),
+              "backend": renderer.backend, "adapter": renderer.adapter, "notes": notes,
               "seconds": round(spent, 3)})
     elif not quiet:
-        for note in renderer.notes:
+        for note in notes:
             click.echo(note, err=True)
         frames = "" if count == 1 else f", {count} frames"
         click.echo(f"{output}: {renderer.kind}, {scene.width} x {scene.height}{frames}, by {by}, in {seconds(spent)}")

@@ -95,6 +95,22 @@ _LIGHTS = together(
 )
 
 
+#: The kinds that look at some parts of a scene; all look at the others.
+_LOOKED_AT: Mapping[str, Sequence[str]] = {
+    "camera": ["svbrdf", "volume"], "surface": ["svbrdf"], "viewpoint": ["lightfield"], "volume": ["volume"],
+}
+
+
+def idle_options(given: Mapping[str, Any], kind: str) -> list[str]:
+    """Those of the options that were given which change nothing of what is shown as this kind.
+
+    >>> idle_options({"volume__colours": "ice", "tone__stops": 1.0}, "generic")
+    ['--colours']
+    """
+    fields = ((option, field) for option, field, _ in _OPTIONS if given.get(field.replace(".", "__")) is not None)
+    return [option for option, field in fields if kind not in _LOOKED_AT.get(field.partition(".")[0], (kind,))]
+
+
 def scene_options(function: Function) -> Function:
     """Add the options."""
     decorators: list[Callable[[Any], Any]] = [
