@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 import hmkcta
 from hmkcta import Axis, HmkctaError, Journal, LevelSpec, Plan, compress, parse_plan
+from hmkcta import plan as plan_module
+from hmkcta.hmkfile import DEFAULT_LIMITS
 from hmkcta.plan import check_plan
 from hmkcta.render import Camera, Light, Scene, render
 from hmkcta.render.layout import lay_out
@@ -254,6 +256,11 @@ def test_plans_for_files_that_readers_refuse_are_refused_before_the_fit(text: st
     assert caught.value.reason == reason
     check_plan(parse_plan("R=12 C=8 K=8", modes), sizes)
     check_plan(parse_plan("R=1 C=60 / R=1", modes), sizes)
+
+
+def test_plans_and_readers_have_the_same_limits() -> None:
+    plans = (plan_module.HIGHEST_RANK, plan_module.MOST_LEVELS, plan_module.MOST_NODES, plan_module.MOST_LEVEL_COST)
+    assert plans == (DEFAULT_LIMITS.rank, DEFAULT_LIMITS.levels, DEFAULT_LIMITS.nodes, DEFAULT_LIMITS.level_cost)
 
 
 @pytest.mark.parametrize(("made", "reason"), MISFITS)

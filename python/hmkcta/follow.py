@@ -116,12 +116,18 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
 
 def _unless_verbatim(task: Task, best: Model, others: Sequence[Plan]) -> Model:
     """The model for an SNR, or the values as float16 if that takes fewer bytes and does as well."""
-    undecomposed = (plan for plan in others if len(plan.levels) == 1 and not any(plan.levels[0].ranks))
-    for plan in undecomposed if best.nbytes > 2 * prod(task.source.shape) else ():
+    if best.nbytes <= 2 * prod(task.source.shape) or _is_verbatim(best.plan):
+        return best
+    for plan in filter(_is_verbatim, others):
         model = follow(replace(task, plan=plan))
         if model.nbytes < best.nbytes and model.snr >= min(best.snr, task.plan.snr or best.snr):
             return model
     return best
+
+
+def _is_verbatim(plan: Plan) -> bool:
+    """Whether it leaves the values as they are."""
+    return len(plan.levels) == 1 and not any(plan.levels[0].ranks)
 
 
 def _nearer(task: Task, model: Model, others: Sequence[Plan]) -> Model:

@@ -101,20 +101,25 @@ _LOOKED_AT: Mapping[str, Sequence[str]] = {
 }
 
 
+def _parameter(field: str) -> str:
+    """What click calls an option that fills a field."""
+    return field.replace(".", "__")
+
+
 def idle_options(given: Mapping[str, Any], kind: str) -> list[str]:
     """Those of the options that were given which change nothing of what is shown as this kind.
 
     >>> idle_options({"volume__colours": "ice", "tone__stops": 1.0}, "generic")
     ['--colours']
     """
-    fields = ((option, field) for option, field, _ in _OPTIONS if given.get(field.replace(".", "__")) is not None)
+    fields = ((option, field) for option, field, _ in _OPTIONS if given.get(_parameter(field)) is not None)
     return [option for option, field in fields if kind not in _LOOKED_AT.get(field.partition(".")[0], (kind,))]
 
 
 def scene_options(function: Function) -> Function:
     """Add the options."""
     decorators: list[Callable[[Any], Any]] = [
-        click.option(option, field.replace(".", "__"), **settings) for option, field, settings in _OPTIONS
+        click.option(option, _parameter(field), **settings) for option, field, settings in _OPTIONS
     ]
     return together(*decorators, _LIGHTS)(function)
 
@@ -127,7 +132,7 @@ def fill_scene(described: dict[str, Any], given: Mapping[str, Any]) -> dict[str,
     """
     scene: dict[str, Any] = deepcopy(described)
     for _, field, _ in _OPTIONS:
-        value = given.get(field.replace(".", "__"))
+        value = given.get(_parameter(field))
         if value is not None:
             section, _, name = field.rpartition(".")
             (scene.setdefault(section, {}) if section else scene)[name] = value
