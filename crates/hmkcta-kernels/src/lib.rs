@@ -43,7 +43,9 @@ mod testing;
 mod threads;
 mod tree;
 mod tucker;
+mod tuple_lanes;
 mod turned;
+mod turning;
 mod widened;
 
 use binding::{

@@ -12,16 +12,6 @@ pub fn dispatch<Op: WithSimd>(op: Op) -> Op::Output {
     }
 }
 
-/// Run a kernel that has no use for more than eight lanes: half vectors take half the time on many machines.
-#[inline]
-pub fn dispatch_narrow<Op: WithSimd>(op: Op) -> Op::Output {
-    match arch() {
-        #[cfg(target_arch = "x86_64")]
-        Arch::V4(v4) => Simd::vectorize(*v4, op),
-        _ => dispatch(op),
-    }
-}
-
 /// How many float32 numbers its vectors have.
 pub fn lanes() -> usize {
     struct Lanes;

@@ -1,27 +1,21 @@
 //! Projection of a tensor on the bases of all cells in two modes, in one pass over its elements.
 //!
 //! `P[t][c] = T[t] x_a U_{a,c}^T x_b U_{b,c}^T` for every tuple t of rows of the other modes, which are kept, whatever
-//! their subsets. Cells that share their clusters of modes a and b lie side by side, so that they are the lanes of a
-//! vector: a block of `T[t]` is multiplied by the columns of all their bases of mode b at once, and while the products
-//! are in registers they are added up along mode a.
+//! their subsets. Some tuples are the lanes of vectors: their elements are gathered side by side, a block for each choice
+//! of clusters of modes a and b is multiplied by the columns of all bases of mode b there, and while the products are in
+//! registers they are added up along mode a.
 
 use crate::cells::Node;
-use crate::machine::{dispatch, dispatch_narrow, prefetch};
+use crate::machine::{prefetch, prefetch_from};
 use crate::threads::{PARALLEL, Scratch, for_each, room, with_scratch};
-use pulp::{Simd, WithSimd};
+use crate::tuple_lanes::{Product, TUPLES};
+use crate::turning::{SIDE, turn_over};
 use std::ops::Range;
 
-/// Lanes are padded to a multiple of half the longest vector; what is left of whole ones is worked on by half ones.
-const PAD: usize = 8;
-const WHOLE: usize = 16;
-/// Tuples gathered at a time: a cache line of neighbours.
-const TUPLES: usize = 16;
 /// Numbers gathered at a time, some rows of mode a of all these tuples: the level 2 cache holds them.
 const GATHERED: usize = 64 * 1024;
 /// How many cache lines ahead of those being gathered are asked for: each lies on a page of its own.
-const AHEAD: usize = 12;
-/// Fewest and most tuples worked on at a time where their numbers can be read from the tensor: more where they have few.
-const IN_PLACE: (usize, usize) = (4, 64);
+const AHEAD: usize = 24;
 
 /// Numbers of the result for each tuple: `[C_a, C_b, R_a, PC / (C_a C_b), R_b]`.
 pub fn width(node: &Node, (a, b): (usize, usize)) -> usize {
@@ -34,18 +28,18 @@ pub fn project_pair(node: &Node, tensor: &[f32], bases: &[&[f32]], modes: (usize
     let tuples = tensor.len() / (node.sizes[modes.0] * node.sizes[modes.1]);
     let width = width(node, modes);
     let mut all = vec![0.0f32; tuples * width];
-    let tasks = all.chunks_mut(pair.group * width).enumerate().collect();
+    let tasks = all.chunks_mut(TUPLES * width).enumerate().collect();
     for_each(tensor.len() >= PARALLEL, tasks, |(number, out)| {
-        with_scratch(|Scratch { slab, steps, .. }| pair.tuples(tensor, number * pair.group, slab, &mut steps[0], out));
+        with_scratch(|Scratch { slab, steps, .. }| pair.tuples(tensor, number * TUPLES, slab, &mut steps[0], out));
     });
     all
 }
 
 /// Bases of the cells that share a cluster of mode a and one of mode b.
 struct Panel {
-    /// `[members of mode b, lanes]`, a lane for each of these cells and column of its basis of mode b.
+    /// `[members of mode b, columns]`, one for each of these cells and column of its basis of mode b.
     columns: Vec<f32>,
-    /// `[members of mode a, R_a, lanes]`, the same for all columns of mode b.
+    /// `[members of mode a, R_a, columns]`, the same for all columns of mode b.
     weights: Vec<f32>,
 }
 
@@ -55,44 +49,38 @@ struct Pair<'a> {
     b: usize,
     /// `[C_a, C_b]`
     panels: Vec<Panel>,
-    lanes: usize,
-    padded: usize,
-    /// Tuples and rows of mode a worked on at a time.
-    group: usize,
+    columns: usize,
+    /// Rows of mode a worked on at a time.
     rows: usize,
     /// Neighbours in a row of modes a and b: the numbers below both.
     inner: usize,
-    /// Where the elements of modes a and b lie from a tuple's first, `[I_a, I_b]`, if there are neighbours to gather.
-    lines: Vec<usize>,
+    /// Where the elements of modes a and b lie from a tuple's first, `[I_a, I_b]`, if there are neighbours.
+    places: Vec<usize>,
 }
 
 impl<'a> Pair<'a> {
     fn new(node: &'a Node, bases: &[&[f32]], (a, b): (usize, usize)) -> Self {
-        let lanes = node.cells() / (node.clusters[a] * node.clusters[b]) * node.ranks[b];
-        let padded = lanes.next_multiple_of(PAD);
+        let columns = node.cells() / (node.clusters[a] * node.clusters[b]) * node.ranks[b];
         let members = |n: usize, k: usize| node.rows(n, k).len();
         let empty = |(ka, kb)| Panel {
-            columns: vec![0.0; members(b, kb) * padded],
-            weights: vec![0.0; members(a, ka) * node.ranks[a] * padded],
+            columns: vec![0.0; members(b, kb) * columns],
+            weights: vec![0.0; members(a, ka) * node.ranks[a] * columns],
         };
         let numbers = (0..node.clusters[a]).flat_map(|ka| (0..node.clusters[b]).map(move |kb| (ka, kb)));
-        let inner = node.sizes[a.max(b) + 1..].iter().product();
-        let fitting = GATHERED / (node.sizes[a] * node.sizes[b]);
-        let group = if inner > 1 { TUPLES } else { fitting.clamp(IN_PLACE.0, IN_PLACE.1) };
-        let rows =
-            if inner > 1 { (GATHERED / (TUPLES * node.sizes[b])).clamp(1, node.sizes[a]) } else { node.sizes[a] };
         let panels = numbers.map(empty).collect();
+        let rows = (GATHERED / (TUPLES * node.sizes[b])).clamp(1, node.sizes[a]);
         let stride = |n: usize| node.sizes[n + 1..].iter().product::<usize>();
         let line = |i: usize| (0..node.sizes[b]).map(move |j| i * stride(a) + j * stride(b));
-        let lines = if inner > 1 { (0..node.sizes[a]).flat_map(line).collect() } else { vec![] };
-        let mut pair = Pair { node, a, b, panels, lanes, padded, group, rows, inner, lines };
+        let inner = stride(a.max(b));
+        let places = if inner > 1 { (0..node.sizes[a]).flat_map(line).collect() } else { vec![] };
+        let mut pair = Pair { node, a, b, panels, columns, rows, inner, places };
         (0..node.cells()).for_each(|number| pair.load(number, bases));
         pair
     }
 
-    /// Put a cell's bases into its lanes.
+    /// Put a cell's bases into its columns.
     fn load(&mut self, number: usize, bases: &[&[f32]]) {
-        let Pair { node, a, b, padded, .. } = *self;
+        let Pair { node, a, b, columns, .. } = *self;
         let cell = node.cell(number);
         let kept = (0..node.order()).filter(|&m| m != a && m != b);
         let rank = node.ranks[b];
@@ -101,13 +89,13 @@ impl<'a> Pair<'a> {
         let basis = node.load_basis(&cell, b, bases[b]);
         let members = basis.len() / rank;
         for (at, &value) in basis.iter().enumerate() {
-            panel.columns[at % members * padded + first + at / members] = value;
+            panel.columns[at % members * columns + first + at / members] = value;
         }
         let basis = node.load_basis(&cell, a, bases[a]);
         let members = basis.len() / node.ranks[a];
         for (at, &value) in basis.iter().enumerate() {
             let (r, i) = (at / members, at % members);
-            panel.weights[(i * node.ranks[a] + r) * padded + first..][..rank].fill(value);
+            panel.weights[(i * node.ranks[a] + r) * columns + first..][..rank].fill(value);
         }
     }
 
@@ -127,35 +115,22 @@ impl<'a> Pair<'a> {
 
     /// All tuples of `out`, from `first` on.
     fn tuples(&self, tensor: &[f32], first: usize, block: &mut Vec<f32>, sums: &mut Vec<f32>, out: &mut [f32]) {
-        let Pair { lanes, padded, .. } = *self;
-        if lanes == padded {
-            // Pages of fresh zeros that are read before they are written cost two faults and a flush of all cores.
-            out.fill(0.0);
-            return self.add_up(tensor, first, block, out);
-        }
-        let sums = room(sums, out.len() / lanes * padded);
+        let Pair { node, a, b, inner, .. } = *self;
+        let width = width(node, (a, b));
+        let count = out.len() / width;
+        let sums = room(sums, width * TUPLES);
         sums.fill(0.0);
-        self.add_up(tensor, first, block, sums);
-        for (out, sums) in out.chunks_exact_mut(lanes).zip(sums.chunks_exact(padded)) {
-            out.copy_from_slice(&sums[..lanes]);
-        }
-    }
-
-    /// All tuples of `sums` `[tuples, C_a, C_b, R_a, padded lanes]`, which is zero, from `first` on.
-    fn add_up(&self, tensor: &[f32], first: usize, block: &mut Vec<f32>, sums: &mut [f32]) {
-        let Pair { node, a, b, padded, inner, .. } = *self;
-        let count = sums.len() / (self.panels.len() * node.ranks[a] * padded);
-        if inner == 1 {
-            let starts = (0..count).map(|t| self.offset(first + t)).collect::<Vec<_>>();
-            return self.contract(tensor, &starts, (self.stride(a), self.stride(b)), 0..node.sizes[a], sums);
-        }
-        let starts = (0..count).collect::<Vec<_>>();
         for from in (0..node.sizes[a]).step_by(self.rows) {
             let rows = from..node.sizes[a].min(from + self.rows);
-            let block = room(block, rows.len() * node.sizes[b] * TUPLES);
-            self.gather(tensor, first, count, &rows, block);
-            self.contract(block, &starts, (node.sizes[b] * TUPLES, TUPLES), rows, sums);
+            // Of the last tuples more is copied than there are.
+            let block = room(block, rows.len() * node.sizes[b] * TUPLES + TUPLES);
+            match inner {
+                1 => self.turn(tensor, first, count, &rows, block),
+                _ => self.gather(tensor, first, count, &rows, block),
+            }
+            self.contract(block, rows, sums);
         }
+        scatter(sums, width, out);
     }
 
     fn stride(&self, n: usize) -> usize {
@@ -165,181 +140,86 @@ impl<'a> Pair<'a> {
     /// Some rows of mode a of `count` tuples from `first` on: `[rows, I_b, TUPLES]`.
     fn gather(&self, tensor: &[f32], first: usize, count: usize, rows: &Range<usize>, block: &mut [f32]) {
         let columns = self.node.sizes[self.b];
-        let lines = &self.lines[rows.start * columns..rows.end * columns];
-        let mut done = 0;
+        let places = &self.places[rows.start * columns..rows.end * columns];
+        // Where tuples that are neighbours start, in the tensor and among these tuples, and how many there are.
+        let (mut runs, mut done) = (vec![], 0);
         while done < count {
             let run = (self.inner - (first + done) % self.inner).min(count - done);
-            let from = &tensor[self.offset(first + done)..];
-            for (number, to) in block.chunks_exact_mut(TUPLES).enumerate() {
-                if let Some(&line) = lines.get(number + AHEAD) {
-                    // The numbers before the last came with the tuples before these.
-                    prefetch(&from[line + run - 1..][..1]);
-                }
-                copy(&from[lines[number]..][..run], &mut to[done..]);
-            }
+            runs.push((self.offset(first + done), done, run));
             done += run;
+        }
+        let end = runs.iter().map(|&(start, ..)| start).max().unwrap_or(0) + places[places.len() - 1];
+        for (number, &place) in places.iter().enumerate() {
+            for &(start, at, run) in &runs {
+                if let Some(&place) = places.get(number + AHEAD) {
+                    // The numbers before the last came with the tuples before these.
+                    prefetch(&tensor[start + place + run - 1..][..1]);
+                }
+                let to = &mut block[number * TUPLES + at..];
+                if end + TUPLES <= tensor.len() {
+                    // What is too much is written over by the next, in as little time as a move takes.
+                    to[..TUPLES].copy_from_slice(&tensor[start + place..][..TUPLES]);
+                } else {
+                    to[..run].copy_from_slice(&tensor[start + place..][..run]);
+                }
+            }
         }
     }
 
-    /// Add what some rows of some tuples are worth to `sums` `[tuples, C_a, C_b, R_a, padded lanes]`.
-    ///
-    /// In `x` tuples start at `starts`, each with these rows, and modes a and b have the given strides.
-    fn contract(&self, x: &[f32], starts: &[usize], strides: (usize, usize), rows: Range<usize>, sums: &mut [f32]) {
-        let Pair { node, a, b, padded, .. } = *self;
-        let (rank, size) = (node.ranks[a], node.ranks[a] * padded);
+    /// The same of tuples that are no neighbours, because the rows of one of the two modes are.
+    fn turn(&self, tensor: &[f32], first: usize, count: usize, rows: &Range<usize>, block: &mut [f32]) {
+        let Pair { node, a, b, .. } = *self;
+        let (line, columns) = (node.sizes[b] * TUPLES, node.sizes[b]);
+        // Of the other mode, and of the one whose rows are neighbours.
+        let (others, from_step, to_step, run, run_step) = match a < b {
+            true => (rows.len(), self.stride(a), line, columns, TUPLES),
+            false => (columns, self.stride(b), TUPLES, rows.len(), line),
+        };
+        let start = rows.start * self.stride(a);
+        let starts: [usize; TUPLES] = std::array::from_fn(|t| self.offset(first + t.min(count - 1)) + start);
+        for other in 0..others {
+            for (t, starts) in starts.chunks_exact(SIDE).enumerate() {
+                let from: [&[f32]; SIDE] = std::array::from_fn(|k| &tensor[starts[k] + other * from_step..][..run]);
+                if other + 1 < others {
+                    from.iter().for_each(|from| prefetch_from(from.as_ptr().wrapping_add(from_step), run));
+                }
+                turn_over(from, &mut block[other * to_step + t * SIDE..], run_step);
+            }
+        }
+    }
+
+    /// Add what some rows of mode a are worth, gathered as `x`, to the sums `[C_a, C_b, R_a, columns, TUPLES]`.
+    fn contract(&self, x: &[f32], rows: Range<usize>, sums: &mut [f32]) {
+        let Pair { node, a, b, .. } = *self;
+        let (rank, size) = (node.ranks[a], node.ranks[a] * self.columns);
         for kb in 0..node.clusters[b] {
-            let columns: Vec<usize> = node.rows(b, kb).iter().map(|&j| j as usize * strides.1).collect();
+            let columns: Vec<usize> = node.rows(b, kb).iter().map(|&j| j as usize * TUPLES).collect();
             for ka in 0..node.clusters[a] {
                 let members = node.rows(a, ka);
                 let before = |end: usize| members.partition_point(|&i| (i as usize) < end);
                 let inside = before(rows.start)..before(rows.end);
+                let line = node.sizes[b] * TUPLES;
                 let places: Vec<usize> =
-                    members[inside.clone()].iter().map(|&i| (i as usize - rows.start) * strides.0).collect();
+                    members[inside.clone()].iter().map(|&i| (i as usize - rows.start) * line).collect();
                 let number = ka * node.clusters[b] + kb;
                 let Panel { columns: panel, weights } = &self.panels[number];
                 let weights = &weights[inside.start * size..inside.end * size];
-                let (rows, columns, sums) = (&places[..], &columns[..], &mut sums[number * size..]);
-                let step = self.panels.len() * size;
-                let mut product = Product { x, starts, rows, columns, panel, weights, rank, padded, sums, step };
-                let whole = padded - padded % WHOLE;
-                if whole > 0 {
-                    dispatch(Lanes(&mut product, 0..whole));
-                }
-                if whole < padded {
-                    dispatch_narrow(Lanes(&mut product, whole..padded));
-                }
+                let sums = &mut sums[number * size * TUPLES..][..size * TUPLES];
+                Product { x, rows: &places, columns: &columns, panel, weights, rank, width: self.columns, sums }
+                    .add_up();
             }
         }
     }
 }
 
-/// A line of numbers, mostly a whole one.
-fn copy(from: &[f32], to: &mut [f32]) {
-    match <&[f32; TUPLES]>::try_from(from) {
-        Ok(whole) => to.copy_from_slice(whole),
-        Err(_) => to[..from.len()].copy_from_slice(from),
+/// Sums `[width, TUPLES]` as `[tuples, width]`.
+fn scatter(sums: &[f32], width: usize, out: &mut [f32]) {
+    let (count, whole) = (out.len() / width, width - width % SIDE);
+    for at in (0..whole).step_by(SIDE) {
+        turn_over(std::array::from_fn(|i| &sums[(at + i) * TUPLES..][..count]), &mut out[at..], width);
     }
-}
-
-/// `sums[t, r, l] += sum over rows i of weights[i, r, l] sum over columns j of x[t, i, j] panel[j, l]`; a number of `x` is
-/// where its tuple starts, its row and its column.
-struct Product<'a> {
-    x: &'a [f32],
-    starts: &'a [usize],
-    rows: &'a [usize],
-    columns: &'a [usize],
-    panel: &'a [f32],
-    weights: &'a [f32],
-    rank: usize,
-    padded: usize,
-    sums: &'a mut [f32],
-    /// From the sums of one tuple to those of the next.
-    step: usize,
-}
-
-/// Some of a product's lanes.
-struct Lanes<'a, 'p>(&'a mut Product<'p>, Range<usize>);
-
-impl WithSimd for Lanes<'_, '_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        self.0.lanes(simd, self.1);
-    }
-}
-
-impl Product<'_> {
-    #[inline(always)]
-    fn lanes<S: Simd>(&mut self, simd: S, some: Range<usize>) {
-        let Product { starts, rows, columns, rank, padded, step, .. } = *self;
-        let last = starts.iter().max().zip(rows.iter().max().zip(columns.iter().max()));
-        assert!(last.is_none_or(|(start, (row, column))| start + row + column < self.x.len()));
-        assert!(
-            some.len().is_multiple_of(S::F32_LANES) && some.end <= padded && self.panel.len() >= columns.len() * padded
-        );
-        assert!(self.sums.len() >= starts.len().saturating_sub(1) * step + rank * padded);
-        assert!(self.weights.len() >= rows.len() * rank * padded);
-        let lanes = S::F32_LANES;
-        let wide = if S::REGISTER_COUNT >= 32 { 4 } else { 2 };
-        for lane in some.clone().step_by(wide * lanes) {
-            // SAFETY: all tuples, rows, columns and lanes lie within the slices.
-            unsafe {
-                match (wide, (some.end - lane) / lanes) {
-                    (_, 1) => self.rows::<S, 8, 1>(simd, lane),
-                    (2, _) => self.rows::<S, 6, 2>(simd, lane),
-                    (_, 2) => self.rows::<S, 8, 2>(simd, lane),
-                    (_, 3) => self.rows::<S, 8, 3>(simd, lane),
-                    _ => self.rows::<S, 6, 4>(simd, lane),
-                }
-            }
-        }
-    }
-
-    /// All rows of `V` vectors of lanes, `M` at a time: their numbers of all tuples are neighbours, and stay in the cache.
-    #[inline(always)]
-    unsafe fn rows<S: Simd, const M: usize, const V: usize>(&mut self, simd: S, lane: usize) {
-        let (mut row, count) = (0, self.rows.len());
-        unsafe {
-            while row + M <= count {
-                self.tiles::<S, M, V>(simd, row, lane);
-                row += M;
-            }
-            // At once, as few rows at a time would wait for sums.
-            match count - row {
-                0 => (),
-                1 => self.tiles::<S, 1, V>(simd, row, lane),
-                2 => self.tiles::<S, 2, V>(simd, row, lane),
-                3 => self.tiles::<S, 3, V>(simd, row, lane),
-                4 => self.tiles::<S, 4, V>(simd, row, lane),
-                5 => self.tiles::<S, 5, V>(simd, row, lane),
-                6 => self.tiles::<S, 6, V>(simd, row, lane),
-                _ => self.tiles::<S, 7, V>(simd, row, lane),
-            }
-        }
-    }
-
-    #[inline(always)]
-    unsafe fn tiles<S: Simd, const M: usize, const V: usize>(&mut self, simd: S, row: usize, lane: usize) {
-        for t in 0..self.starts.len() {
-            unsafe { self.tile::<S, M, V>(simd, t, row, lane) };
-        }
-    }
-
-    #[inline(always)]
-    unsafe fn tile<S: Simd, const M: usize, const V: usize>(&mut self, simd: S, t: usize, row: usize, lane: usize) {
-        let read =
-            |from: *const f32, v: usize| unsafe { from.add(v * S::F32_LANES).cast::<S::f32s>().read_unaligned() };
-        let mut products = [[simd.splat_f32s(0.0); V]; M];
-        unsafe {
-            let mut x = [self.x.as_ptr(); M];
-            for (i, x) in x.iter_mut().enumerate() {
-                *x = x.add(self.starts[t] + self.rows[row + i]);
-            }
-            for (j, &column) in self.columns.iter().enumerate() {
-                let panel = self.panel.as_ptr().add(j * self.padded + lane);
-                let values: [S::f32s; V] = std::array::from_fn(|v| read(panel, v));
-                for (products, x) in products.iter_mut().zip(x) {
-                    let weight = simd.splat_f32s(*x.add(column));
-                    for (product, value) in products.iter_mut().zip(values) {
-                        *product = simd.mul_add_e_f32s(weight, value, *product);
-                    }
-                }
-            }
-            for r in 0..self.rank {
-                let sums = self.sums.as_mut_ptr().add(t * self.step + r * self.padded + lane);
-                let mut total: [S::f32s; V] = std::array::from_fn(|v| read(sums, v));
-                for (i, products) in products.iter().enumerate() {
-                    let weights = self.weights.as_ptr().add(((row + i) * self.rank + r) * self.padded + lane);
-                    for (v, (total, &product)) in total.iter_mut().zip(products).enumerate() {
-                        *total = simd.mul_add_e_f32s(read(weights, v), product, *total);
-                    }
-                }
-                for (v, total) in total.into_iter().enumerate() {
-                    sums.add(v * S::F32_LANES).cast::<S::f32s>().write_unaligned(total);
-                }
-            }
-        }
+    for (at, sums) in sums.chunks_exact(TUPLES).enumerate().skip(whole) {
+        out[at..].iter_mut().step_by(width).zip(sums).for_each(|(out, &sum)| *out = sum);
     }
 }
 
@@ -355,6 +235,10 @@ mod tests {
             compare(vec![9, 5, 21, 17], (2, 3));
             compare(vec![23, 10, 4, 19], (1, 0));
             compare(vec![6, 11, 3, 2], (0, 1));
+            // Rows of the last mode summed over last; more rows of mode a than are gathered at a time.
+            compare(vec![5, 7, 21, 17], (3, 2));
+            compare(vec![2, 40, 3, 150], (1, 3));
+            compare(vec![150, 40, 3, 6], (1, 0));
         });
     }
 
