@@ -45,8 +45,8 @@ F32 = NDArray[np.float32]
 #: Most entries of the table of choices of a node, and of one alone in its level.
 TABLE_ENTRIES, LONE_ENTRIES = 60_000, 400_000
 #: How far above an SNR goal a fit may end, in dB, how often a fit is repeated to land there, and how far above many
-#: nodes, whose choices come in small steps, aim.
-OVERSHOOT, ATTEMPTS, MARGIN = 0.25, 16, 0.05
+#: nodes, whose choices come in small steps, aim; where promises too poor and too good are so near each other it ends.
+OVERSHOOT, ATTEMPTS, MARGIN, NARROW = 0.25, 16, 0.05, 0.03
 
 
 @dataclass
@@ -204,6 +204,20 @@ def _starts(tree: Hierarchy, spec: LevelSpec, labels: LabelsOf, run: Run) -> lis
     return [(spec, lambda _, found=found: found) for found in starts]
 
 
+#: SNR in dB that choices promise, and that a fit of them reaches; between the next two lies any other.
+Reached = tuple[float, float]
+_NOTHING, _EVERYTHING = (-inf, -inf), (inf, inf)
+
+
+def _aimed(snr: float, now: Reached, poor: Reached, good: Reached) -> float:
+    """The promise that should reach `snr`: what has just been gained on one is gained again, or what lies between."""
+    gained = now[1] - now[0]
+    aim = snr - gained if isfinite(gained) else snr
+    if poor[0] < aim < good[0] or not (isfinite(poor[1]) and isfinite(good[1])):
+        return aim
+    return poor[0] + (good[0] - poor[0]) * (snr - poor[1]) / (good[1] - poor[1])
+
+
 #: Numbers of the nodes that have something to store, with their choices.
 Found = Sequence[tuple[int, Spectrum]]
 
@@ -233,8 +247,10 @@ class _LastLevel:
         """The fewest bytes that were found to reach `snr`; the search ends where they exceed it by little.
 
         What a fit gains or loses against its choices' promise, the next choice, which is nearby, is taken to gain too.
+        Where that leads out of what lies between a fit too poor and one too good, as with a value transform, it is
+        looked for between those two.
         """
-        aim, best, tried = snr, None, set[bytes]()
+        aim, best, tried, poor, good = snr, None, set[bytes](), _NOTHING, _EVERYTHING
         for _ in range(ATTEMPTS):
             error = max(self.goal.energy * 10 ** (-aim / 10) - self.elsewhere, 0.0)
             chosen = trimmed(self.spectra, allocate(self.spectra, error=error), error)
@@ -248,10 +264,11 @@ class _LastLevel:
             reached = self.goal.snr_now(self.tree)
             if reached >= snr and (best is None or chosen.nbytes < best.nbytes):
                 best = chosen
-            if snr <= reached <= snr + OVERSHOOT:
+            now = self._promised(chosen), reached
+            poor, good = (max(poor, now), good) if reached < snr else (poor, min(good, now))
+            if snr <= reached <= snr + OVERSHOOT or good[0] - poor[0] < NARROW:
                 break
-            gained = reached - self._promised(chosen)
-            aim = snr - (gained if isfinite(gained) else 0.0) + (MARGIN if len(self.spectra) > 1 else 0.0)
+            aim = _aimed(snr, now, poor, good) + (MARGIN if len(self.spectra) > 1 else 0.0)
         last = best or allocate(self.spectra, error=0.0)
         if last.choice.tobytes() != self.fitted:
             self._fit(last)
