@@ -34,7 +34,7 @@ from .hierarchy import (
 from .memberships import start_candidates
 from .memory import check_memory, format_bytes
 from .metrics import snr_db, squared_norm
-from .plan import MOST_RANKS, LevelSpec
+from .plan import HIGHEST_RANK, LevelSpec
 from .predict import MODEL, PROCESS
 from .progress import Told, share_of
 from .streamed import Streamed
@@ -84,8 +84,8 @@ def table_limits(
     limits: list[int | None] = []
     for n, rank in enumerate(spec.ranks):
         rest = int(min(prod(float(size) for m, size in enumerate(sizes) if m != n), 2.0**31))
-        affordable = int(min(nbytes / (2 * (stored or sizes)[n]), MOST_RANKS)) + 1
-        limits.append(None if rank is None else min(rank, sizes[n], rest, MOST_RANKS, affordable))
+        affordable = int(min(nbytes / (2 * (stored or sizes)[n]), HIGHEST_RANK)) + 1
+        limits.append(None if rank is None else min(rank, sizes[n], rest, HIGHEST_RANK, affordable))
     while prod(limit or 1 for limit in limits) > entries:
         longest = max(range(len(limits)), key=lambda n: limits[n] or 0)
         limits[longest] = max(1, (limits[longest] or 1) * 7 // 8)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from .allocation import empty_node_bytes, node_bytes
 from .axes import Axis, Organisation, mode_sizes
 from .filesize import planned_bytes
-from .plan import MOST_RANKS, LevelSpec, Plan
+from .plan import MOST_RANKS, MOST_RANKS_ALONE, LevelSpec, Plan
 from .source import Source
 
 
@@ -44,7 +44,8 @@ def plan_of(source: Source, best: Candidate, snr: float | None, size: int | None
     ones = (1,) * len(sizes)
     grid = tuple((axis.name, count) for axis, count in zip(source.axes, best.grid, strict=True) if count > 1)
     clusters = clusters_of(source.axes, best.grid, best.organisation)
-    most = tuple(None if n in best.undecomposed else min(i, decode_cost, MOST_RANKS) for n, i in enumerate(sizes))
+    highest = MOST_RANKS_ALONE if len(sizes) - len(best.undecomposed) == 1 else MOST_RANKS
+    most = tuple(None if n in best.undecomposed else min(i, decode_cost, highest) for n, i in enumerate(sizes))
     if not grid:
         return Plan(best.organisation, (LevelSpec(most, best.clusters or ones, ones, own=True),), snr, size)
     if not best.carried:

@@ -45,8 +45,8 @@ class Care:
 
 CARES = {
     EFFORTS["fast"]: Care(1 << 15, 3, (1 << 18,), 1, 0, 1 << 20, 0.0, 4, 0),
-    EFFORTS["medium"]: Care(1 << 15, 6, (1 << 17, 1 << 20), 5, 2, 1 << 23, 0.3, 16, 1 << 20),
-    EFFORTS["thorough"]: Care(1 << 16, 12, (1 << 18, 1 << 21), 8, 3, 1 << 23, 1.0, 1000, 1 << 23),
+    EFFORTS["medium"]: Care(1 << 15, 6, (1 << 17, 1 << 20), 5, 4, 1 << 23, 0.3, 16, 1 << 20),
+    EFFORTS["thorough"]: Care(1 << 16, 12, (1 << 18, 1 << 21), 8, 6, 1 << 23, 1.0, 1000, 1 << 23),
 }
 
 Ranked = list[tuple[float, Candidate]]
@@ -145,14 +145,16 @@ class Search:
         self.trial = replace(self.goal, size=size)
 
     def matrices(self) -> list[Organisation]:
-        """The best organisations in two modes, those of matrix PCA, by the survey."""
-        found = {
-            modes: max(worth for worth, _ in ranked)
-            for (modes, grid, _, size), ranked in self.seen.items()
-            if len(modes) == 2 and set(grid) == {1} and ranked and size == self.trial.size
-        }
-        likely = [modes for modes in found if found[modes] > max(found.values()) - FAR]
-        return sorted(likely, key=lambda modes: -found[modes])[: self.care.matrices]
+        """The best organisations in two modes, those of matrix PCA, by a small sample.
+
+        That tells too little of all of them, but as much too little of each.
+        """
+        every = list(dict.fromkeys(modes for modes, *_ in self.seen if len(modes) == 2))
+        if not self.care.matrices:
+            return []
+        whole = (1,) * len(self.trial.source.shape)
+        judged = self.best([(modes, whole) for modes in every], self.care.compare[0])
+        return [each.organisation for _, each in sorted(judged, key=worth_of, reverse=True)[: self.care.matrices]]
 
 
 def worth_of(item: tuple[float, Candidate]) -> float:

@@ -24,8 +24,8 @@ OPTIMAL_SUBSETS = 64
 HIGHEST_RANK = 1024
 #: What no reader takes without being told to: levels, nodes, and multiply-adds for one element of a level.
 MOST_LEVELS, MOST_NODES, MOST_LEVEL_COST = 16, 1_000_000, 2**20
-#: Most ranks of a mode that a level with ranks of its own (R<=..) is given.
-MOST_RANKS = 160
+#: Most ranks of a mode that a chosen plan may have: of one that is decomposed alone, and of several.
+MOST_RANKS_ALONE, MOST_RANKS = 640, 160
 
 #: Most ways to cut a node (cut<=..), each of which is tried on it.
 MOST_WAYS = 64
@@ -156,8 +156,8 @@ class LevelSpec:
         return prod(r * k for r, k in zip(self.ranks, self.mixture, strict=True) if r is not None)
 
     def clamped(self, sizes: Sequence[int]) -> LevelSpec:
-        """The spec for a node of these sizes: C <= I, K <= C, R <= I, and R of its own up to `MOST_RANKS`."""
-        most = MOST_RANKS if self.own else max(1, *sizes)
+        """The spec for a node of these sizes: C <= I, K <= C, R <= I, and R of its own what a file may have."""
+        most = HIGHEST_RANK if self.own else max(1, *sizes)
         clusters = tuple(min(c, max(i, 1)) for c, i in zip(self.clusters, sizes, strict=True))
         return LevelSpec(
             tuple(None if r is None else min(r, most, max(i, 1)) for r, i in zip(self.ranks, sizes, strict=True)),

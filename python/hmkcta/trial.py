@@ -20,7 +20,7 @@ from .detail import Detail, detail_of
 from .filesize import planned_bytes
 from .growth import Growth, growth_of
 from .metrics import snr_db
-from .plan import MOST_RANKS
+from .plan import MOST_RANKS_ALONE
 from .source import Source
 from .spectra import captured, cores, energies, ladders
 
@@ -38,7 +38,7 @@ LONGEST_UNDECOMPOSED, NEARLY_FULL = 128, 0.2
 #: Of modes that are better left undecomposed, so many are tried in pairs.
 TOGETHER = 3
 #: Highest rank looked at, of matrices and of tensors.
-HIGHEST = (MOST_RANKS, 64)
+HIGHEST = (MOST_RANKS_ALONE, 64)
 #: What float16 leaves, as a share of the energy, at the most; errors below it are not told apart, unless a goal asks.
 VERBATIM = 1e-7
 #: What float32 can tell.

@@ -268,7 +268,7 @@ def _settled(
     whole = (1,) * len(shape)
     again = [(c.organisation, c.grid) for c in finalists]
     again += [(search.plain, grid) for grid in few_grids(shape)[:2] if search.near(search.plain, LAGGING)]
-    again += [(modes, whole) for modes in search.matrices() if search.near(modes, NEVER)]
+    again += [(modes, whole) for modes in search.matrices()]
     again = list(dict.fromkeys(again))
     told = share_of(partial(progress, "finer choice of blocks"), 0, 3)
     judged = search.best(again, search.care.refine, told)
