@@ -30,7 +30,7 @@ LAYERS = (
     ("disjoint",),
     ("hierarchy",),
     ("pack", "allocation", "blocks", "filesize", "finer", "model", "verbatim"),
-    ("adaptive", "candidates", "measure"),
+    ("adaptive", "alternatives", "candidates", "measure"),
     ("trial", "measure_streamed"),
     ("judging",),
     ("clustered",),

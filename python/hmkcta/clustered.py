@@ -35,7 +35,7 @@ SAMPLE = (1 << 20, 1 << 21)
 #: In dB, or octaves of bytes. Clusters must bring so much more, as they are told from a sample of rows, to matrices
 #: that lie no more than so much behind; judged so near each other, what has clusters and what has none are rivals. No
 #: more numbers of them are looked at where one cluster and what was looked at fall so much short.
-SURELY, SURPASSED, CLOSE, LACKING = 0.1, 6.0, 0.5, 3.0
+SURELY, SURPASSED, CLOSE, LACKING = 0.1, 12.0, 1.5, 8.0
 #: Rows of the sample that a cluster has at the least, on average.
 FEWEST_ROWS = 24
 #: How rows are normalised before k-means.

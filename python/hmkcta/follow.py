@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import prod
 
 import numpy as np
 
 from .adaptive import Goal, fit_to_goal
+from .alternatives import alternatives
 from .axes import mode_sizes
 from .errors import HmkctaError, invalid
 from .filesize import metadata_of, undecomposed_in
-from .finer import finer, is_coarse
+from .finer import LARGE, finer, is_coarse
 from .fit import EFFORTS
 from .hierarchy import (
     Hierarchy,
@@ -99,6 +100,9 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
     """
     rivals = _further(task, others if task.plan.size is not None else ())
     task, model = max([(task, follow(task)), *rivals], key=lambda each: each[1].snr)
+    if _is_worth(task):
+        near = alternatives(task.plan, task.source.organisation(None), model.snr, model.nbytes)
+        task, model = _best([(task, model), *_further(task, near)])
     best = model
     if is_coarse(task.plan, model.snr, model.nbytes):
         return _nearer(task, model, others)
@@ -112,6 +116,21 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
         model = follow(replace(task, plan=plan))
         best = max(best, model, key=lambda each: each.snr)
     return best if task.plan.snr is None else _unless_verbatim(task, best, others)
+
+
+def _is_worth(task: Task) -> bool:
+    """Whether other plans like it are fitted as well: where that takes seconds, unless it should be fast."""
+    elements = prod(task.source.shape)
+    sizes = mode_sizes(task.source.axes, task.plan.organisation)
+    held = not is_streamed(elements, memory_limit(task.plan, sizes, task.memory))
+    return held and elements <= LARGE and task.run.effort.candidates > EFFORTS["fast"].candidates
+
+
+def _best(followed: Sequence[tuple[Task, Model]]) -> tuple[Task, Model]:
+    """For a size the model of the highest SNR; for an SNR the smallest that reaches it, or the first if none does."""
+    if (snr := followed[0][0].plan.snr) is None:
+        return max(followed, key=lambda each: each[1].snr)
+    return min((each for each in followed if each[1].snr >= snr), key=lambda each: each[1].nbytes, default=followed[0])
 
 
 def _unless_verbatim(task: Task, best: Model, others: Sequence[Plan]) -> Model:
@@ -134,14 +153,10 @@ def _nearer(task: Task, model: Model, others: Sequence[Plan]) -> Model:
     """The best of a model beyond its goal and those of plans that may come nearer to it."""
     own = finer(task.plan, task.source.axes)
     plans = ([] if own is None else [own]) + list(others[: 1 if task.plan.snr is not None else 0])
-    models = [model, *(each for _, each in _further(task, plans))]
-    snr = task.plan.snr
-    if snr is None:
-        return max(models, key=lambda each: each.snr)
-    return min((each for each in models if each.snr >= snr), key=lambda each: each.nbytes)
+    return _best([(task, model), *_further(task, plans)])[1]
 
 
-def _further(task: Task, plans: Sequence[Plan]) -> Iterator[tuple[Task, Model]]:
+def _further(task: Task, plans: Iterable[Plan]) -> Iterator[tuple[Task, Model]]:
     """Models of further plans, except those whose least file is larger than the goal: there is one already."""
     for plan in plans:
         further = replace(task, plan=plan)

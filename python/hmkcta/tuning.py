@@ -52,6 +52,8 @@ LATE, BEHIND = 0.3, 0.05
 FEWEST_BLOCKS, MOST_CUTS = 4, 8
 #: A start of another kind may lie so many times as far behind.
 OTHER = 2.5
+#: The values as float16, if they fit, are a rival for a size of what comes so near their SNR in dB, or beyond it.
+ROUNDED = 12.0
 #: Further plans for an SNR; where all are short of it by so many dB, the bytes to judge by are found anew.
 SPARE, SHORT = 2, 0.5
 
@@ -100,7 +102,9 @@ def tune(
     verbatim = trial.verbatim(plain)
     if verbatim[0] > worth:
         best = verbatim[1]
-    spare = search.rivals if snr is None else [*search.rivals, *_spare(search, best), verbatim[1]]
+    spare = [*search.rivals, *(_spare(search, best) if snr is not None else ())]
+    if snr is not None or worth > verbatim[0] - ROUNDED > 0:
+        spare.append(verbatim[1])
     further = [] if best == verbatim[1] else spare
     return [plan_of(source, each, snr, size, decode_cost) for each in (best, *further)]
 

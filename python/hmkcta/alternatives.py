@@ -1,0 +1,55 @@
+"""Plans like one that was followed, which only a fit can tell from it: some are better, no sample says for which data.
+
+Blocks of a grid are neighbours; clusters of the data, as many, need not be. What float16 leaves of a large mean is more
+than the rest is worth, unless a level of rank one takes the mean away first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+from .axes import Organisation
+from .finer import is_coarse
+from .plan import MOST_RANKS, LevelSpec, Plan
+
+#: From this SNR in dB on, float16's own error is no longer small beside what a level leaves.
+ROUNDED = 55.0
+
+
+def alternatives(plan: Plan, plain: Organisation, snr: float, nbytes: int) -> Iterator[Plan]:
+    """Plans for the same goal to compare a model with, of which `snr` dB and `nbytes` came; `plain` merges no axes.
+
+    >>> from hmkcta import parse_plan
+    >>> plain = (("y",), ("x",))
+    >>> [str(each) for each in alternatives(parse_plan("R=1,1 grid=x:3 / R<=8,8", plain), plain, 40.0, 1000)]
+    ['R=1,1 C=1,3 K=1 / R<=8,8']
+    >>> [str(each) for each in alternatives(parse_plan("R<=8,*", plain), plain, 66.0, 1000)]
+    ['R=1,* / R<=8,*', 'R=1,1 / R<=160,160']
+    """
+    first, *others = plan.levels
+    if len(others) == 1 and others[0].own and first.grid and first.cells > 1:
+        yield replace(plan, levels=(_of_data(first, first.clusters), *others))
+    if others or not first.own or all(rank is None for rank in first.ranks):
+        return
+    if snr > ROUNDED:
+        below = first if first.grid else replace(first, clusters=(1,) * first.order)
+        yield replace(plan, levels=(_of_rank_one(first), below))
+        ones = (1,) * len(plain)
+        whole = LevelSpec((MOST_RANKS,) * len(plain), ones, ones, first.scheme, own=True)
+        yield replace(plan, organisation=plain, levels=(_of_rank_one(whole), whole))
+    if first.cells == 1 and not first.grid and is_coarse(plan, snr, nbytes):
+        for n in (n for n, rank in enumerate(first.ranks) if rank is not None):
+            halves = tuple(2 if m == n else 1 for m in range(first.order))
+            yield replace(plan, levels=(_of_data(first, halves),))
+
+
+def _of_data(level: LevelSpec, clusters: tuple[int, ...]) -> LevelSpec:
+    """The level with clusters of the data, each row in one, in the place of blocks."""
+    return replace(level, clusters=clusters, mixture=(1,) * level.order, grid=(), fewest=(), cuts=())
+
+
+def _of_rank_one(level: LevelSpec) -> LevelSpec:
+    """A level of one cell that has rank one wherever this one has ranks."""
+    ones = (1,) * level.order
+    return LevelSpec(tuple(None if rank is None else 1 for rank in level.ranks), ones, ones, level.scheme)
