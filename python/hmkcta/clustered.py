@@ -48,7 +48,7 @@ def with_clusters(search: Search, found: tuple[float, Candidate]) -> tuple[float
     The next best is a rival where it is near. Of all matrices the best are looked at, if not too long for it: what
     parts their clusters, no axis brings together.
     """
-    source, worth = search.goal.source, dict[Organisation, float]()
+    source, worth = search.goal.source, dict.fromkeys(search.matrices(), 0.0)
     for (modes, _, _, size), ranked in search.seen.items():
         if len(modes) == 2 and size == search.goal.size and min(mode_sizes(source.axes, modes)) <= MOST_COLUMNS:
             worth[modes] = max([worth.get(modes, 0.0), *map(worth_of, ranked)])

@@ -1,0 +1,88 @@
+"""What a fit alone can tell: a mean taken away first, ranks under a value transform, matrices with clusters."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from hmkcta import compress
+
+
+def temperatures(mean: float) -> NDArray[np.float64]:
+    """A field `[24, 28, 32]` of some ten kelvin about its mean, with noise that float16 could not tell from it."""
+    t, y, x = np.mgrid[:24, :28, :32] / 16
+    noise = np.random.default_rng(0).standard_normal(t.shape)
+    return mean + 8 * np.sin(t) + 5 * np.cos(y + x * t) + 0.1 * noise
+
+
+def test_a_large_mean_does_not_use_up_what_float16_can_tell() -> None:
+    assert compress(temperatures(288), size=20_000, threads=1).snr > 70
+    assert compress(temperatures(1e4), size=20_000, threads=1).snr > 98
+
+
+def test_an_snr_near_what_float16_leaves_takes_few_bytes_beside_a_large_mean() -> None:
+    model = compress(temperatures(288), snr=68.0, threads=1)
+    assert 68 <= model.snr and model.nbytes < 12_000
+
+
+def test_a_larger_size_is_not_worse_where_float16_rounds() -> None:
+    small, large = (compress(temperatures(1e4), size=size, threads=1) for size in (20_000, 40_000))
+    assert large.snr > small.snr
+
+
+def test_noise_at_a_size_that_holds_it_is_kept_as_it_is() -> None:
+    noise = np.random.default_rng(1).standard_normal((20, 25, 30)).astype(np.float32)
+    model = compress(noise, size=40_000, threads=1)
+    assert model.snr > 73 and model.nbytes < 2 * noise.size + 3000
+
+
+def test_an_snr_under_a_transform_is_looked_for_between_fits_on_both_sides() -> None:
+    """The error of the source's values falls twice as fast as that of their logarithms."""
+    z, y, x = np.mgrid[:24, :28, :32] / 16
+    noise = np.random.default_rng(0).standard_normal(z.shape)
+    density = np.exp(3 * np.sin(3 * z + 2 * y) * np.cos(4 * x - y) + 1.5 * np.cos(5 * y * x) + 0.5 * noise)
+    model = compress(density, snr=18.0, transform="log1p:1", threads=1)
+    assert 18 <= model.snr < 19 and model.nbytes < 31_000
+
+
+def glossy(lights: int, views: int, height: int, width: int) -> NDArray[np.float32]:
+    """Narrow highlights on a bumpy surface `[light, view, y, x, rgb]`: all lights and views together tell texels."""
+    directions = [hemisphere(lights, 1), hemisphere(views, 2)]
+    half = directions[0][:, None] + directions[1][None]
+    half /= np.linalg.norm(half, axis=-1, keepdims=True)
+    slopes = 0.5 * np.random.default_rng(7).standard_normal((height, width, 2))
+    normals = np.concatenate([slopes, np.ones((height, width, 1))], axis=-1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    lit = np.clip(np.einsum("lk,yxk->lyx", directions[0], normals), 0, None)[:, None]
+    shine = np.clip(np.einsum("lvk,yxk->lvyx", half, normals), 0, None) ** 60 + 0.05 * lit
+    colour = np.random.default_rng(1).random((height, width, 3))
+    return (0.6 * shine[..., None] + 0.1 * colour * np.clip(shine, 0.02, 1)[..., None] ** 0.1).astype(np.float32)
+
+
+def hemisphere(count: int, seed: int) -> NDArray[np.float64]:
+    rng = np.random.default_rng(seed)
+    height, angle = np.sqrt(1 - 0.93 * rng.random(count)), 2 * np.pi * rng.random(count)
+    across = np.sqrt(1 - height**2)
+    return np.stack([across * np.cos(angle), across * np.sin(angle), height], axis=1)
+
+
+@pytest.mark.parametrize(
+    ("shape", "size", "snr"), [((16, 14, 28, 24), 225_792, 41.0), ((12, 10, 24, 20), 34_560, 16.0)]
+)
+def test_matrices_with_clusters_are_found_far_behind(shape: tuple[int, int, int, int], size: int, snr: float) -> None:
+    """Thinned samples tell too little of matrices, and matrices without clusters too little of those with them."""
+    model = compress(glossy(*shape), axes=["light", "view", "y", "x", "rgb"], size=size, threads=1)
+    assert model.snr > snr and model.nbytes <= size
+
+
+def test_an_snr_is_reached_by_a_matrix_with_clusters() -> None:
+    model = compress(glossy(12, 10, 24, 20), axes=["light", "view", "y", "x", "rgb"], snr=16.0, threads=1)
+    assert model.snr >= 16 and model.nbytes < 36_000
+
+
+def test_ranks_that_are_written_are_not_cut_short() -> None:
+    rng = np.random.default_rng(3)
+    flat = (rng.standard_normal((300, 260)) @ rng.standard_normal((260, 400))).astype(np.float32)
+    model = compress(flat, "R<=300,*", snr=20.0, threads=1)
+    assert model.snr >= 20 and model.bounds[0].ranks[0] > 160
