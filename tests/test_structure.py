@@ -31,6 +31,7 @@ LAYERS = (
     ("hierarchy",),
     ("pack", "allocation", "blocks", "filesize", "finer", "model", "verbatim"),
     ("adaptive", "alternatives", "candidates", "measure"),
+    ("caps",),
     ("trial", "measure_streamed"),
     ("judging",),
     ("clustered",),

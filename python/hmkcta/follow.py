@@ -113,8 +113,7 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
         if task.plan.snr is None or best.snr >= task.plan.snr:
             break
         missed(f"a plan chosen for {task.plan.snr:g} dB came to {model.snr:.2f}: another is tried, {plan}")
-        model = follow(replace(task, plan=plan))
-        best = max(best, model, key=lambda each: each.snr)
+        best = max([best, *(model for _, model in _further(task, [plan]))], key=lambda each: each.snr)
     return best if task.plan.snr is None else _unless_verbatim(task, best, others)
 
 
@@ -137,8 +136,7 @@ def _unless_verbatim(task: Task, best: Model, others: Sequence[Plan]) -> Model:
     """The model for an SNR, or the values as float16 if that takes fewer bytes and does as well."""
     if best.nbytes <= 2 * prod(task.source.shape) or _is_verbatim(best.plan):
         return best
-    for plan in filter(_is_verbatim, others):
-        model = follow(replace(task, plan=plan))
+    for _, model in _further(task, list(filter(_is_verbatim, others))):
         if model.nbytes < best.nbytes and model.snr >= min(best.snr, task.plan.snr or best.snr):
             return model
     return best
@@ -157,13 +155,16 @@ def _nearer(task: Task, model: Model, others: Sequence[Plan]) -> Model:
 
 
 def _further(task: Task, plans: Iterable[Plan]) -> Iterator[tuple[Task, Model]]:
-    """Models of further plans, except those whose least file is larger than the goal: there is one already."""
+    """Models of further plans, except those that cannot be followed: there is a model already.
+
+    The least file of such a plan is larger than the goal, or memory does not do.
+    """
     for plan in plans:
         further = replace(task, plan=plan)
         try:
             model = follow(further)
         except HmkctaError as error:
-            if error.reason != "size-too-small":
+            if error.reason not in ("size-too-small", "memory"):
                 raise
             continue
         yield further, model

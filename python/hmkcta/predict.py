@@ -30,7 +30,7 @@ def memory_limit(plan: Plan, sizes: Sequence[int], memory: int | None) -> int:
         HmkctaError: the memory given is less than even a streamed fit takes.
     """
     check_least_memory(prod(sizes), memory)
-    limit = max(1, min(WORKSET, (memory_budget(memory) - PROCESS) // WORKING))
+    limit = workset_limit(memory)
     number, first = next(((n, level) for n, level in enumerate(plan.levels) if level.cells > 1), (0, plan.levels[0]))
     if prod(sizes) <= limit or _jointly(first, sizes, memory):
         return limit
@@ -38,6 +38,11 @@ def memory_limit(plan: Plan, sizes: Sequence[int], memory: int | None) -> int:
     what = f"level {number + 1} ({first}), {first.cells} cells"
     check_memory(PROCESS + FLAT * prod(sizes), what, "raise --max-memory, or fewer clusters, more levels", memory)
     return prod(sizes)
+
+
+def workset_limit(memory: int | None) -> int:
+    """How many elements of a tensor that is fitted on worksets are worked on at once."""
+    return max(1, min(WORKSET, (memory_budget(memory) - PROCESS) // WORKING))
 
 
 def _jointly(level: LevelSpec, sizes: Sequence[int], memory: int | None) -> bool:

@@ -16,13 +16,14 @@ from .allocation import Choices, best_of_one, choices_of, pareto, plausible, rat
 from .axes import Axis, Organisation, mode_sizes
 from .blocks import Blocks, finer, halved, organised, sampled_blocks, split
 from .candidates import Candidate, bytes_beside, clusters_of, plan_of
+from .caps import Ranks, Room, capped
 from .detail import Detail, detail_of
 from .filesize import planned_bytes
 from .growth import Growth, growth_of
 from .metrics import snr_db
 from .plan import MOST_RANKS_ALONE
 from .source import Source
-from .spectra import captured, cores, energies, ladders
+from .spectra import Ladder, captured, cores, energies, ladders
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -97,7 +98,8 @@ class Trial:
 
     Bytes are not spent beyond a `ceiling` in dB of the transformed values, which is how an SNR is a goal: what reaches
     it is worth the more, the fewer bytes it takes, an octave as much as a dB. `values` are the source's, if held,
-    `detail` and `energy` its own, `room` the most elements of a sample.
+    `detail` and `energy` its own, `room` the most elements of a sample, `memory` what the fit may take, if that sets
+    bounds.
     """
 
     source: Source
@@ -109,6 +111,7 @@ class Trial:
     detail: Detail
     energy: float
     room: float = inf
+    memory: Room | None = None
 
     @property
     def floor(self) -> float:
@@ -154,6 +157,8 @@ class Trial:
         nbytes = planned_bytes(plan_of(self.source, candidate, None, None, 1), self.source, seed=self.seed)
         if nbytes > self.size:
             return -OUT_OF_REACH - log2(nbytes), candidate
+        if self._caps(candidate) is None or (self.memory is not None and not self.memory.holds(nbytes)):
+            return _too_large(self.source.shape), candidate
         reached = -10 * log10(VERBATIM)
         if self.ceiling is None or reached <= self.ceiling:
             return reached, candidate
@@ -167,12 +172,15 @@ class Trial:
         organisation = candidate.organisation
         blocks = finer(self._blocks(around, sample), around, candidate.grid)
         cut = self._cut_of(organisation, candidate.grid, blocks)
+        caps = self._caps(candidate)
+        if caps is None:
+            return _too_large(cut.edges)
         flags = tuple(n in candidate.undecomposed for n in range(len(cut.sizes)))
         found: list[tuple[F64, F64]] = []
         for way in product(*map(_divisors, candidate.cuts)):
             key = (organisation, candidate.grid, flags, way, sample, around)
             if key not in self._ways:
-                self._ways[key] = self._way(cut, flags, way)
+                self._ways[key] = self._way(cut, flags, caps, way)
             found.append(self._ways[key])
         errors = np.concatenate([left for left, _ in found], axis=1)
         nbytes = np.concatenate([own for _, own in found])
@@ -181,18 +189,16 @@ class Trial:
         least = float(nbytes.min() * cut.blocks.weights.sum())
         return self._worth(path, cut, cut.blocks.overlap, candidate, least)[0]
 
-    def _way(self, cut: _Cut, flags: tuple[bool, ...], way: Sequence[int]) -> tuple[F64, F64]:
+    def _way(self, cut: _Cut, flags: tuple[bool, ...], caps: Ranks, way: Sequence[int]) -> tuple[F64, F64]:
         """Error that each block is left with and bytes, at every choice of ranks, if all are cut in the same way."""
         axes, clusters = self.source.axes, clusters_of(self.source.axes, way, cut.organisation)
         parts = organised(split(cut.blocks.values, way), axes, cut.organisation)
         edges = tuple(-(-edge // count) for edge, count in zip(cut.edges, clusters, strict=True))
         limits = self._limits(parts.shape[1:], edges)
-        ladder = tuple(ladders([1 if flag else limit for flag, limit in zip(flags, limits, strict=True)], len(parts)))
         chosen = [None if flag else limit for flag, limit in zip(flags, limits, strict=True)]
-        steps = [None if flag else own for flag, own in zip(flags, ladder, strict=True)]
         core = cores(parts, chosen, self._precision)
-        energy, table, growth = energies(parts), captured(core, steps), cut.growth_of(parts, core, way, edges)
-        meant = ladder if growth is None else growth.unthinned(ladder)
+        steps, meant = _steps(chosen, caps, len(parts), cut.growth_of(parts, core, way, edges))
+        energy, table = energies(parts), captured(core, steps)
         choices = choices_of(meant, cut.edges, flags, max(1, self.decode_cost - 1), clusters)
         together = (len(cut.batch), prod(way), -1)
         whole, tables = energy.reshape(together).sum(axis=(1, 2)), table.reshape(together).sum(axis=1)
@@ -240,12 +246,13 @@ class Trial:
         """Candidates that leave the chosen modes undecomposed, and the ranks of the one without blocks."""
         order = len(cut.sizes)
         flags = tuple(n in choice for n in range(order))
-        most = [1 if flag else limit for flag, limit in zip(flags, cut.limits, strict=True)]
-        kept = tuple(ladders(most, len(cut.batch)))
-        steps = [None if flag else own for flag, own in zip(flags, kept, strict=True)]
-        table = captured(self._core(cut, flags), steps).reshape(len(cut.batch), -1)
         one = Candidate(cut.organisation, cut.grid, choice, carried=False)
-        meant = kept if cut.growth is None else cut.growth.unthinned(kept)
+        caps = self._caps(one)
+        if caps is None:
+            return [(_too_large(cut.edges), one)], [1] * order
+        limits = [None if flag else limit for flag, limit in zip(flags, cut.limits, strict=True)]
+        steps, meant = _steps(limits, caps, len(cut.batch), cut.growth)
+        table = captured(self._core(cut, flags), steps).reshape(len(cut.batch), -1)
         whole = choices_of(meant, cut.sizes, flags, self.decode_cost, cut.clusters)
         weights, nbytes = cut.blocks.weights, whole.nbytes
         left = _left((weights @ cut.energy)[None], (weights @ table)[None], whole, self.floor)[0]
@@ -261,6 +268,15 @@ class Trial:
             least = float(nodes.nbytes[0] * weights.sum())
             found.append((self._worth(path, cut, cut.blocks.overlap, many, least)[0], many))
         return found, [int(rank) for rank in ranks]
+
+    def _caps(self, candidate: Candidate) -> Ranks | None:
+        """Ranks up to which memory lets the candidate be fitted, None for modes without a bound; None: it cannot be."""
+        free = (None,) * len(candidate.organisation)
+        if self.memory is None:
+            return free
+        plan = plan_of(self.source, candidate, None, None, self.decode_cost)
+        held = capped(plan, mode_sizes(self.source.axes, candidate.organisation), self.memory)
+        return free if held is plan else None if held is None else held.levels[-1].ranks
 
     def _core(self, cut: _Cut, flags: Sequence[bool]) -> F32:
         """Cores with all energy along the modes left undecomposed."""
@@ -339,6 +355,23 @@ def _left(energy: F64, table: F64, choices: Choices, floor: float) -> F64:
     """Squared error of each block by each choice, `[B, choices]`, the first of which is to store nothing."""
     whole = energy[:, None]
     return np.concatenate([whole, np.maximum(whole - table[:, choices.entry], floor * whole)], axis=1)
+
+
+def _steps(
+    limits: Sequence[int | None], caps: Ranks, blocks: int, growth: Growth | None
+) -> tuple[list[Ladder | None], tuple[Ladder, ...]]:
+    """Ranks to look at of each mode, None if undecomposed, and which they are of whole blocks: none beyond the caps."""
+    most = [min(limit or 1, cap or limit or 1) for limit, cap in zip(limits, caps, strict=True)]
+    kept = tuple(ladders(most, blocks))
+    meant = kept if growth is None else growth.unthinned(kept)
+    counts = [max(1, sum(cap is None or r <= cap for r in own)) for own, cap in zip(meant, caps, strict=True)]
+    steps = [None if limit is None else own[:n] for limit, own, n in zip(limits, kept, counts, strict=True)]
+    return steps, tuple(own[:n] for own, n in zip(meant, counts, strict=True))
+
+
+def _too_large(sizes: Sequence[int]) -> float:
+    """Worth of what memory does not hold: worse than what bytes do not suffice for, the worse the larger the blocks."""
+    return -2 * OUT_OF_REACH - log2(prod(sizes))
 
 
 def _divisors(most: int) -> list[int]:

@@ -15,8 +15,9 @@ from itertools import product
 from math import inf, prod
 
 from . import blocks
-from .axes import Organisation
+from .axes import Organisation, mode_sizes
 from .candidates import Candidate, plan_of
+from .caps import Room, capped, check_room, room_of
 from .clustered import with_clusters
 from .errors import invalid
 from .filesize import planned_bytes
@@ -24,10 +25,9 @@ from .fit import EFFORTS
 from .grids import SMALLEST_EDGE, allowed, changed, few_grids
 from .hierarchy import Run
 from .judging import CARES, Choice, Ranked, Search, worth_of
-from .memory import memory_budget
 from .organisations import merges, organisations
 from .plan import Plan
-from .predict import PROCESS, WORKING, is_streamed, sampled_together
+from .predict import is_streamed, sampled_together, workset_limit
 from .progress import Progress, share_of
 from .source import Source
 from .trial import OUT_OF_REACH, Kinds, trial_of
@@ -78,12 +78,13 @@ def tune(
         HmkctaError: the size is too small for the array, or `memory` bytes (None: half of what is free) for a search.
     """
     elements = prod(source.shape)
-    together = sampled_together(elements, memory)
+    together, room = sampled_together(elements, memory), room_of(elements, memory)
+    check_room(source, organisation, room)
     plain = next(organisations(source.axes)) if organisation is None else organisation
     trial = trial_of(source, size, ceiling if snr is None else snr, decode_cost, run.seed)
-    trial = replace(trial, room=2 * together)
+    trial = replace(trial, room=2 * together, memory=room)
     care = CARES.get(run.effort, CARES[EFFORTS["medium"]])
-    held = not is_streamed(elements, (memory_budget(memory) - PROCESS) // WORKING)
+    held = not is_streamed(elements, workset_limit(memory))
     search = Search(trial, trial, plain, run.threads, care, together, max(0, care.matrices - 1) if held else 0)
     if sum(length > 1 for length in source.shape) < 2:  # a vector has nothing to cut or to merge
         worth, best = search.best([(plain, (1,) * len(source.shape))], search.care.refine)[0]
@@ -106,7 +107,14 @@ def tune(
     if snr is not None or worth > verbatim[0] - ROUNDED > 0:
         spare.append(verbatim[1])
     further = [] if best == verbatim[1] else spare
-    return [plan_of(source, each, snr, size, decode_cost) for each in (best, *further)]
+    plans = [plan_of(source, each, snr, size, decode_cost) for each in (best, *further)]
+    return _held(plans, source, room_of(elements, memory))  # anew, as what is free varies
+
+
+def _held(plans: Sequence[Plan], source: Source, room: Room | None) -> list[Plan]:
+    """The plans with caps that memory has room for; those that it has none for are left out."""
+    capped_plans = (capped(plan, mode_sizes(source.axes, plan.organisation), room) for plan in plans)
+    return [plan for plan in capped_plans if plan is not None] or [plans[0]]
 
 
 def _found(search: Search, fixed: bool, progress: Progress, *, narrow: bool) -> tuple[float, Candidate]:

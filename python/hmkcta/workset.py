@@ -61,8 +61,7 @@ def thinning(sizes: Sequence[int], spec: LevelSpec, limit: int) -> list[int]:
         return sizes[n] / steps[n]
 
     def further(n: int) -> int:
-        # An undecomposed mode is all that is seen of the axes merged in it: of colours, and of those of even length.
-        return next(step for step in count(steps[n] + 1) if spec.ranks[n] is not None or gcd(step, 6) == 1)
+        return next_step(steps[n], undecomposed=spec.ranks[n] is None)
 
     def thinnable(n: int) -> bool:
         return sizes[n] / further(n) >= FEWEST * max(spec.clusters[n], spec.ranks[n] or most)
@@ -75,6 +74,14 @@ def thinning(sizes: Sequence[int], spec: LevelSpec, limit: int) -> list[int]:
         longest_left = max(choice, key=left)
         steps[longest_left] = further(longest_left)
     return steps
+
+
+def next_step(step: int, *, undecomposed: bool) -> int:
+    """The next larger step that a mode may be thinned by.
+
+    An undecomposed mode is all that is seen of the axes merged in it: of colours, and of those of even length.
+    """
+    return next(more for more in count(step + 1) if not undecomposed or gcd(more, 6) == 1)
 
 
 def workset(sizes: Sequence[int], level: LevelSpec, limit: int) -> int:
