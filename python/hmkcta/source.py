@@ -24,6 +24,7 @@ from .axes import (
     parse_organisation,
     separate,
 )
+from .conventions import meant
 from .errors import invalid, shown
 from .memory import drop_pages, looked_at
 from .slabs import slabs
@@ -159,7 +160,7 @@ def described(array: Any, axes: Sequence[Axis | str] | None = None, transform: s
     """
     axes = axes if axes is not None else _dimensions(array)
     try:
-        array = cast(NDArray[Any], np.asanyarray(array))
+        array = cast(NDArray[Any], np.asanyarray(meant(array)))
     except ValueError:  # nested lists of different lengths
         raise invalid("array-shape", "array", shown(array), "as many numbers in each of its lists") from None
     if array.dtype.kind not in "bfiu":
