@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import os
 import pickle
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,7 +16,9 @@ from numpy.typing import NDArray
 
 import hmkcta
 from hmkcta import Axis, HmkctaError, Journal, LevelSpec, Plan, compress, parse_plan
+from hmkcta import backends as kernels
 from hmkcta import plan as plan_module
+from hmkcta.executors import thread_count
 from hmkcta.hmkfile import DEFAULT_LIMITS
 from hmkcta.plan import check_plan
 from hmkcta.render import Camera, Light, Scene, render
@@ -310,3 +313,16 @@ def test_errors_go_from_process_to_process(call: Callable[[], object]) -> None:
     error = raised(call)
     for same in (pickle.loads(pickle.dumps(error)), copy.copy(error)):
         assert (type(same), str(same), vars(same)) == (type(error), str(error), vars(error))
+
+
+def test_no_more_threads_are_started_than_there_are_cores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1}, raising=False)  # pyright: ignore[reportUnknownLambdaType]
+    begun: list[int] = []
+    monkeypatch.setattr(kernels, "set_threads", begun.append)
+    files: set[bytes] = set()
+    for threads in (1, 100_000):
+        compress(WAVE, "R=2", threads=threads).save(tmp_path / f"{threads}.hmk")
+        files.add((tmp_path / f"{threads}.hmk").read_bytes())
+    assert len(files) == 1
+    assert thread_count(100_000) == thread_count() == 2
+    assert max(begun) <= 2

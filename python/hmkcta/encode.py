@@ -16,6 +16,7 @@ from . import backends as kernels
 from .axes import Axis, check_kind, check_organisation, format_organisation, mode_sizes
 from .backends import Device
 from .errors import GoalMissed, expect, invalid
+from .executors import thread_count
 from .finer import SMALL, finer
 from .fit import EFFORTS
 from .follow import Task, follow, follow_any
@@ -120,7 +121,7 @@ def compress(
         kind: ``svbrdf``, ``lightfield``, ``volume`` or ``generic``, whose roles the axes must have; None: what their
             roles make.
         seed: the same seed makes the same file.
-        threads: how many; None: all cores.
+        threads: how many at most; None, and any number beyond them: all cores.
         max_memory: bytes to work in; None: half of what is free. A tensor too large for it is streamed, by way of
             scratch files in the folder for temporary files (``TMPDIR``).
         device: ``cpu``; or ``cuda``, by which the kernels work on an NVIDIA GPU, through CuPy. Where there is none
@@ -242,7 +243,7 @@ def _run(quality: str, scheme: str, decode_cost: int, seed: int, threads: int | 
         raise invalid("decode-cost", "decode_cost", decode_cost, "1 or more multiply-adds")
     if not 0 <= seed < 2**53:
         raise invalid("seed", "seed", seed, "0 to 2^53 - 1")
-    return Run(EFFORTS[quality], int(seed), threads or os.cpu_count() or 1, progress or nobody)
+    return Run(EFFORTS[quality], int(seed), thread_count(threads), progress or nobody)
 
 
 def _check_types(array: object, organisation: object, transform: object, nan: object, max_memory: object) -> None:

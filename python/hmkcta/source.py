@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import re
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -26,6 +25,7 @@ from .axes import (
 )
 from .conventions import meant
 from .errors import invalid, shown
+from .executors import thread_count
 from .memory import drop_pages, looked_at
 from .slabs import slabs
 from .transform import Transform, parse
@@ -195,7 +195,7 @@ def prepare(
         raise invalid("nan-fill", "nan", nan, f"a number, its magnitude up to {_LARGEST:.0e}")
     digest, bad = _scan(source.array, nan)
     source = replace(source, nan=nan if bad else None, fingerprint={"sha256": digest})
-    workers = threads or os.cpu_count() or 1
+    workers = thread_count(threads)
     with ThreadPoolExecutor(workers) as pool:  # which hold one slab's memory together
         extents = list(pool.map(source.extent, source.parts(max(_SMALL_SLAB, SLAB // workers))))
     peak, least = max(high for high, _ in extents), min(low for _, low in extents)
