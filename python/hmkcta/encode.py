@@ -60,7 +60,7 @@ def choose_plan(
     quality: str = "medium",
     organisation: str | None = None,
     scheme: str = "auto",
-    transform: str = "identity",
+    transform: str | None = None,
     nan: float | None = None,
     seed: int = 0,
     threads: int | None = None,
@@ -90,7 +90,7 @@ def compress(
     quality: str = "medium",
     organisation: str | None = None,
     scheme: str = "auto",
-    transform: str = "identity",
+    transform: str | None = None,
     nan: float | None = None,
     kind: str | None = None,
     seed: int = 0,
@@ -116,7 +116,7 @@ def compress(
             each axis.
         scheme: ``most``, ``least``, ``uniform`` or ``auto`` (the best of the three) subdivision of explicit levels,
             whatever those of a `Plan` say.
-        transform: value transform for high dynamic range, e.g. ``log1p``.
+        transform: value transform for high dynamic range, e.g. ``log1p``; None: identity.
         nan: value to put for NaN and infinity; None: refuse them.
         kind: ``svbrdf``, ``lightfield``, ``volume`` or ``generic``, whose roles the axes must have; None: what their
             roles make.
@@ -251,7 +251,7 @@ def _check_types(array: object, organisation: object, transform: object, nan: ob
         path = repr(os.fsdecode(cast("str | bytes | os.PathLike[str]", array)))
         raise invalid("array-is-path", "array", f"a path, {path}", "an array", f"open it: hmkcta.open_array({path})")
     expect("organisation", organisation, str | None, 'text such as "light+rgb, view, y+x"')
-    expect("transform", transform, str, 'text such as "log1p:0.5"')
+    expect("transform", transform, str | None, 'text such as "log1p:0.5"')
     expect("nan", nan, Real | None, "a number")
     expect("max_memory", max_memory, Integral | None, "a whole number of bytes")
 

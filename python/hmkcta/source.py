@@ -151,7 +151,7 @@ class Source:
         return next(number for number, axis in enumerate(self.axes) if axis.name == name)
 
 
-def described(array: Any, axes: Sequence[Axis | str] | None = None, transform: str = "identity") -> Source:
+def described(array: Any, axes: Sequence[Axis | str] | None = None, transform: str | None = None) -> Source:
     """An array with its description; its values are not looked at, so its fingerprint is a stand-in.
 
     Raises:
@@ -174,13 +174,13 @@ def described(array: Any, axes: Sequence[Axis | str] | None = None, transform: s
     if not 1 <= array.ndim <= 8 or array.size == 0:
         raise invalid("array-shape", "array", f"shape {array.shape}", "1 to 8 axes, none of them empty")
     named, dtype = _named(array.shape, axes), array.dtype.newbyteorder("=").name
-    return Source(array, named, dtype, None, parse(transform), {"sha256": "0" * 64})
+    return Source(array, named, dtype, None, parse("identity" if transform is None else transform), {"sha256": "0" * 64})
 
 
 def prepare(
     array: Any,
     axes: Sequence[Axis | str] | None,
-    transform: str,
+    transform: str | None,
     nan: float | None,
     threads: int | None = None,
 ) -> Source:
