@@ -174,7 +174,8 @@ def described(array: Any, axes: Sequence[Axis | str] | None = None, transform: s
     if not 1 <= array.ndim <= 8 or array.size == 0:
         raise invalid("array-shape", "array", f"shape {array.shape}", "1 to 8 axes, none of them empty")
     named, dtype = _named(array.shape, axes), array.dtype.newbyteorder("=").name
-    return Source(array, named, dtype, None, parse("identity" if transform is None else transform), {"sha256": "0" * 64})
+    change = parse("identity" if transform is None else transform)
+    return Source(array, named, dtype, None, change, {"sha256": "0" * 64})
 
 
 def prepare(
