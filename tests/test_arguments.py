@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import os
 import pickle
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,7 +16,9 @@ from numpy.typing import NDArray
 
 import hmkcta
 from hmkcta import Axis, HmkctaError, Journal, LevelSpec, Plan, compress, parse_plan
+from hmkcta import backends as kernels
 from hmkcta import plan as plan_module
+from hmkcta.executors import thread_count
 from hmkcta.hmkfile import DEFAULT_LIMITS
 from hmkcta.plan import check_plan
 from hmkcta.render import Camera, Light, Scene, render
@@ -133,7 +136,7 @@ def test_coordinates_may_be_lists(tmp_path: Path) -> None:
 @pytest.mark.parametrize("options", [
     {"snr": "30"}, {"size": "20MiB"}, {"decode_cost": 1.5}, {"seed": None}, {"threads": 2.5}, {"nan": "0"},
     {"quality": ["fast"]}, {"progress": 3}, {"journal": "a.partial"}, {"max_memory": "1GB"},
-    {"organisation": [["axis0"], ["axis1"]]}, {"transform": None}, {"plan": ["R=2"]},
+    {"organisation": [["axis0"], ["axis1"]]}, {"transform": 3}, {"plan": ["R=2"]},
 ], ids=str)
 def test_arguments_of_another_type_are_named(options: dict[str, Any]) -> None:
     error = refused(**options)
@@ -310,3 +313,35 @@ def test_errors_go_from_process_to_process(call: Callable[[], object]) -> None:
     error = raised(call)
     for same in (pickle.loads(pickle.dumps(error)), copy.copy(error)):
         assert (type(same), str(same), vars(same)) == (type(error), str(error), vars(error))
+
+
+def test_no_more_threads_are_started_than_there_are_cores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", {0: {0, 1}}.__getitem__, raising=False)
+    begun: list[int] = []
+    monkeypatch.setattr(kernels, "set_threads", begun.append)
+    files: set[bytes] = set()
+    for threads in (1, 100_000):
+        compress(WAVE, "R=2", threads=threads).save(tmp_path / f"{threads}.hmk")
+        files.add((tmp_path / f"{threads}.hmk").read_bytes())
+    assert len(files) == 1
+    assert thread_count(100_000) == thread_count() == 2
+    assert max(begun) <= 2
+
+
+def test_no_transform_is_identity() -> None:
+    assert compress(WAVE, "R=1", transform=None).metadata.transform == {"name": "identity"}
+
+
+def test_an_index_out_of_range_is_told_as_it_was_given() -> None:
+    model = compress(WAVE, "R=1")
+    for key in (2**70, ([0, 1], -(2**70)), (slice(None), 2**64)):
+        number = key if isinstance(key, int) else key[1]
+        with pytest.raises(IndexError, match=f"found {number},"):
+            model[key]
+
+
+def test_the_package_lists_what_it_offers() -> None:
+    offered = {name for name in dir(hmkcta) if not name.startswith("__")}
+    assert offered >= {"compress", "open_array", "render"}
+    assert not offered & {"Any", "TYPE_CHECKING", "import_module", "_MODULES"}
+    assert "__version__" in dir(hmkcta)

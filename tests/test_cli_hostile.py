@@ -106,15 +106,24 @@ def test_a_file_that_is_no_hmk_file_is_recognised(content: bytes, part: str, tmp
     with pytest.raises(hmkcta.HmkctaError) as caught:
         hmkcta.open(path)
     assert caught.value.reason == ("truncated" if content.startswith(b"\x1f") else "header-too-large")
-    sentence = refused("info", path, code=caught.value.kind.exit_code)
+    sentence = refused("verify", path, code=3)
     assert part in sentence
-    assert "Next: it begins like " in sentence
+    assert "header: found what begins like a" in sentence or "header: found what begins like HDF5" in sentence
+    assert "allowed an .hmk file" in sentence
 
 
 @pytest.mark.parametrize("content", [bytes(range(200, 230)) * 3, b"plain text of somebody" * 3])
 def test_what_looks_like_nothing_is_not_guessed_at(content: bytes, tmp_path: Path) -> None:
     (tmp_path / "a.hmk").write_bytes(content)
-    assert "Next: check that it is an .hmk file." in refused("info", tmp_path / "a.hmk", code=6)
+    assert "Next: check that it is an .hmk file." in refused("info", tmp_path / "a.hmk", code=3)
+
+
+def test_a_damaged_hmk_file_is_not_taken_for_another(source: Path, tmp_path: Path) -> None:
+    run("compress", source, "-o", tmp_path / "a.hmk", *PLAN, "--quiet")
+    whole = (tmp_path / "a.hmk").read_bytes()
+    for damaged, code in ((whole[:40], 4), (whole[:5] + b"\x01" + whole[6:], 6), (whole[:8] + b"[" + whole[9:], 4)):
+        (tmp_path / "a.hmk").write_bytes(damaged)
+        refused("info", tmp_path / "a.hmk", code=code)
 
 
 def test_a_compressed_file_is_no_source(source: Path, tmp_path: Path) -> None:

@@ -10,7 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+import hmkcta
+from hmkcta import conventions
 from hmkcta.errors import Kind
+from hmkcta.measure import measure
 from hmkcta.readers import open_array
 from reader_tools import DTYPES, VALUES, little_memory, needed, refusal, refused_wherever_cut, same, survives_damage
 
@@ -234,3 +237,38 @@ def test_what_does_not_fit_is_unpacked_into_a_file(
     with h5py.File(tmp_path / "b.h5", "w") as file:
         file.create_dataset("array", data=values, chunks=(60, 70, 80))
     assert refusal(tmp_path / "b.h5").reason == "memory"
+
+
+def test_an_open_dataset_is_compressed_as_its_file_would_be(h5py: Any, tmp_path: Path) -> None:
+    """Packed numbers and fill values are no data in Python either, and what they mean is measured against, too."""
+    with h5py.File(tmp_path / "a.nc", "w") as file:
+        field = file.create_dataset("field", data=VALUES.astype("i2"))
+        field.attrs.update({"scale_factor": 0.5, "add_offset": 10.0, "_FillValue": np.int16(7)})
+    by_name = open_array(tmp_path / "a.nc")
+    with h5py.File(tmp_path / "a.nc") as file:
+        for function in (hmkcta.compress, hmkcta.choose_plan):
+            with pytest.raises(hmkcta.HmkctaError, match=r"1 values that are NaN.*nan=0"):
+                function(file["field"], snr=30)
+        model = hmkcta.compress(file["field"], "R=2", nan=20)
+        assert measure(model, file["field"], nan=20)[-1].snr_db == pytest.approx(model.snr, abs=1e-6)
+    expected = hmkcta.compress(by_name, "R=2", nan=20)
+    model.save(tmp_path / "a.hmk")
+    expected.save(tmp_path / "b.hmk")
+    assert (tmp_path / "a.hmk").read_bytes() == (tmp_path / "b.hmk").read_bytes()
+    assert model.metadata.source_dtype == "float32"
+
+
+def test_an_open_dataset_without_such_attributes_is_taken_as_it_is(h5py: Any, tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("field", data=VALUES.astype("i2")).attrs["units"] = "K"
+        assert hmkcta.compress(file["field"], "R=1").metadata.source_dtype == "int16"
+
+
+def test_large_open_datasets_are_unpacked_slab_by_slab(
+    h5py: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(conventions, "SLAB", 7)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        field = file.create_dataset("field", data=VALUES.astype("u2"))
+        field.attrs["scale_factor"] = 0.5
+        assert np.array_equal(conventions.meant(field), VALUES / 2)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import hmkcta
 from hmkcta.errors import Kind
 from hmkcta.readers import open_array
 from reader_tools import DTYPES, VALUES, little_memory, needed, refusal, refused_wherever_cut, same
@@ -122,3 +123,15 @@ def test_what_does_not_fit_is_unpacked_into_a_file(
     zarr.create_array(tmp_path / "a", data=values, chunks=(7, 9, 11))
     little_memory(monkeypatch, 100_000)
     same(tmp_path / "a", values, mapped=True)
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_an_open_array_is_compressed_as_its_store_would_be(zarr: Any, tmp_path: Path, version: int) -> None:
+    array = zarr.create_array(tmp_path / "a", data=VALUES.astype("i2"), zarr_format=version)
+    array.attrs.update({"add_offset": 300.0, "missing_value": 7})
+    with pytest.raises(hmkcta.HmkctaError, match="1 values that are NaN"):
+        hmkcta.compress(array, "R=2")
+    by_name = open_array(tmp_path / "a")
+    found, expected = (np.asarray(hmkcta.compress(each, "R=2", nan=300)) for each in (array, by_name))
+    assert np.array_equal(found, expected)
+    assert found.min() > 290

@@ -19,7 +19,7 @@ PACKAGE = ROOT / "python" / "hmkcta"
 LAYERS = (
     ("_version", "errors", "executors", "metrics", "progress", "recordlog", "slabs", "spectra", "temporaries",
      "_native"),
-    ("axes", "grids", "growth", "memory", "transform", "tucker", "indexing"),
+    ("axes", "conventions", "grids", "growth", "memory", "transform", "tucker", "indexing"),
     ("plan", "organisations", "packed", "scratch"),
     ("cells", "coding", "kmeans", "pieces", "predict", "storage", "hmkfile", "source", "_example"),
     ("backends", "detail", "decode_scattered"),

@@ -51,7 +51,7 @@ _SUBMODULES = ("axes", "backends", "errors", "model", "plan", "render", "serve",
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__, *_SUBMODULES})
+    return sorted({*__all__, *_SUBMODULES, *(name for name in globals() if name.startswith("__"))})
 
 
 def __getattr__(name: str) -> Any:

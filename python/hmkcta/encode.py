@@ -16,6 +16,7 @@ from . import backends as kernels
 from .axes import Axis, check_kind, check_organisation, format_organisation, mode_sizes
 from .backends import Device
 from .errors import GoalMissed, expect, invalid
+from .executors import thread_count
 from .finer import SMALL, finer
 from .fit import EFFORTS
 from .follow import Task, follow, follow_any
@@ -59,7 +60,7 @@ def choose_plan(
     quality: str = "medium",
     organisation: str | None = None,
     scheme: str = "auto",
-    transform: str = "identity",
+    transform: str | None = None,
     nan: float | None = None,
     seed: int = 0,
     threads: int | None = None,
@@ -89,7 +90,7 @@ def compress(
     quality: str = "medium",
     organisation: str | None = None,
     scheme: str = "auto",
-    transform: str = "identity",
+    transform: str | None = None,
     nan: float | None = None,
     kind: str | None = None,
     seed: int = 0,
@@ -115,12 +116,12 @@ def compress(
             each axis.
         scheme: ``most``, ``least``, ``uniform`` or ``auto`` (the best of the three) subdivision of explicit levels,
             whatever those of a `Plan` say.
-        transform: value transform for high dynamic range, e.g. ``log1p``.
+        transform: value transform for high dynamic range, e.g. ``log1p``; None: identity.
         nan: value to put for NaN and infinity; None: refuse them.
         kind: ``svbrdf``, ``lightfield``, ``volume`` or ``generic``, whose roles the axes must have; None: what their
             roles make.
         seed: the same seed makes the same file.
-        threads: how many; None: all cores.
+        threads: how many at most; None, and any number beyond them: all cores.
         max_memory: bytes to work in; None: half of what is free. A tensor too large for it is streamed, by way of
             scratch files in the folder for temporary files (``TMPDIR``).
         device: ``cpu``; or ``cuda``, by which the kernels work on an NVIDIA GPU, through CuPy. Where there is none
@@ -242,7 +243,7 @@ def _run(quality: str, scheme: str, decode_cost: int, seed: int, threads: int | 
         raise invalid("decode-cost", "decode_cost", decode_cost, "1 or more multiply-adds")
     if not 0 <= seed < 2**53:
         raise invalid("seed", "seed", seed, "0 to 2^53 - 1")
-    return Run(EFFORTS[quality], int(seed), threads or os.cpu_count() or 1, progress or nobody)
+    return Run(EFFORTS[quality], int(seed), thread_count(threads), progress or nobody)
 
 
 def _check_types(array: object, organisation: object, transform: object, nan: object, max_memory: object) -> None:
@@ -250,7 +251,7 @@ def _check_types(array: object, organisation: object, transform: object, nan: ob
         path = repr(os.fsdecode(cast("str | bytes | os.PathLike[str]", array)))
         raise invalid("array-is-path", "array", f"a path, {path}", "an array", f"open it: hmkcta.open_array({path})")
     expect("organisation", organisation, str | None, 'text such as "light+rgb, view, y+x"')
-    expect("transform", transform, str, 'text such as "log1p:0.5"')
+    expect("transform", transform, str | None, 'text such as "log1p:0.5"')
     expect("nan", nan, Real | None, "a number")
     expect("max_memory", max_memory, Integral | None, "a whole number of bytes")
 

@@ -66,6 +66,10 @@ class HmkctaError(Exception):
         return _made_again, (type(self), str(self)), dict(vars(self))
 
 
+class ForeignFile(HmkctaError):
+    """A file that does not begin as an `.hmk` file does: kind and reason are the format's, the sentence says so."""
+
+
 def _made_again(error: type[HmkctaError], sentence: str) -> HmkctaError:
     return error.__new__(error, sentence)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -12,6 +13,18 @@ from typing import Any, TypeVar
 
 S = TypeVar("S")
 T = TypeVar("T")
+
+
+def thread_count(wanted: int | None = None) -> int:
+    """How many threads to start: as many as wanted (None: all), and never more than this process has cores.
+
+    More of them only take turns, and each takes memory and time to begin.
+
+    >>> thread_count(1), thread_count(10**9) == thread_count()
+    (1, True)
+    """
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return cores if wanted is None else min(int(wanted), cores)
 
 
 class Pool(ThreadPoolExecutor):

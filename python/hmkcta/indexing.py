@@ -56,7 +56,7 @@ def select(key: Any, shape: Sequence[int]) -> Selection:
     parts = cast("tuple[Any, ...]", key) if isinstance(key, tuple) else (key,)
     items = _split_masks(_fill([_parse(part) for part in parts], len(shape)), shape)
     if any(isinstance(item, np.ndarray) for item in items):  # then integers are index arrays of no dimension
-        items = [np.asarray(item, np.intp) if isinstance(item, int) else item for item in items]
+        items = _as_arrays(items, shape)
     arrays = [(i, item) for i, item in enumerate(items) if isinstance(item, np.ndarray)]
     together = _broadcast([array for _, array in arrays])
     # Index arrays side by side leave their dimensions in place, parted ones put them first.
@@ -79,6 +79,15 @@ def select(key: Any, shape: Sequence[int]) -> Selection:
         elif isinstance(item, int):
             found.append((0, np.asarray(_one_in_range(item, axis, shape[axis]))))
     return _spread(result, found, first, together)
+
+
+def _as_arrays(items: list[Item], shape: Sequence[int]) -> list[Item]:
+    """The items, integers as arrays; those out of range are refused as they were given, which arrays may not hold."""
+    axis, found = 0, list[Item]()
+    for item in items:
+        found.append(np.asarray(_one_in_range(item, axis, shape[axis]), np.intp) if isinstance(item, int) else item)
+        axis += item is not None and item is not Ellipsis
+    return found
 
 
 def cut(axes: Sequence[Index], part: tuple[slice, ...]) -> list[Index]:
@@ -139,7 +148,7 @@ def _parse(part: Any) -> Item:
         raise IndexingError("index-type", "index", "one boolean", _ALLOWED)
     if not isinstance(part, np.ndarray | list | tuple):
         try:
-            return max(-_FAR, min(_FAR, operator.index(part)))
+            return operator.index(part)
         except TypeError:
             pass
     try:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .axes import mode_rows, organise
+from .conventions import meant
 from .decode import add_level
 from .errors import invalid
 from .memory import drop_pages
@@ -97,6 +98,7 @@ def measure_both(model: Model, source: Any, *, nan: float | None = None, progres
     """As `measure`: quality in the domain of the source values, and in that of the value transform."""
     if tuple(source.shape) != model.shape:
         raise invalid("source-shape", "shape of the source", tuple(source.shape), f"{model.shape}, that of the file")
+    source = meant(source)
     sums = _summed(model, source, nan, progress, slab, np.float32) or _summed(
         model, source, nan, progress, slab, np.float64
     )

@@ -25,6 +25,7 @@ from urllib.parse import quote, unquote, urlsplit
 
 from numpy.typing import NDArray
 
+from .conventions import meant
 from .errors import HmkctaError, Kind, expect, invalid
 from .hmkfile import encode
 from .model import open as open_model
@@ -195,7 +196,7 @@ def _original(
                 raise invalid("original-shape", "original", shape, f"{wanted}, the model's")
             return Resource("application/octet-stream", Path(original))
         original = open_array(os.fspath(original), progress=progress)
-    metadata, level = verbatim(original, like)
+    metadata, level = verbatim(meant(original), like)
     return Resource("application/octet-stream", data=b"".join(encode(metadata, (level,))))
 
 

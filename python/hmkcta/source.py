@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import re
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -24,7 +23,9 @@ from .axes import (
     parse_organisation,
     separate,
 )
+from .conventions import meant
 from .errors import invalid, shown
+from .executors import thread_count
 from .memory import drop_pages, looked_at
 from .slabs import slabs
 from .transform import Transform, parse
@@ -150,7 +151,7 @@ class Source:
         return next(number for number, axis in enumerate(self.axes) if axis.name == name)
 
 
-def described(array: Any, axes: Sequence[Axis | str] | None = None, transform: str = "identity") -> Source:
+def described(array: Any, axes: Sequence[Axis | str] | None = None, transform: str | None = None) -> Source:
     """An array with its description; its values are not looked at, so its fingerprint is a stand-in.
 
     Raises:
@@ -159,7 +160,7 @@ def described(array: Any, axes: Sequence[Axis | str] | None = None, transform: s
     """
     axes = axes if axes is not None else _dimensions(array)
     try:
-        array = cast(NDArray[Any], np.asanyarray(array))
+        array = cast(NDArray[Any], np.asanyarray(meant(array)))
     except ValueError:  # nested lists of different lengths
         raise invalid("array-shape", "array", shown(array), "as many numbers in each of its lists") from None
     if array.dtype.kind not in "bfiu":
@@ -173,13 +174,14 @@ def described(array: Any, axes: Sequence[Axis | str] | None = None, transform: s
     if not 1 <= array.ndim <= 8 or array.size == 0:
         raise invalid("array-shape", "array", f"shape {array.shape}", "1 to 8 axes, none of them empty")
     named, dtype = _named(array.shape, axes), array.dtype.newbyteorder("=").name
-    return Source(array, named, dtype, None, parse(transform), {"sha256": "0" * 64})
+    change = parse("identity" if transform is None else transform)
+    return Source(array, named, dtype, None, change, {"sha256": "0" * 64})
 
 
 def prepare(
     array: Any,
     axes: Sequence[Axis | str] | None,
-    transform: str,
+    transform: str | None,
     nan: float | None,
     threads: int | None = None,
 ) -> Source:
@@ -194,7 +196,7 @@ def prepare(
         raise invalid("nan-fill", "nan", nan, f"a number, its magnitude up to {_LARGEST:.0e}")
     digest, bad = _scan(source.array, nan)
     source = replace(source, nan=nan if bad else None, fingerprint={"sha256": digest})
-    workers = threads or os.cpu_count() or 1
+    workers = thread_count(threads)
     with ThreadPoolExecutor(workers) as pool:  # which hold one slab's memory together
         extents = list(pool.map(source.extent, source.parts(max(_SMALL_SLAB, SLAB // workers))))
     peak, least = max(high for high, _ in extents), min(low for _, low in extents)

@@ -14,7 +14,7 @@ from typing import Any, cast
 
 import click
 
-from ..errors import HmkctaError, Kind
+from ..errors import ForeignFile, HmkctaError, Kind
 from ..temporaries import remove_all
 from .failure import EXIT_CODES, Exit, Failure
 from .interrupt import Interrupted, interruptible
@@ -88,7 +88,8 @@ class Hmkcta(click.Group):
             raise
         except HmkctaError as error:
             kept = going_on(ctx) if may_go_on(ctx, error) else ""
-            raise Failure(f"{error} {kept}".rstrip(), error.kind.exit_code, error) from error
+            code = Exit.IO if isinstance(error, ForeignFile) else error.kind.exit_code
+            raise Failure(f"{error} {kept}".rstrip(), code, error) from error
         except KeyboardInterrupt as error:
             raise _interruption(ctx, error.number if isinstance(error, Interrupted) else signal.SIGINT) from None
         except MemoryError as error:

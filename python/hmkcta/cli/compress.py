@@ -116,7 +116,8 @@ def as_text(report: dict[str, Any]) -> str:
              ratio(level["ratio"]), str(level["decode_cost"]), f"{level['seconds']:.1f}"] for level in report["levels"]]
     header = ["level", "SNR dB", *(f"SNR of {name}" for name in domain), "MiB", "ratio", "decode cost", "seconds"]
     whole = table(header, rows)
-    resumed = f" {report['nodes_resumed']} nodes were finished before." if report["nodes_resumed"] else ""
+    before = report["nodes_resumed"]
+    resumed = f" {before} node{' was' if before == 1 else 's were'} finished before." if before else ""
     return f"{whole}\nAll of it took {seconds(report['seconds'])}.{resumed}"
 
 

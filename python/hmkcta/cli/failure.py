@@ -28,7 +28,7 @@ EXIT_CODES = {
     0: "done",
     1: "unexpected failure",
     2: "wrong usage or argument",
-    3: "input unreadable, or output cannot be written",
+    3: "input unreadable or no .hmk file, or output cannot be written",
     4: "corrupt file",
     5: "version or codec of the file is not supported",
     6: "resource limit",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 from math import prod
 from time import perf_counter
@@ -13,6 +12,7 @@ import numpy as np
 
 from ..axes import format_organisation, mode_sizes
 from ..encode import choose_plan
+from ..executors import thread_count
 from ..filesize import predicted_bytes
 from ..fit import EFFORTS
 from ..forecast import Forecast, choosing_bytes, forecast
@@ -72,7 +72,7 @@ def given_plan(text: str, source: Source, goal: Goal) -> Plan:
 def expected(plan: Plan, source: Source, goal: Goal, *, choosing: bool) -> Forecast:
     """What `compress` will take with the options given; its memory with that of `choosing` the plan, if it does."""
     options = goal.settings
-    threads = options["threads"] or os.cpu_count() or 1
+    threads = thread_count(options["threads"])
     effort = EFFORTS[options["quality"]]
     held, memory = 0 if isinstance(source.array, np.memmap) else source.array.nbytes, options["max_memory"]
     before = choosing_bytes(prod(source.shape), effort, threads, memory) if choosing else 0

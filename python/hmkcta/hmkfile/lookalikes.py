@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..errors import HmkctaError
+from ..errors import ForeignFile, HmkctaError
 
 _COMPRESS = "hmkcta compress it, or give the .hmk file that was made of it"
 #: First bytes, lower-cased, what they look like, and what to do.
@@ -20,18 +20,24 @@ _STARTS = (
 START = 64
 
 
+#: Where the JSON of a header begins, and the reasons of a length before it that can be none.
+_JSON_AT, _NO_LENGTH = 8, ("header-too-large", "truncated")
+
+
 def recognised(error: HmkctaError, start: bytes) -> HmkctaError:
-    """The error about a file's header, with what the file looks like as the next step where its first bytes tell.
+    """The error about a file's header; where the file begins as no `.hmk` file does, one that says what it looks like.
 
     >>> from .reasons import fault
     >>> print(recognised(fault("truncated", "header", "a file of 40 bytes", "8 bytes and more"), b"\\x1f\\x8b\\x08"))
-    header: found a file of 40 bytes, allowed 8 bytes and more. Next: it begins like a file packed by gzip; \
-unpack it: gunzip. [InsufficientData/truncated]
+    header: found what begins like a file packed by gzip, allowed an .hmk file. Next: unpack it: gunzip. \
+[InsufficientData/truncated]
     """
+    if error.where != "header" or start[_JSON_AT:_JSON_AT + 1] == b"{":
+        return error
     begins = start.lstrip().lower() if start.lstrip().startswith(b"<") else start.lower()
-    for first, what, advice in _STARTS:
-        if error.where == "header" and begins.startswith(first):
-            hint = f"it begins like {what}; {advice}"
-            return HmkctaError(error.kind, error.reason, error.where, found=error.found, allowed=error.allowed,
-                               hint=hint)
-    return error
+    found, advice = next(((what, advice) for first, what, advice in _STARTS if begins.startswith(first)), ("", ""))
+    if not found and (error.reason not in _NO_LENGTH or len(start) <= _JSON_AT):
+        return error
+    found = f"what begins like {found}" if found else "what begins like no .hmk file"
+    return ForeignFile(error.kind, error.reason, error.where, found=found, allowed="an .hmk file",
+                       hint=advice or "check that it is an .hmk file")

@@ -8,8 +8,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from ..conventions import packing
 from ..errors import HmkctaError, invalid
-from .conventions import packing
 from .source import Layout, choose, guarded, io_error, library, map_part
 from .unpacked import Unpacker
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .conventions import Packing, scaled_type
+from ..conventions import Packing, scaled_type
 from .source import Layout, guarded, io_error, library, map_part
 from .unpacked import Unpacker
 

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..conventions import Packing
 from ..memory import check_memory, memory_budget
 from ..progress import Progress
 from ..scratch import scratch_folder, unnamed_file
-from .conventions import Packing
 from .source import Layout, check_layout, check_numbers, io_error
 
 Part = tuple[slice, ...]

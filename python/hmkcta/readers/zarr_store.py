@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import base64
 import os
-import struct
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -12,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .conventions import packing
+from ..conventions import packing, zarr_attributes
 from .source import Layout, choose, guarded, library
 from .unpacked import Unpacker
 
@@ -76,18 +74,7 @@ def _is_coordinate(name: str, array: Any) -> bool:
     return list(along or ()) == [name.rpartition("/")[2]]
 
 
-def _attributes(array: Any) -> dict[str, Any]:
-    """Attributes, with the fill value that xarray keeps elsewhere: in version 2 the array's own, in 3 as base64."""
-    attributes = dict(array.attrs)
-    fill = attributes.get("_FillValue")
-    if isinstance(fill, str):
-        attributes["_FillValue"] = struct.unpack("<d", base64.b64decode(fill))[0]
-    elif fill is None and array.metadata.zarr_format == 2 and "_ARRAY_DIMENSIONS" in attributes:
-        attributes["_FillValue"] = array.fill_value
-    return attributes
-
-
 def _array(array: Any, path: str, unpacker: Unpacker) -> NDArray[Any]:
     where = f"{path}:{array.path}" if array.path else path
-    convert = packing(_attributes(array), np.dtype(array.dtype))
+    convert = packing(zarr_attributes(array), np.dtype(array.dtype))
     return unpacker.chunks(where, array, array.shards or array.chunks, convert)

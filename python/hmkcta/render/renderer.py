@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 from numpy.typing import NDArray
 
+from ..conventions import meant
 from ..errors import expect, invalid
 from ..model import Model
 from .animate import default_motion, moving
@@ -83,7 +84,7 @@ class Renderer:
             raise invalid("original-shape", "original", tuple(original.shape), f"{model.shape}, the model's")
         self.kind = kind or model.metadata.kind
         self._model = model
-        self._original = original
+        self._original = meant(original)
         self._layout = lay_out(model.metadata.axes, self.kind, position)
         self._numpy = NumpyPath(model, model.metadata.axes, self._layout, self.kind, model)
         self._device = None if backend == "numpy" or self.kind == "generic" else _device(backend)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -9,8 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .slabs import slabs
+
 #: Attributes that hold fill values.
 FILLS = ("_FillValue", "missing_value")
+#: Libraries whose arrays give numbers as they are stored, with the attributes beside them. Others apply them (netCDF4)
+#: or take them off when they do (xarray).
+STORING = ("h5py", "h5netcdf", "zarr")
+#: Elements that are unpacked at once.
+SLAB = 1 << 22
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,3 +94,34 @@ def scaled_type(stored: np.dtype[Any]) -> np.dtype[Any]:
     """
     exact = stored.itemsize <= 2 or (stored.kind == "f" and stored.itemsize == 4)
     return np.dtype(np.float32 if exact else np.float64)
+
+
+def zarr_attributes(array: Any) -> dict[str, Any]:
+    """Attributes, with the fill value that xarray keeps elsewhere: in version 2 the array's own, in 3 as base64."""
+    attributes = dict(array.attrs)
+    fill = attributes.get("_FillValue")
+    if isinstance(fill, str):
+        attributes["_FillValue"] = struct.unpack("<d", base64.b64decode(fill))[0]
+    elif fill is None and array.metadata.zarr_format == 2 and "_ARRAY_DIMENSIONS" in attributes:
+        attributes["_FillValue"] = array.fill_value
+    return attributes
+
+
+def meant(array: Any) -> Any:
+    """What the numbers of an open dataset of h5py, h5netcdf or Zarr mean, as `open_array` has it.
+
+    Anything else is returned as it is, and so is what has no such attributes.
+
+    >>> meant([1, 2])
+    [1, 2]
+    """
+    libraries = {base.__module__.partition(".")[0] for base in type(array).__mro__}
+    if libraries.isdisjoint(STORING) or not all(hasattr(array, name) for name in ("attrs", "dtype", "shape")):
+        return array
+    convert = packing(zarr_attributes(array) if "zarr" in libraries else array.attrs, np.dtype(array.dtype))
+    if convert is None:
+        return array
+    values = np.empty(array.shape, convert.dtype)
+    for part in slabs(array.shape, SLAB):  # so that what is stored is never in memory beside all that it means
+        values[part] = convert(np.asarray(array[part]))
+    return values
