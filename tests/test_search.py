@@ -338,10 +338,11 @@ def test_a_single_start_is_of_like_rows() -> None:
     """As `fast` has it: uniform blocks would part rows without order by chance."""
     kinds = np.random.default_rng(2).permutation(np.repeat(np.arange(4), 10))
     rows = np.random.default_rng(3).standard_normal((4, 30))[kinds] + 0.01 * np.arange(40)[:, None]
+    spec = LevelSpec((3, None), (4, 1), (1, 1))
     for overlap in (False, True):
-        ((labels, columns),) = start_candidates(rows, (4, 1), 1, np.random.default_rng(0), overlap=overlap)
+        ((labels, columns),) = start_candidates(rows, spec, 1, np.random.default_rng(0), overlap=overlap)
         assert all(len(set(labels[kinds == kind])) == 1 for kind in range(4))
         assert not columns.any()
-    uniform, *others = start_candidates(rows, (4, 1), 3, np.random.default_rng(0), overlap=True)
+    uniform, *others, _ = start_candidates(rows, spec, 3, np.random.default_rng(0), overlap=True)
     assert uniform[0].tolist() == sorted(uniform[0])
     assert len(others) == 2

@@ -17,7 +17,8 @@ PACKAGE = ROOT / "python" / "hmkcta"
 
 #: Modules and subpackages from the lowest layer up; an import goes to a lower layer, or stays in its subpackage.
 LAYERS = (
-    ("_version", "errors", "executors", "metrics", "progress", "recordlog", "slabs", "spectra", "temporaries",
+    ("_version", "errors", "executors", "metrics", "progress", "recordlog", "slabs", "spectra", "subspaces",
+     "temporaries",
      "_native"),
     ("axes", "conventions", "grids", "growth", "memory", "transform", "tucker", "indexing"),
     ("plan", "organisations", "packed", "scratch"),

@@ -200,7 +200,7 @@ def _starts(tree: Hierarchy, spec: LevelSpec, labels: LabelsOf, run: Run) -> lis
     if isinstance(tree.residual, Streamed):
         allowed = "R=.. with the clusters of an array that is not worked on in one piece"
         raise invalid("own-ranks-clusters", "level 1", str(spec), allowed, "give ranks, or raise --max-memory")
-    starts = start_candidates(tree.residual, spec.clusters, run.effort.candidates, np.random.default_rng(run.seed))
+    starts = start_candidates(tree.residual, spec, run.effort.candidates, np.random.default_rng(run.seed))
     return [(spec, lambda _, found=found: found) for found in starts]
 
 

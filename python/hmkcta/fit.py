@@ -172,7 +172,7 @@ def _best_labels(tensor: F32, spec: LevelSpec, effort: Effort, rng: np.random.Ge
         _disjoint(residual, spec, sample.labels(labels), np.random.default_rng(seed))
         return float(np.vdot(residual, residual))
 
-    return min(start_candidates(tensor, spec.clusters, effort.candidates, np.random.default_rng(seed)), key=left)
+    return min(start_candidates(tensor, spec, effort.candidates, np.random.default_rng(seed)), key=left)
 
 
 def _start(tensor: F32, spec: LevelSpec, effort: Effort, labels: Labels | None, rng: np.random.Generator) -> Cells:
@@ -189,10 +189,10 @@ def _start(tensor: F32, spec: LevelSpec, effort: Effort, labels: Labels | None, 
 
     seed = int(rng.integers(2**63))
     if labels is None and effort.starts == 1:
-        labels = next(start_candidates(tensor, spec.clusters, 1, rng, overlap=True))
+        labels = next(start_candidates(tensor, spec, 1, rng, overlap=True))
     if labels is None:
         sample, starts = strided_sample(tensor, spec.clusters, JUDGED), np.random.default_rng(seed)
-        candidates = start_candidates(tensor, spec.clusters, effort.starts, starts, overlap=True)
+        candidates = start_candidates(tensor, spec, effort.starts, starts, overlap=True)
         tried = ((swept(sample.tensor, sample.labels(candidate)), candidate) for candidate in candidates)
         best, labels = min(tried, key=lambda start: squared_norm(left_by(start[0], sample.tensor)))
         if best.sizes == tensor.shape:

@@ -1,15 +1,18 @@
-"""Soft cluster memberships of a mode: features of its rows, balanced k-means, uniform blocks."""
+"""Soft cluster memberships of a mode: features of its rows, balanced k-means, K-subspaces, uniform blocks."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from math import prod
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import backends as kernels
+from .plan import LevelSpec
+from .subspaces import subspace_clusters
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -33,6 +36,8 @@ CANDIDATES: tuple[tuple[float, float | None], ...] = (
     (0.2, None),
     (1.0, 1.05),
 )
+#: Dimensions of the subspaces that rows are parted by where ranks are still to be chosen.
+SOME_DIMENSIONS = (3,)
 
 
 def uniform_blocks(size: int, clusters: int) -> NDArray[np.intp]:
@@ -45,11 +50,16 @@ def uniform_blocks(size: int, clusters: int) -> NDArray[np.intp]:
     return np.repeat(np.arange(clusters), [short + (c < longer) for c in range(clusters)])
 
 
-def row_features(tensor: NDArray[Any], n: int) -> F64:
-    """Principal coordinates of the rows of mode n, `[I_n, <= 12]`, from a strided sample of the other modes."""
+def sampled_rows(tensor: NDArray[Any], n: int) -> NDArray[Any]:
+    """The rows of mode n, `[I_n, ..]`, from a strided sample of the other modes."""
     rows = np.moveaxis(tensor, n, 0)
     step = max(1, round((tensor.size / SAMPLE) ** (1 / max(1, tensor.ndim - 1))))
-    rows = rows[(slice(None), *[slice(None, None, min(step, max(1, i // 2))) for i in rows.shape[1:]])]
+    return rows[(slice(None), *[slice(None, None, min(step, max(1, i // 2))) for i in rows.shape[1:]])]
+
+
+def row_features(tensor: NDArray[Any], n: int) -> F64:
+    """Principal coordinates of the rows of mode n, `[I_n, <= 12]`, from a strided sample of the other modes."""
+    rows = sampled_rows(tensor, n)
     unfolded = rows.astype(np.float64, order="C").reshape(len(rows), -1)
     if len(rows) <= unfolded.shape[1]:
         values, vectors = np.linalg.eigh(unfolded @ unfolded.T)
@@ -115,13 +125,14 @@ def strided_sample(tensor: NDArray[Any], clusters: Sequence[int], most: int) -> 
 
 
 def start_candidates(
-    tensor: NDArray[Any], clusters: tuple[int, ...], count: int, rng: np.random.Generator, *, overlap: bool = False
+    tensor: NDArray[Any], spec: LevelSpec, count: int, rng: np.random.Generator, *, overlap: bool = False
 ) -> Iterator[list[NDArray[np.intp]]]:
-    """Disjoint memberships to choose among: uniform blocks, then normalised rows under size caps.
+    """Disjoint memberships to choose among: uniform blocks, then normalised rows under size caps, then K-subspaces.
 
     Where they are to overlap later (K > 1), clusters of nearly equal size come first: up to 5 dB better than others. A
     single one is of them, as uniform blocks know nothing of rows without order.
     """
+    clusters = spec.clusters
     if count > 1:
         yield [uniform_blocks(i, c) for i, c in zip(tensor.shape, clusters, strict=True)]
     features = [row_features(tensor, n) if c > 1 else None for n, c in enumerate(clusters)]
@@ -134,3 +145,22 @@ def start_candidates(
                 continue
             labels.append(balanced_clusters(normalised(f, power), c, cap, rng))
         yield labels
+    if count > 1:
+        yield from _by_subspaces(tensor, spec, rng)
+
+
+def _by_subspaces(
+    tensor: NDArray[Any], spec: LevelSpec, rng: np.random.Generator
+) -> Iterator[list[NDArray[np.intp]]]:
+    """Rows of the one mode that has clusters, by the subspaces that the ranks leave each of them; else nothing."""
+    parted = [n for n, c in enumerate(spec.clusters) if c > 1]
+    if len(parted) != 1:
+        return
+    n, ranks = parted[0], [rank or size for rank, size in zip(spec.ranks, tensor.shape, strict=True)]
+    most = prod(rank for m, rank in enumerate(ranks) if m != n)
+    rows = sampled_rows(tensor, n).astype(np.float32, order="C").reshape(tensor.shape[n], -1)
+    for dimension in SOME_DIMENSIONS if spec.own else (min(ranks[n], most),):
+        if dimension < rows.shape[1] and len(rows) >= 2 * spec.clusters[n]:
+            labels = [np.zeros(size, np.intp) for size in tensor.shape]
+            labels[n] = subspace_clusters(rows, spec.clusters[n], dimension, rng)
+            yield labels
