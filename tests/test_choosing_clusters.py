@@ -77,3 +77,15 @@ def test_for_an_snr_another_number_of_clusters_is_the_first_rival(monkeypatch: p
     choose_plan(four_sheets(), axes="t, n", snr=25, threads=1)
     first, rival = [plan.levels[0].clusters for plan in plans[:2]]
     assert {first, rival} == {(1, 4), (1, 8)}
+
+
+def test_matrices_are_found_that_are_far_behind_without_clusters() -> None:
+    """Rows of pixels and views in twelve subspaces; the other matrices know nothing of these."""
+    rng = np.random.default_rng(1)
+    bases, of = rng.standard_normal((12, 3, 24)), rng.integers(12, size=2400)
+    rows: NDArray[np.float64] = np.einsum("nk,nkl->nl", rng.standard_normal((2400, 3)), bases[of])
+    values = (rows + 0.02 * rng.standard_normal(rows.shape)).astype(np.float32).T.reshape(24, 4, 30, 20)
+    model = compress(values, axes="light, view, y, x", size=28_000, threads=1)
+    assert model.metadata.organisation == (("light",), ("view", "y", "x"))
+    assert max(model.bounds[0].clusters) > 1
+    assert model.snr > 20

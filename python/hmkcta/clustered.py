@@ -6,7 +6,7 @@ PCA. Blocks say little about them where they are scattered over all of the array
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from math import log2, prod
 
@@ -18,9 +18,10 @@ from .axes import Organisation, mode_sizes
 from .blocks import organised
 from .candidates import Candidate
 from .judging import Ranked, Search, worth_of
-from .memberships import CANDIDATES, balanced_clusters, normalised, row_features
+from .memberships import CANDIDATES, SOME_DIMENSIONS, balanced_clusters, normalised, row_features
 from .plan import MOST_RANKS
 from .slabs import thinning
+from .subspaces import subspace_clusters
 from .trial import OUT_OF_REACH, Trial
 
 F32 = NDArray[np.float32]
@@ -32,6 +33,8 @@ COUNTS, FIRST = (4, 8, 16, 32, 64), 16
 MOST_COLUMNS, MOST_ROWS, DRAWN_FROM = 512, 1 << 13, 1 << 22
 #: Elements of the sample for a size and for an SNR, which takes higher ranks; a few rows of a cluster tell of few.
 SAMPLE = (1 << 20, 1 << 21)
+#: How many times fewer rows rank matrices.
+FEW = 8
 #: In dB, or octaves of bytes. Clusters must bring so much more, as they are told from a sample of rows, to matrices
 #: that lie no more than so much behind; judged so near each other, what has clusters and what has none are rivals. No
 #: more numbers of them are looked at where one cluster and what was looked at fall so much short.
@@ -45,16 +48,17 @@ LIKELIEST = CANDIDATES[0]
 def with_clusters(search: Search, found: tuple[float, Candidate]) -> tuple[float, Candidate]:
     """The better of what was found and the best matrix with clusters of the data along its long mode.
 
-    The next best is a rival where it is near. Of all matrices the best are looked at, if not too long for it: what
-    parts their clusters, no axis brings together.
+    The next best is a rival where it is near. Of all matrices the best are looked at, and those that a few rows say to
+    be the best with clusters, if not too long for it: what parts their clusters, no axis brings together.
     """
     source, worth = search.goal.source, dict.fromkeys(search.matrices(), 0.0)
     for (modes, _, _, size), ranked in search.seen.items():
-        if len(modes) == 2 and size == search.goal.size and min(mode_sizes(source.axes, modes)) <= MOST_COLUMNS:
-            worth[modes] = max([worth.get(modes, 0.0), *map(worth_of, ranked)])
+        if len(modes) == 2 and min(mode_sizes(source.axes, modes)) <= MOST_COLUMNS:
+            same = map(worth_of, ranked) if size == search.goal.size else ()
+            worth[modes] = max([worth.get(modes, 0.0), *same])
     best = sorted((modes for modes in worth if worth[modes] > found[0] - SURPASSED), key=lambda modes: -worth[modes])
     judged: Ranked = []
-    for modes in best[: search.clustered]:
+    for modes in dict.fromkeys([*best[: search.clustered], *_likely(search, list(worth), found[0] - LACKING)]):
         for item in clustered(search.goal, modes):
             judged.append(item)
             if max(worth[modes], *map(worth_of, judged)) < found[0] - LACKING:
@@ -70,28 +74,42 @@ def with_clusters(search: Search, found: tuple[float, Candidate]) -> tuple[float
     return winner
 
 
-def clustered(trial: Trial, organisation: Organisation) -> Iterator[tuple[float, Candidate]]:
+def _likely(search: Search, matrices: Sequence[Organisation], least: float) -> list[Organisation]:
+    """Matrices that are worth most with clusters, told from a few rows, as many as are to be looked at further.
+
+    What they are worth without says little of it: the best with clusters may then be 10 dB behind.
+    """
+    if len(matrices) < 2 or not search.clustered:
+        return []
+    worth = {modes: next(clustered(search.goal, modes, few=True), (-OUT_OF_REACH, None))[0] for modes in matrices}
+    likely = sorted((modes for modes in worth if worth[modes] > least), key=lambda modes: -worth[modes])
+    return likely[: search.clustered]
+
+
+def clustered(
+    trial: Trial, organisation: Organisation, *, few: bool = False
+) -> Iterator[tuple[float, Candidate]]:
     """What the matrices of two modes are worth with so many clusters of the rows of the longer one, at the best ranks.
 
     The shorter mode is left undecomposed: each cell has columns of its own. From the first number of clusters on, twice
-    and half as many are looked at while that helps.
+    and half as many are looked at while that helps. `few` rows tell less.
     """
     sizes = mode_sizes(trial.source.axes, organisation)
     if len(sizes) != 2 or min(sizes) > MOST_COLUMNS or min(sizes) < 2:
         return
     long = int(sizes[1] > sizes[0])
-    rows = _sampled_rows(trial, organisation, long)
+    rows = _sampled_rows(trial, organisation, long, FEW if few else 1)
     possible = [count for count in COUNTS if len(rows) >= FEWEST_ROWS * count]
     if not possible or not rows.any():
         return
     first = min(len(possible) - 1, COUNTS.index(FIRST))
     features = normalised(row_features(rows, 0), LIKELIEST[0])
-    begun = _judged(trial, organisation, rows, features, possible[first], long)
+    begun = _judged(trial, organisation, rows, features, possible[first], long, few)
     yield begun
     for way in (possible[first + 1 :], possible[:first][::-1]):
         reached = begun[0]
         for count in way:
-            item = _judged(trial, organisation, rows, features, count, long)
+            item = _judged(trial, organisation, rows, features, count, long, few)
             yield item
             if item[0] <= reached:
                 break
@@ -99,9 +117,10 @@ def clustered(trial: Trial, organisation: Organisation) -> Iterator[tuple[float,
 
 
 def _judged(
-    trial: Trial, organisation: Organisation, rows: F32, features: F64, count: int, long: int
+    trial: Trial, organisation: Organisation, rows: F32, features: F64, count: int, long: int, few: bool
 ) -> tuple[float, Candidate]:
-    """What so many clusters of the long mode are worth, told from some of its rows."""
+    """What so many clusters of the long mode are worth, told from some of its rows: by k-means, and unless `few`
+    also by subspaces, as the fit has both."""
     sizes, flags = mode_sizes(trial.source.axes, organisation), (long == 1, long == 0)
     clusters = (1, count) if long else (count, 1)
     ones = (1,) * len(trial.source.shape)
@@ -114,26 +133,32 @@ def _judged(
         return -OUT_OF_REACH - log2(needed), each
     energy = float(np.square(rows, dtype=np.float64).sum())
     labels = balanced_clusters(features, count, LIKELIEST[1], np.random.default_rng(trial.seed))
-    left = np.concatenate([[energy], _left(rows, labels, limit, trial.seed)[choices.entry]])
+    reached = _left(rows, labels, limit, trial.seed)
+    if not few and SOME_DIMENSIONS[0] < rows.shape[1]:
+        rng = np.random.default_rng(trial.seed)
+        parted = subspace_clusters(rows, count, SOME_DIMENSIONS[0], rng, restarts=1)
+        reached = np.minimum(reached, _left(rows, parted, limit, trial.seed))
+    left = np.concatenate([[energy], reached[choices.entry]])
     kept = pareto(choices.nbytes, left)
     spend = partial(best_of_one, choices.nbytes[kept], left[kept])
     return trial.worth_of(spend, energy, 1.0, fixed, least)[0], each
 
 
-def _sampled_rows(trial: Trial, organisation: Organisation, long: int) -> F32:
-    """Some rows of the long mode, all columns.
+def _sampled_rows(trial: Trial, organisation: Organisation, long: int, fewer: int) -> F32:
+    """Some rows of the long mode, all columns; so many times fewer than are usual.
 
     They are drawn: what moves by so many rows a frame is the same in all rows of a grid.
     """
     source = trial.source
     along = [n for n, axis in enumerate(source.axes) if axis.name in organisation[long]]
     columns = prod(source.shape) // prod(source.shape[n] for n in along)
-    steps = dict(zip(along, thinning([source.shape[n] for n in along], max(1, DRAWN_FROM // columns)), strict=True))
+    thinned = thinning([source.shape[n] for n in along], max(1, DRAWN_FROM // (fewer * columns)))
+    steps = dict(zip(along, thinned, strict=True))
     part = tuple(slice(None, None, steps.get(n, 1)) for n in range(len(source.shape)))
     values = source.values(part) if trial.values is None else trial.values[part]
     matrix = organised(values[None], source.axes, organisation)[0]
     rows = matrix.T if long else matrix
-    most = max(1, min(MOST_ROWS, SAMPLE[trial.ceiling is not None] // columns))
+    most = max(1, min(MOST_ROWS, SAMPLE[trial.ceiling is not None] // (fewer * columns)))
     if len(rows) > most:
         rows = rows[np.sort(np.random.default_rng(trial.seed).permutation(len(rows))[:most])]
     return np.ascontiguousarray(rows)

@@ -24,7 +24,9 @@ ROWS = 1 << 12
 RESTARTS, ROUNDS, NEAREST = 4, 12, 3
 
 
-def subspace_clusters(rows: F32, clusters: int, dimension: int, rng: np.random.Generator) -> Labels:
+def subspace_clusters(
+    rows: F32, clusters: int, dimension: int, rng: np.random.Generator, restarts: int = RESTARTS
+) -> Labels:
     """Labels of the rows `[I, J]` by the nearest of so many subspaces of that dimension; none is left without a row.
 
     >>> lines = np.array([[1, 0, 0], [0, 1, 0], [-2, 0, 0], [0, -3, 0]], np.float32)
@@ -36,7 +38,7 @@ def subspace_clusters(rows: F32, clusters: int, dimension: int, rng: np.random.G
     points = _coordinates(rows, max(COORDINATES, dimension + MORE), rng)
     some = points if len(points) <= ROWS else points[np.sort(rng.permutation(len(points))[:ROWS])]
     best, most = np.zeros((clusters, points.shape[1], dimension), np.float32), -1.0
-    for _ in range(RESTARTS):
+    for _ in range(restarts):
         bases = _settled(some, _seeds(some, clusters, dimension, rng))
         kept = sum(float(part.max(axis=1).sum(dtype=np.float64)) for part in _explained(some, bases))
         if kept > most:
