@@ -38,7 +38,7 @@ FEW = 8
 #: In dB, or octaves of bytes. Clusters must bring so much more, as they are told from a sample of rows, to matrices
 #: that lie no more than so much behind; judged so near each other, what has clusters and what has none are rivals. No
 #: more numbers of them are looked at where one cluster and what was looked at fall so much short.
-SURELY, SURPASSED, CLOSE, LACKING = 0.1, 12.0, 1.5, 8.0
+SURELY, SURPASSED, CLOSE, LACKING = 0.1, 6.0, 1.5, 8.0
 #: Rows of the sample that a cluster has at the least, on average.
 FEWEST_ROWS = 24
 #: How rows are normalised before k-means.
@@ -51,7 +51,7 @@ def with_clusters(search: Search, found: tuple[float, Candidate]) -> tuple[float
     The next best is a rival where it is near. Of all matrices the best are looked at, and those that a few rows say to
     be the best with clusters, if not too long for it: what parts their clusters, no axis brings together.
     """
-    source, worth = search.goal.source, dict.fromkeys(search.matrices(), 0.0)
+    source, worth = search.goal.source, dict[Organisation, float]()
     for (modes, _, _, size), ranked in search.seen.items():
         if len(modes) == 2 and min(mode_sizes(source.axes, modes)) <= MOST_COLUMNS:
             same = map(worth_of, ranked) if size == search.goal.size else ()

@@ -85,7 +85,7 @@ def tune(
     trial = replace(trial, room=2 * together, memory=room)
     care = CARES.get(run.effort, CARES[EFFORTS["medium"]])
     held = not is_streamed(elements, workset_limit(memory))
-    search = Search(trial, trial, plain, run.threads, care, together, max(0, care.matrices - 1) if held else 0)
+    search = Search(trial, trial, plain, run.threads, care, together, care.matrices // 2 if held else 0)
     if sum(length > 1 for length in source.shape) < 2:  # a vector has nothing to cut or to merge
         worth, best = search.best([(plain, (1,) * len(source.shape))], search.care.refine)[0]
     else:
