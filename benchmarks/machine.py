@@ -8,9 +8,10 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
-from threadpoolctl import threadpool_limits  # pyright: ignore[reportMissingTypeStubs] (it has none)
+from threadpoolctl import threadpool_info, threadpool_limits  # pyright: ignore[reportMissingTypeStubs] (it has none)
 
 from benchmarks.report import Limits
 
@@ -33,7 +34,7 @@ def best_of(work: Callable[[], object], runs: int = RUNS, seconds: float = 0.0) 
 
 def limits(threads: Sequence[int]) -> Limits:
     """Measure both for each number of threads."""
-    name = f"{_processor()}, {os.cpu_count()} cores, {platform.system()}"
+    name = f"{_processor()}, {os.cpu_count()} cores, {platform.system()}, {_blas()}"
     return Limits(name, {count: _copy(count) for count in threads}, {count: _sgemm(count) for count in threads})
 
 
@@ -55,6 +56,13 @@ def _sgemm(threads: int) -> float:
     with threadpool_limits(limits=threads, user_api="blas"):
         _, processor = best_of(lambda: np.matmul(a, b, out=c))
     return 2 * SIDE**3 * threads / processor
+
+
+def _blas() -> str:
+    """The matrix product's library and the processor that it takes this one for, as it may know no better."""
+    every = cast("list[dict[str, Any]]", threadpool_info())
+    found = [one for one in every if one.get("user_api") == "blas"]
+    return ", ".join(f"{one['internal_api']} for {one.get('architecture', 'any')}" for one in found) or "no known BLAS"
 
 
 def _processor() -> str:
