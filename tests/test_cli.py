@@ -158,6 +158,18 @@ def test_what_figures_do_not_tell_is_said(array: NDArray[Any], sentence: str | N
     assert len(report("compress", path, "-o", tmp_path / "a.hmk", *words)["notes"]) == (sentence is not None)
 
 
+@pytest.mark.parametrize(("words", "sentence"), [
+    (("--plan", "R=1 grid=x:2 / R<=2"), "the ranks of the plan allow no more"),
+    (("--decode-cost", "4", "--organisation", "z,y,x"), "within --decode-cost 4"),
+    ((), None),
+], ids=["ranks", "cost", "none"])
+def test_what_keeps_a_file_from_its_size_is_said(words: tuple[str, ...], sentence: str | None, tmp_path: Path) -> None:
+    path = saved(tmp_path / "a.npy", smooth(16, 20, 24) + 0.1 * np.random.default_rng(0).random((16, 20, 24)))
+    result = run("compress", path, "-o", tmp_path / "a.hmk", "--axes", "z,y,x", "--size", "13000", *words)
+    assert (" % are used" in result.stderr) == (sentence is not None)
+    assert (sentence or "") in result.stderr
+
+
 def test_what_numpy_makes_of_flags_is_not_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """OpenBLAS may set one for what lies beside its operands."""
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..backends import Device, find_device
 from ..encode import compress
 from ..errors import GoalMissed
+from ..finer import USED
 from ..hmkfile import check_output
 from ..metrics import misses
 from ..model import Model
@@ -74,7 +75,7 @@ def compress_command(source: str, output: str, plan: str | None, device: str, re
         model.save(output, overwrite=overwrite)
     report = {**describe(model, array, progress), "device": asdict(where), "nodes_resumed": journal.found}
     missed, said = missed_goal(model, goal), [str(each.message) for each in warned]
-    said += notes(model, array, planned=plan is not None)
+    said += notes(model, array, planned=plan is not None) + unused(model, goal, plan)
     if as_json:
         emit({"output": output, **report, "reached": missed is None, "notes": said})
     elif not quiet:
@@ -134,6 +135,19 @@ def missed_goal(model: Model, goal: Goal) -> str | None:
     if goal.size is not None and model.nbytes > goal.size:
         return f"the file has {model.nbytes} bytes, more than --size {goal.size}."
     return None
+
+
+def unused(model: Model, goal: Goal, plan: str | None) -> list[str]:
+    """A sentence on what keeps a file from its --size; none if it has it, or as much as is of any use."""
+    if goal.size is None or model.nbytes >= USED * goal.size:
+        return []
+    share, most = f"of --size {100 * model.nbytes / goal.size:.0f} % are used", goal.settings["decode_cost"]
+    if plan is not None:
+        return [f"{share}: the ranks of the plan allow no more. Next: write higher ones"] if "<=" in plan else []
+    if 2 * model.decode_cost <= most:
+        return []
+    return [f"{share}: nothing better was found within --decode-cost {most}. Next: allow more multiply-adds, "
+            "if what reads the file may take longer for an element"]
 
 
 def advice(model: Model, plan: str | None) -> str:
