@@ -19,6 +19,7 @@ from cli_tools import report, run, smooth
 from hmkcta import Axis, compress
 from hmkcta.axes import mode_sizes
 from hmkcta.errors import HmkctaError
+from hmkcta.executors import thread_count
 from hmkcta.filesize import predicted_bytes
 from hmkcta.fit import EFFORTS
 from hmkcta.forecast import forecast, peak_memory
@@ -270,7 +271,7 @@ def test_an_array_is_looked_at_by_so_many_threads_within_one_slab(
     assert prepare(values, None, "identity", None, threads).unit == 1 << 20
     assert sum(sizes) == values.size
     assert len(workers) <= threads
-    assert max(sizes) * threads <= 1 << 18
+    assert max(sizes) * thread_count(threads) <= 1 << 18
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
