@@ -94,9 +94,10 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
     """The model of the task's plan; where it misses its SNR, of the first further plan that does not, or the best.
 
     Further are the same plan with a level more, for what float16 or the ranks of one leave, and then the `others`;
-    `missed` is told of every plan that missed. For a size the others are rivals, of which the best is kept. Where ranks
-    are such large steps that a model lies far beyond its goal, the same plan with a `finer` choice of blocks is tried,
-    and for an SNR the first of the others.
+    `missed` is told of every plan that missed. For a size the others are rivals, of which the best is kept. It is
+    compared with its `alternatives`, where that takes no more than seconds. Where ranks are such large steps that a
+    model lies far beyond its goal, the same plan with a `finer` choice of blocks is tried, and for an SNR the first of
+    the others.
     """
     rivals = _further(task, others if task.plan.size is not None else ())
     task, model = max([(task, follow(task)), *rivals], key=lambda each: each[1].snr)
@@ -113,7 +114,8 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
         if task.plan.snr is None or best.snr >= task.plan.snr:
             break
         missed(f"a plan chosen for {task.plan.snr:g} dB came to {model.snr:.2f}: another is tried, {plan}")
-        best = max([best, *(model for _, model in _further(task, [plan]))], key=lambda each: each.snr)
+        for _, model in _further(task, [plan]):
+            best = max(best, model, key=lambda each: each.snr)
     return best if task.plan.snr is None else _unless_verbatim(task, best, others)
 
 
@@ -136,7 +138,7 @@ def _unless_verbatim(task: Task, best: Model, others: Sequence[Plan]) -> Model:
     """The model for an SNR, or the values as float16 if that takes fewer bytes and does as well."""
     if best.nbytes <= 2 * prod(task.source.shape) or _is_verbatim(best.plan):
         return best
-    for _, model in _further(task, list(filter(_is_verbatim, others))):
+    for _, model in _further(task, filter(_is_verbatim, others)):
         if model.nbytes < best.nbytes and model.snr >= min(best.snr, task.plan.snr or best.snr):
             return model
     return best

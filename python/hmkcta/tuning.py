@@ -41,9 +41,9 @@ FEW_AXES, BEAM = 5, 3
 STEEP, HOPELESS = 0.05, 0.5
 #: With other modes undecomposed an organisation may lie so far behind its best, in so many ways.
 OTHERWISE, KINDS = 1.5, 2
-#: Small samples tell up to so much too little of large blocks, and of matrices: what lies further behind is left. A way
-#: along an axis that lost so much is not gone again in a race, and one that lost so much more in no climb after it.
-LAGGING, NEVER, WORSE, SURELY_WORSE = 2.0, 6.0, 1.5, 5.0
+#: Small samples tell up to so much too little of large blocks: what lies further behind is left. A way along an axis
+#: that lost so much is not gone again in a race, and one that lost so much more in no climb after it.
+LAGGING, WORSE, SURELY_WORSE = 2.0, 1.5, 5.0
 #: How far behind is left, and which loss is final, in a race; and where bytes for an SNR come from a survey alone.
 TRUSTED, DOUBTED = (LAGGING, WORSE), (inf, SURELY_WORSE)
 #: No climb begins so far behind what those before it reached; it ends that is so far behind after its first round.
