@@ -3,8 +3,8 @@
 //! These rows are a bundle: they differ in the last leading mode only, and share their subsets there. So they meet the
 //! same cells, and the columns of a cluster of mode b, of all tuples of the bundle, fill vectors side by side.
 
-use crate::leading::Partial;
-use crate::lines::{Buffers, Group, Lines, PAD, ROWS};
+use crate::leading::{PAD, Partial};
+use crate::lines::{Buffers, Group, Lines, ROWS};
 use crate::machine::prefetch_from;
 use crate::threads::room;
 use pulp::{Simd, WithSimd};
@@ -35,9 +35,9 @@ impl WithSimd for Bundle<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Bundle { lines, present, buffers: Buffers { starts, ahead, choices, panels, lines: sums }, step } = self;
-        let (node, a, b) = (lines.node, lines.depth, lines.depth + 1);
+        let (node, a) = (lines.node, lines.leading.depth);
         let panels = room(panels, present.cells.len() * node.clusters[a] * node.ranks[a] * lines.places.line());
-        match node.ranks[b] {
+        match node.ranks[a + 1] {
             1 => expand::<S, 1>(simd, lines, present, starts.len(), panels),
             2 => expand::<S, 2>(simd, lines, present, starts.len(), panels),
             3 => expand::<S, 3>(simd, lines, present, starts.len(), panels),
@@ -68,13 +68,13 @@ impl WithSimd for Bundle<'_> {
 /// known, else 0.
 #[inline(always)]
 fn expand<S: Simd, const B: usize>(simd: S, lines: &Lines, present: &Partial, count: usize, panels: &mut [f32]) {
-    let (node, a, places) = (lines.node, lines.depth, &lines.places);
+    let (node, a, places, lanes) = (lines.node, lines.leading.depth, &lines.places, lines.leading.lanes);
     let (clusters, rank, rank_b) = (node.clusters[a], node.ranks[a], node.ranks[a + 1]);
     let (basis, line, tuple) = (lines.basis(), places.line(), present.cores.len() / count);
     for (number, panels) in panels.chunks_exact_mut(rank * line).enumerate() {
         let cell = present.cells[number / clusters] * clusters + number % clusters;
         let bases = &lines.bases[cell * basis..][..basis];
-        let cores = &present.cores[number * rank * lines.lanes..];
+        let cores = &present.cores[number * rank * lanes..];
         for (c, &members) in places.members.iter().enumerate() {
             let basis = &bases[places.starts[c] * rank_b..];
             // What a tuple has too much is the next one's, so each is finished before.
@@ -83,7 +83,7 @@ fn expand<S: Simd, const B: usize>(simd: S, lines: &Lines, present: &Partial, co
                 for first in (0..members).step_by(WIDE * S::F32_LANES) {
                     let part = Part {
                         cores: &cores[t * tuple + c * rank_b..],
-                        core_steps: (tuple, lines.lanes),
+                        core_steps: (tuple, lanes),
                         basis: &basis[first..],
                         width: members.next_multiple_of(PAD),
                         out: &mut panels[places.segments[c] + t * members + first..],
@@ -185,7 +185,7 @@ pub struct Choice {
 
 /// The cells of lines with these subsets of mode a: `[combinations, K_a]`.
 fn choose(lines: &Lines, present: &Partial, subsets: &[u16], choices: &mut Vec<Choice>) {
-    let (node, a) = (lines.node, lines.depth);
+    let (node, a) = (lines.node, lines.leading.depth);
     let (clusters, rank) = (node.clusters[a], node.ranks[a]);
     let numbers = node.clusters[a + 1] * rank * ROWS;
     let leading: usize = node.clusters[..a].iter().product();
@@ -251,7 +251,7 @@ impl Tiles<'_> {
     #[inline(always)]
     unsafe fn tile<S: Simd, const M: usize, const V: usize>(&self, simd: S, c: usize, first: usize, out: &mut [f32]) {
         let &Tiles { lines, choices, group, panels, .. } = self;
-        let rank = lines.node.ranks[lines.depth];
+        let rank = lines.node.ranks[lines.leading.depth];
         let line = lines.places.line();
         let start = lines.places.segments[c] + first * S::F32_LANES;
         let mut sums = [[simd.splat_f32s(0.0); V]; M];

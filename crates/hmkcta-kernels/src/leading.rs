@@ -1,8 +1,12 @@
 //! Cores contracted with rows of the leading modes, one mode after the other.
 
 use crate::cells::Node;
-use crate::lines::Lines;
+use crate::machine::dispatch;
 use pulp::{Simd, WithSimd};
+use std::ops::Range;
+
+/// More numbers than any vector has; what vectors run along is padded to whole ones.
+pub const PAD: usize = 16;
 
 /// Combinations of subsets that meet at the present rows of the modes before n, and their cores contracted with these
 /// rows: `[combinations, cells from mode n on but b, R_n, .., R_a, lanes]`, for each row of a bundle.
@@ -12,18 +16,123 @@ pub struct Partial {
     pub cores: Vec<f32>,
 }
 
+/// The leading modes of a node, b being the last mode and a the one before. Lanes are the clusters of mode b and its
+/// ranks, `C_b R_b`, padded.
+pub struct Leading<'a> {
+    pub node: &'a Node<'a>,
+    /// How many modes lead: all but b, or all but a and b.
+    pub depth: usize,
+    pub lanes: usize,
+    /// For each leading mode `[I_n, K_n, cells of the modes before, of those after but b, R_n, lanes]`.
+    expanded: Vec<Vec<f32>>,
+    /// Rows of the last leading mode with the same subsets, some at a time; one row 0 where there is no such mode.
+    pub bundles: Vec<Vec<u32>>,
+}
+
+impl<'a> Leading<'a> {
+    /// With at most so many rows in a bundle.
+    pub fn new<B: AsRef<[f32]>>(node: &'a Node<'a>, depth: usize, bases: &[B], most: usize) -> Self {
+        let b = node.order() - 1;
+        let lanes = (node.clusters[b] * node.ranks[b]).next_multiple_of(PAD);
+        let bundles = if depth > 0 { alike(node, depth - 1, most) } else { vec![vec![0]] };
+        let mut leading = Leading { node, depth, lanes, expanded: vec![], bundles };
+        leading.expanded = (0..depth).map(|n| leading.expand(bases[n].as_ref(), node.ranks[n])).collect();
+        leading
+    }
+
+    /// Numbers `[.., C_b, rank]` as `[.., rank, lanes]`.
+    pub fn expand(&self, numbers: &[f32], rank: usize) -> Vec<f32> {
+        let b = self.node.order() - 1;
+        let (clusters, repeats) = (self.node.clusters[b], self.node.ranks[b]);
+        let mut all = vec![0.0; numbers.len() / clusters * self.lanes];
+        for (from, to) in numbers.chunks_exact(clusters * rank).zip(all.chunks_exact_mut(rank * self.lanes)) {
+            for (c, from) in from.chunks_exact(rank).enumerate() {
+                let to = to.chunks_exact_mut(self.lanes).zip(from);
+                to.for_each(|(to, &u)| to[c * repeats..][..repeats].fill(u));
+            }
+        }
+        all
+    }
+
+    /// All cores `[cells, R_1, .., R_N]` times the weight, as `[cells but b, R_1, .., R_a, lanes]`.
+    pub fn cores(&self, cores: &[f32], weight: f32) -> Partial {
+        let b = self.node.order() - 1;
+        let (clusters, rank) = (self.node.clusters[b], self.node.ranks[b]);
+        let others: usize = self.node.ranks[..b].iter().product();
+        let mut all = vec![0.0; cores.len() / (clusters * rank) * self.lanes];
+        for (from, to) in cores.chunks_exact(clusters * others * rank).zip(all.chunks_exact_mut(others * self.lanes)) {
+            for (c, from) in from.chunks_exact(others * rank).enumerate() {
+                for (from, to) in from.chunks_exact(rank).zip(to.chunks_exact_mut(self.lanes)) {
+                    to[c * rank..].iter_mut().zip(from).for_each(|(to, z)| *to = weight * z);
+                }
+            }
+        }
+        Partial { cells: vec![0], cores: all }
+    }
+
+    /// How many bundles there are, for all tuples of the leading modes but the last.
+    pub fn count(&self) -> usize {
+        self.bundles.len() * self.node.sizes[..self.depth.saturating_sub(1)].iter().product::<usize>()
+    }
+
+    /// Bundle `number` of all: its rows of the last leading mode, and the first tuple that they could be of.
+    pub fn bundle(&self, number: usize) -> (&[u32], usize) {
+        let rows = if self.depth > 0 { self.node.sizes[self.depth - 1] } else { 1 };
+        (&self.bundles[number % self.bundles.len()], number / self.bundles.len() * rows)
+    }
+
+    /// Do the work on the bundles `range`, with the cores contracted for each.
+    pub fn each(&self, range: Range<usize>, all: &Partial, mut work: impl FnMut(usize, &Partial)) {
+        self.descend((0, 0), range, all, &mut vec![Partial::default(); self.depth], &mut work);
+    }
+
+    /// Of those below the present leading rows, which come after `before` others.
+    fn descend(
+        &self,
+        (level, before): (usize, usize),
+        range: Range<usize>,
+        present: &Partial,
+        levels: &mut [Partial],
+        work: &mut impl FnMut(usize, &Partial),
+    ) {
+        let Some((next, levels)) = levels.split_first_mut() else { return work(before, present) };
+        if levels.is_empty() {
+            for bundle in range {
+                dispatch(Choose { leading: self, level, rows: &self.bundles[bundle], present, next });
+                work(before + bundle, next);
+            }
+            return;
+        }
+        let span = self.node.sizes[level + 1..self.depth - 1].iter().product::<usize>() * self.bundles.len();
+        for i in range.start / span..range.end.div_ceil(span) {
+            let start = i * span;
+            let below = range.start.max(start) - start..range.end.min(start + span) - start;
+            dispatch(Choose { leading: self, level, rows: &[i as u32], present, next });
+            self.descend((level + 1, before + start), below, next, levels, work);
+        }
+    }
+}
+
 /// Of one row of a mode.
 pub fn subsets<'a>(node: &Node<'a>, n: usize, row: u32) -> &'a [u16] {
     &node.members(n)[row as usize * node.mixture[n]..][..node.mixture[n]]
 }
 
+/// The rows of a mode with the same subsets, at most so many at a time.
+pub fn alike(node: &Node, n: usize, most: usize) -> Vec<Vec<u32>> {
+    let mut rows: Vec<u32> = (0..node.sizes[n] as u32).collect();
+    rows.sort_by_key(|&row| subsets(node, n, row));
+    let same = rows.chunk_by(|&i, &j| subsets(node, n, i) == subsets(node, n, j));
+    same.flat_map(|rows| rows.chunks(rows.len().div_ceil(rows.len().div_ceil(most)))).map(<[u32]>::to_vec).collect()
+}
+
 /// Keep the combinations that have some rows of a leading mode, which share their subsets, contracted with each.
-pub struct Choose<'c> {
-    pub lines: &'c Lines<'c>,
-    pub level: usize,
-    pub rows: &'c [u32],
-    pub present: &'c Partial,
-    pub next: &'c mut Partial,
+struct Choose<'c> {
+    leading: &'c Leading<'c>,
+    level: usize,
+    rows: &'c [u32],
+    present: &'c Partial,
+    next: &'c mut Partial,
 }
 
 impl WithSimd for Choose<'_> {
@@ -31,8 +140,8 @@ impl WithSimd for Choose<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Choose { lines, level: n, rows, present, next } = self;
-        let (node, lanes) = (lines.node, lines.lanes);
+        let Choose { leading, level: n, rows, present, next } = self;
+        let (node, lanes, b) = (leading.node, leading.lanes, leading.node.order() - 1);
         let (clusters, mixture, rank) = (node.clusters[n], node.mixture[n], node.ranks[n]);
         let subsets = subsets(node, n, rows[0]);
         let cells =
@@ -41,21 +150,21 @@ impl WithSimd for Choose<'_> {
         next.cells.extend(cells);
         next.cores.resize(present.cores.len() / clusters / rank * mixture * rows.len(), 0.0);
         // Cells of the modes after this one, and numbers of one for each number of the row.
-        let after: usize = node.clusters[n + 1..=lines.depth].iter().product();
-        let numbers = node.ranks[n + 1..=lines.depth].iter().product::<usize>() * lanes;
-        let leading: usize = node.clusters[..n].iter().product();
+        let after: usize = node.clusters[n + 1..b].iter().product();
+        let numbers = node.ranks[n + 1..b].iter().product::<usize>() * lanes;
+        let before: usize = node.clusters[..n].iter().product();
         let each = || present.cores.chunks_exact(clusters * after * rank * numbers).zip(&present.cells);
         let mut outs = next.cores.chunks_exact_mut(numbers);
         for (i, (cores, cell)) in rows.iter().flat_map(|&i| each().map(move |part| (i as usize, part))) {
             for (k, &c) in subsets.iter().enumerate() {
                 let cores = &cores[usize::from(c) * after * rank * numbers..][..after * rank * numbers];
-                let first = ((i * mixture + k) * leading + cell) * after;
+                let first = ((i * mixture + k) * before + cell) * after;
                 for (number, (core, out)) in cores.chunks_exact(rank * numbers).zip(&mut outs).enumerate() {
                     if node.undecomposed[n] {
                         out.copy_from_slice(&core[i * numbers..][..numbers]);
                         continue;
                     }
-                    let row = &lines.expanded[n][(first + number) * rank * lanes..][..rank * lanes];
+                    let row = &leading.expanded[n][(first + number) * rank * lanes..][..rank * lanes];
                     match rank {
                         1 => weigh::<S, 1>(simd, core, row, out),
                         2 => weigh::<S, 2>(simd, core, row, out),

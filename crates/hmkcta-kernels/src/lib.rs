@@ -28,6 +28,7 @@ mod packed;
 mod pair;
 mod pairs;
 mod part;
+mod permuted;
 mod pick;
 mod places;
 mod project;

@@ -7,15 +7,12 @@
 
 use crate::bundle::{Bundle, Choice};
 use crate::cells::Node;
-use crate::leading::{Choose, Partial, subsets};
+use crate::leading::{Leading, Partial, alike, subsets};
 use crate::machine::dispatch;
 use crate::places::Places;
 use crate::threads::{PARALLEL, for_each};
 use crate::turned::Turned;
-use std::ops::Range;
 
-/// More numbers than any vector has; what vectors run along is padded to whole ones.
-pub const PAD: usize = 16;
 /// Rows of mode a worked on at a time.
 pub const ROWS: usize = 8;
 /// Numbers that the lines of a bundle should have for a row of mode a, all clusters' members; most rows of a bundle.
@@ -47,16 +44,15 @@ pub fn accumulate(node: &Node, mode: usize, tensor: &mut [f32], bases: &[&[f32]]
     assert_eq!(tensor.len(), node.sizes.iter().product::<usize>());
     let turned = Turned::new(node, mode, bases, cores);
     let lines = Lines::new(&turned.node, &turned.bases);
-    let all = lines.cores(&turned.cores, weight);
+    let all = lines.leading.cores(&turned.cores, weight);
     let inner = node.sizes[mode + 1..node.order() - 1].iter().product();
     let target = Target { start: tensor.as_mut_ptr(), rows: node.sizes[mode], columns: lines.columns, inner };
-    let count = lines.bundles.len() * turned.node.sizes[..lines.depth.saturating_sub(1)].iter().product::<usize>();
-    let parallel = tensor.len() >= PARALLEL;
+    let (count, parallel) = (lines.leading.count(), tensor.len() >= PARALLEL);
     let piece = if parallel { count.div_ceil(PIECES) } else { count };
     for_each(parallel, (0..count).step_by(piece).collect(), |from| {
-        let mut levels = vec![Partial::default(); lines.depth];
+        let mut buffers = Buffers::default();
         let range = from..count.min(from + piece);
-        lines.descend((0, 0), range, &all, &mut levels, &mut Buffers::default(), &target);
+        lines.leading.each(range, &all, |number, present| lines.add(number, present, &mut buffers, &target));
     });
 }
 
@@ -85,20 +81,13 @@ impl Target {
     }
 }
 
-/// A node prepared for it. Modes a and b are the last two; lanes are the clusters of mode b and its ranks, `C_b R_b`,
-/// padded.
+/// A node prepared for it. Modes a and b are the last two.
 pub struct Lines<'a> {
+    pub leading: Leading<'a>,
     pub node: &'a Node<'a>,
-    /// N - 2, the number of leading modes, which is mode a.
-    pub depth: usize,
     pub columns: usize,
-    pub lanes: usize,
-    /// For each leading mode `[I_n, K_n, cells of the modes before, of those after but b, R_n, lanes]`.
-    pub expanded: Vec<Vec<f32>>,
     /// Rows of mode a with the same subsets, some at a time.
     pub groups: Vec<Group>,
-    /// Rows of the last leading mode with the same subsets, some at a time; one row 0 where there is no such mode.
-    bundles: Vec<Vec<u32>>,
     /// For each cell of the modes but b, and each cluster of b, `[R_b, members]`, these padded.
     pub bases: Vec<f32>,
     /// Where each column is in a line.
@@ -121,60 +110,25 @@ pub struct Buffers {
 
 impl<'a> Lines<'a> {
     fn new(node: &'a Node<'a>, bases: &[Vec<f32>]) -> Self {
-        let depth = node.order() - 2;
-        let (a, b) = (depth, depth + 1);
+        let (a, b) = (node.order() - 2, node.order() - 1);
         let most = (BUNDLED / (node.mixture[b] * node.sizes[b])).clamp(1, MOST_BUNDLED);
-        let bundles = if depth > 0 { alike(node, depth - 1, most) } else { vec![vec![0]] };
-        let longest = bundles.iter().map(Vec::len).max().unwrap_or(1);
+        let leading = Leading::new(node, a, bases, most);
+        let longest = leading.bundles.iter().map(Vec::len).max().unwrap_or(1);
         let mut lines = Lines {
             columns: node.sizes[b],
             node,
-            depth,
-            lanes: (node.clusters[b] * node.ranks[b]).next_multiple_of(PAD),
-            expanded: vec![],
             groups: groups(node, a, &bases[a]),
-            bundles,
+            leading,
             places: Places::new(node, b, longest),
             bases: vec![],
         };
-        lines.expanded = (0..a).map(|n| lines.expand(&bases[n], node.ranks[n])).collect();
         lines.bases = lines.sorted(&bases[b]);
         lines
     }
 
-    /// Numbers `[.., C_b, rank]` as `[.., rank, lanes]`.
-    fn expand(&self, numbers: &[f32], rank: usize) -> Vec<f32> {
-        let b = self.depth + 1;
-        let (clusters, repeats) = (self.node.clusters[b], self.node.ranks[b]);
-        let mut all = vec![0.0; numbers.len() / clusters * self.lanes];
-        for (from, to) in numbers.chunks_exact(clusters * rank).zip(all.chunks_exact_mut(rank * self.lanes)) {
-            for (c, from) in from.chunks_exact(rank).enumerate() {
-                let to = to.chunks_exact_mut(self.lanes).zip(from);
-                to.for_each(|(to, &u)| to[c * repeats..][..repeats].fill(u));
-            }
-        }
-        all
-    }
-
-    /// All cores `[cells, R_1, .., R_N]` times the weight, as `[cells but b, R_1, .., R_a, lanes]`.
-    fn cores(&self, cores: &[f32], weight: f32) -> Partial {
-        let b = self.depth + 1;
-        let (clusters, rank) = (self.node.clusters[b], self.node.ranks[b]);
-        let others: usize = self.node.ranks[..b].iter().product();
-        let mut all = vec![0.0; cores.len() / (clusters * rank) * self.lanes];
-        for (from, to) in cores.chunks_exact(clusters * others * rank).zip(all.chunks_exact_mut(others * self.lanes)) {
-            for (c, from) in from.chunks_exact(others * rank).enumerate() {
-                for (from, to) in from.chunks_exact(rank).zip(to.chunks_exact_mut(self.lanes)) {
-                    to[c * rank..].iter_mut().zip(from).for_each(|(to, z)| *to = weight * z);
-                }
-            }
-        }
-        Partial { cells: vec![0], cores: all }
-    }
-
     /// Basis numbers of mode b, which are stored as `[I_b, K_b, cells but b, R_b]`.
     fn sorted(&self, basis: &[f32]) -> Vec<f32> {
-        let b = self.depth + 1;
+        let b = self.node.order() - 1;
         let (rank, clusters, size) = (self.node.ranks[b], self.node.clusters[b], self.basis());
         let cells = self.node.cells() / clusters;
         let mut sorted = vec![0.0; cells * size];
@@ -193,44 +147,15 @@ impl<'a> Lines<'a> {
 
     /// Numbers of all clusters of mode b for one cell of the others.
     pub fn basis(&self) -> usize {
-        self.node.ranks[self.depth + 1] * self.places.starts[self.node.clusters[self.depth + 1]]
+        let b = self.node.order() - 1;
+        self.node.ranks[b] * self.places.starts[self.node.clusters[b]]
     }
 
-    /// Where the tuples of a bundle start, of all that there are for each tuple of the modes before.
+    /// Where the tuples of a bundle start.
     fn starts(&self, number: usize, target: &Target, starts: &mut Vec<*mut f32>) {
-        let (before, bundle) = (number / self.bundles.len(), number % self.bundles.len());
-        let rows = if self.depth > 0 { self.node.sizes[self.depth - 1] } else { 1 };
+        let (rows, first) = self.leading.bundle(number);
         starts.clear();
-        starts.extend(self.bundles[bundle].iter().map(|&row| target.tuple(before * rows + row as usize)));
-    }
-
-    /// Add the model to the bundles `range` of those below the present leading rows, which come after `before` others.
-    fn descend(
-        &self,
-        (level, before): (usize, usize),
-        range: Range<usize>,
-        present: &Partial,
-        levels: &mut [Partial],
-        buffers: &mut Buffers,
-        target: &Target,
-    ) {
-        let Some((next, levels)) = levels.split_first_mut() else {
-            return self.add(before, present, buffers, target);
-        };
-        if levels.is_empty() {
-            for bundle in range {
-                dispatch(Choose { lines: self, level, rows: &self.bundles[bundle], present, next });
-                self.add(before + bundle, next, buffers, target);
-            }
-            return;
-        }
-        let span = self.node.sizes[level + 1..self.depth - 1].iter().product::<usize>() * self.bundles.len();
-        for i in range.start / span..range.end.div_ceil(span) {
-            let start = i * span;
-            let below = range.start.max(start) - start..range.end.min(start + span) - start;
-            dispatch(Choose { lines: self, level, rows: &[i as u32], present, next });
-            self.descend((level + 1, before + start), below, next, levels, buffers, target);
-        }
+        starts.extend(rows.iter().map(|&row| target.tuple(first + row as usize)));
     }
 
     /// Add the model to one bundle.
@@ -264,20 +189,11 @@ fn groups(node: &Node, a: usize, basis: &[f32]) -> Vec<Group> {
     alike(node, a, ROWS).into_iter().map(group).collect()
 }
 
-/// The rows of a mode with the same subsets, at most so many at a time.
-fn alike(node: &Node, n: usize, most: usize) -> Vec<Vec<u32>> {
-    let mut rows: Vec<u32> = (0..node.sizes[n] as u32).collect();
-    rows.sort_by_key(|&row| subsets(node, n, row));
-    let same = rows.chunk_by(|&i, &j| subsets(node, n, i) == subsets(node, n, j));
-    same.flat_map(|rows| rows.chunks(rows.len().div_ceil(rows.len().div_ceil(most)))).map(<[u32]>::to_vec).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::machine::tests::on_all_machines;
-    use crate::reconstruct::by_cells;
-    use crate::testing::{close, numbers};
+    use crate::testing::Example;
 
     #[test]
     fn agrees_with_reconstruction_cell_by_cell() {
@@ -295,23 +211,12 @@ mod tests {
 
     /// With the rows of every mode that has bases.
     fn compare_with_cells(sizes: &[usize], c: &[usize], k: &[usize], ranks: &[usize], undecomposed: Option<usize>) {
-        let order = sizes.len();
-        let of_rows = |n: usize| (0..sizes[n]).flat_map(move |i| (0..k[n]).map(move |k| ((i + k) % c[n]) as u16));
-        let members: Vec<Vec<u16>> = (0..order).map(|n| of_rows(n).collect()).collect();
-        let flags: Vec<bool> = (0..order).map(|n| Some(n) == undecomposed).collect();
-        let shape = (sizes.to_vec(), c.to_vec(), k.to_vec(), ranks.to_vec(), flags.clone());
-        let node = Node::new(shape, members.iter().map(|m| m.as_slice()).collect()).unwrap();
-        let bases: Vec<Vec<f32>> = (0..order).map(|n| numbers(node.basis_size(n), n as u64)).collect();
-        let bases: Vec<&[f32]> = bases.iter().map(|b| b.as_slice()).collect();
-        let cores = numbers(node.cells() * node.core_size(), 7);
-        let before = numbers(sizes.iter().product(), 8);
-        let mut expected = before.clone();
-        by_cells(&node, &mut expected, &bases, &cores, -0.5);
-        assert!(mode_of_rows(&node).is_some());
-        for mode in (0..order - 1).filter(|&n| !flags[n]) {
-            let mut found = before.clone();
-            accumulate(&node, mode, &mut found, &bases, &cores, -0.5);
-            found.iter().zip(&expected).for_each(|(&x, &y)| close(x, f64::from(y)));
+        let example = Example::new(sizes, c, k, ranks, undecomposed);
+        assert!(mode_of_rows(&example.node()).is_some());
+        for mode in (0..sizes.len() - 1).filter(|&n| Some(n) != undecomposed) {
+            example.compare(|node, tensor, bases, cores, weight| {
+                accumulate(node, mode, tensor, bases, cores, weight);
+            });
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Columns sorted by their clusters put back in their places, as lines are added to a tensor.
 
 use crate::cells::Node;
-use crate::lines::PAD;
+use crate::leading::PAD;
 use crate::machine::lanes;
 use crate::shuffle::{FILLED, Order, Shuffle};
 use pulp::Simd;
@@ -36,6 +36,47 @@ struct Source {
     order: Order,
 }
 
+/// Columns cut into blocks of a vector: where each starts, and from which column on it is new. The last ones that fill no
+/// vector go with some before them, and come first, so that nothing is written just before they are read.
+pub fn cut(columns: usize, lanes: usize) -> impl Iterator<Item = (usize, usize)> {
+    let whole = columns - columns % lanes;
+    let rest = (whole < columns).then_some((columns.saturating_sub(lanes), whole));
+    rest.into_iter().chain((0..whole).step_by(lanes).map(|first| (first, first)))
+}
+
+/// Rows that have at least a vector of columns: those with fewer are copied to such, and back.
+pub struct InVectors<const M: usize> {
+    columns: usize,
+    rows: [*mut f32; M],
+    few: Option<[[f32; PAD]; M]>,
+}
+
+impl<const M: usize> InVectors<M> {
+    /// # Safety
+    /// The rows have all columns, and nobody else refers to them until `put_back`.
+    #[inline(always)]
+    pub unsafe fn new(columns: usize, lanes: usize, rows: [*mut f32; M]) -> Self {
+        let mut few = (columns < lanes).then_some([[0.0; PAD]; M]);
+        for (few, row) in few.iter_mut().flatten().zip(rows) {
+            unsafe { row.copy_to_nonoverlapping(few.as_mut_ptr(), columns) };
+        }
+        InVectors { columns, rows, few }
+    }
+
+    #[inline(always)]
+    pub fn rows(&mut self) -> [*mut f32; M] {
+        self.few.as_mut().map_or(self.rows, |few| few.each_mut().map(|few| few.as_mut_ptr()))
+    }
+
+    #[inline(always)]
+    pub fn put_back(self) {
+        for (few, row) in self.few.iter().flatten().zip(self.rows) {
+            // SAFETY: as `new` was promised.
+            unsafe { row.copy_from_nonoverlapping(few.as_ptr(), self.columns) };
+        }
+    }
+}
+
 impl Places {
     /// Of the columns of mode b, in lines of up to so many tuples.
     pub fn new(node: &Node, b: usize, tuples: usize) -> Places {
@@ -57,11 +98,7 @@ impl Places {
             }
             Some(source).filter(|_| !inside.is_empty())
         };
-        // The last columns that fill no vector are put back with some before them, where nothing is written just before.
-        let whole = columns - columns % lanes;
-        let rest = (whole < columns).then_some((columns.saturating_sub(lanes), whole));
-        let blocks = rest.into_iter().chain((0..whole).step_by(lanes).map(|first| (first, first)));
-        let blocks = blocks.map(|(first, new)| Block {
+        let blocks = cut(columns, lanes).map(|(first, new)| Block {
             first,
             sources: (0..members.len()).filter_map(|c| source(c, first, new)).collect(),
         });
@@ -95,14 +132,10 @@ impl Places {
     #[inline(always)]
     unsafe fn rows<V: Shuffle, const M: usize>(&self, lines: &[f32], tuple: usize, rows: [*mut f32; M]) {
         assert!(V::LANES == self.lanes && M * self.line() + V::LANES <= lines.len());
-        if self.columns >= V::LANES {
-            return unsafe { self.blocks::<V, M>(lines, tuple, rows) };
-        }
-        let mut few = [[0.0; PAD]; M];
         unsafe {
-            few.iter_mut().zip(rows).for_each(|(few, row)| row.copy_to_nonoverlapping(few.as_mut_ptr(), self.columns));
-            self.blocks::<V, M>(lines, tuple, few.each_mut().map(|few| few.as_mut_ptr()));
-            few.iter().zip(rows).for_each(|(few, row)| row.copy_from_nonoverlapping(few.as_ptr(), self.columns));
+            let mut rows = InVectors::new(self.columns, V::LANES, rows);
+            self.blocks::<V, M>(lines, tuple, rows.rows());
+            rows.put_back();
         }
     }
 

@@ -5,6 +5,7 @@ use crate::cells::Node;
 use crate::chain::Chain;
 use crate::gemm::{Matrix, multiply};
 use crate::lines;
+use crate::permuted;
 use crate::threads::{PARALLEL, Scratch, for_each, room, with_scratch};
 use crate::tree::Tree;
 use crate::tucker::{ModelBuffers, Tucker};
@@ -19,7 +20,9 @@ const OVERLAP: usize = 4;
 /// `tensor += weight * model`
 pub fn accumulate(node: Node, tensor: &mut [f32], bases: &[&[f32]], cores: &[f32], weight: f32) {
     let overlapping = node.mixture.iter().any(|&k| k > 1);
-    if overlapping && let Some(mode) = lines::mode_of_rows(&node) {
+    if permuted::pays(&node) {
+        permuted::accumulate(&node, tensor, bases, cores, weight);
+    } else if overlapping && let Some(mode) = lines::mode_of_rows(&node) {
         lines::accumulate(&node, mode, tensor, bases, cores, weight);
     } else if node.mixture.iter().product::<usize>() <= OVERLAP {
         by_cells(&node, tensor, bases, cores, weight);

@@ -1,6 +1,6 @@
 //! Vectors whose lanes are filled from neighbours in any order: arrays, and on x86 registers.
 
-use crate::lines::PAD;
+use crate::leading::PAD;
 
 /// In an order, this lane is filled; the bits below say from which number.
 pub const FILLED: u32 = 1 << 31;
@@ -29,6 +29,12 @@ pub trait Shuffle: Copy {
     /// # Safety
     /// `from` points to `LANES` numbers, whatever the order.
     unsafe fn add_shuffled(self, order: &Order, from: *const f32) -> Self;
+
+    /// The same of an order that fills all lanes, each number times a factor.
+    ///
+    /// # Safety
+    /// `from` points to `LANES` numbers, whatever the order.
+    unsafe fn multiply_add_shuffled(self, order: &Order, from: *const f32, factors: Self) -> Self;
 }
 
 impl Shuffle for [f32; 4] {
@@ -36,6 +42,12 @@ impl Shuffle for [f32; 4] {
     unsafe fn add_shuffled(self, order: &Order, from: *const f32) -> Self {
         let numbers = unsafe { Self::load(from) };
         std::array::from_fn(|l| self[l] + if order[l] < FILLED { 0.0 } else { numbers[order[l] as usize % 4] })
+    }
+
+    #[inline(always)]
+    unsafe fn multiply_add_shuffled(self, order: &Order, from: *const f32, factors: Self) -> Self {
+        let numbers = unsafe { Self::load(from) };
+        std::array::from_fn(|l| self[l] + numbers[order[l] as usize % 4] * factors[l])
     }
 }
 
@@ -54,6 +66,14 @@ mod x86 {
                 _mm256_add_ps(self, _mm256_and_ps(numbers, _mm256_castsi256_ps(_mm256_srai_epi32::<31>(order))))
             }
         }
+
+        #[inline(always)]
+        unsafe fn multiply_add_shuffled(self, order: &Order, from: *const f32, factors: Self) -> Self {
+            unsafe {
+                let order = _mm256_loadu_si256(order.as_ptr().cast());
+                _mm256_fmadd_ps(_mm256_permutevar8x32_ps(Self::load(from), order), factors, self)
+            }
+        }
     }
 
     /// AVX-512.
@@ -64,6 +84,14 @@ mod x86 {
                 let order = _mm512_loadu_si512(order.as_ptr().cast());
                 let filled = _mm512_movepi32_mask(order);
                 _mm512_add_ps(self, _mm512_maskz_permutexvar_ps(filled, order, Self::load(from)))
+            }
+        }
+
+        #[inline(always)]
+        unsafe fn multiply_add_shuffled(self, order: &Order, from: *const f32, factors: Self) -> Self {
+            unsafe {
+                let order = _mm512_loadu_si512(order.as_ptr().cast());
+                _mm512_fmadd_ps(_mm512_permutexvar_ps(order, Self::load(from)), factors, self)
             }
         }
     }

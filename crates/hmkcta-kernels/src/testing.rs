@@ -1,5 +1,8 @@
 //! What the unit tests share.
 
+use crate::cells::{Node, Shape};
+use crate::reconstruct::by_cells;
+
 /// Deterministic numbers in -0.5..0.5.
 pub fn numbers(count: usize, seed: u64) -> Vec<f32> {
     let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
@@ -45,5 +48,39 @@ impl OverlappingCells {
             columns().flat_map(|one| columns().map(move |other| product(one, other))).collect()
         };
         [of(0), of(1), Vec::new()]
+    }
+}
+
+/// A node whose rows belong to clusters in turn, and numbers for it.
+pub struct Example {
+    shape: Shape,
+    members: Vec<Vec<u16>>,
+}
+
+impl Example {
+    pub fn new(sizes: &[usize], c: &[usize], k: &[usize], ranks: &[usize], undecomposed: Option<usize>) -> Self {
+        let of_rows = |n: usize| (0..sizes[n]).flat_map(move |i| (0..k[n]).map(move |k| ((i + k) % c[n]) as u16));
+        let flags = (0..sizes.len()).map(|n| Some(n) == undecomposed).collect();
+        Example {
+            members: (0..sizes.len()).map(|n| of_rows(n).collect()).collect(),
+            shape: (sizes.to_vec(), c.to_vec(), k.to_vec(), ranks.to_vec(), flags),
+        }
+    }
+
+    pub fn node(&self) -> Node<'_> {
+        Node::new(self.shape.clone(), self.members.iter().map(|m| m.as_slice()).collect()).unwrap()
+    }
+
+    /// Compare a reconstruction with that cell by cell.
+    pub fn compare(&self, accumulate: impl Fn(&Node, &mut [f32], &[&[f32]], &[f32], f32)) {
+        let node = self.node();
+        let bases: Vec<Vec<f32>> = (0..node.order()).map(|n| numbers(node.basis_size(n), n as u64)).collect();
+        let bases: Vec<&[f32]> = bases.iter().map(|b| b.as_slice()).collect();
+        let cores = numbers(node.cells() * node.core_size(), 7);
+        let mut found = numbers(node.sizes.iter().product(), 8);
+        let mut expected = found.clone();
+        by_cells(&node, &mut expected, &bases, &cores, -0.5);
+        accumulate(&node, &mut found, &bases, &cores, -0.5);
+        found.iter().zip(&expected).for_each(|(&x, &y)| close(x, f64::from(y)));
     }
 }
