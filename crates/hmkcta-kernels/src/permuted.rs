@@ -8,7 +8,7 @@
 use crate::cells::Node;
 use crate::leading::{Leading, PAD, Partial, alike, subsets};
 use crate::machine::{dispatch, lanes, prefetch_from};
-use crate::places::{InVectors, cut};
+use crate::places::{Few, cut};
 use crate::shuffle::{Order, Shuffle};
 use crate::threads::{PARALLEL, for_each, room};
 use pulp::{Simd, WithSimd};
@@ -272,9 +272,12 @@ impl Permuted<'_> {
         let mut lines = [plane; M];
         lines.iter_mut().zip(rows).for_each(|(line, &row)| *line = line.wrapping_add(row as usize * self.columns));
         unsafe {
-            let mut lines = InVectors::new(self.columns, V::LANES, lines);
-            self.vectors::<V, M>(lines.rows(), bases, numbers);
-            lines.put_back();
+            if self.columns >= V::LANES {
+                return self.vectors::<V, M>(lines, bases, numbers);
+            }
+            let mut few = Few::new(self.columns, lines);
+            self.vectors::<V, M>(few.rows(), bases, numbers);
+            few.put_back();
         }
     }
 

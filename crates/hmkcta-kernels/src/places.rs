@@ -44,35 +44,35 @@ pub fn cut(columns: usize, lanes: usize) -> impl Iterator<Item = (usize, usize)>
     rest.into_iter().chain((0..whole).step_by(lanes).map(|first| (first, first)))
 }
 
-/// Rows that have at least a vector of columns: those with fewer are copied to such, and back.
-pub struct InVectors<const M: usize> {
+/// Copies of rows that have fewer columns than a vector, with as many as any has.
+pub struct Few<const M: usize> {
     columns: usize,
     rows: [*mut f32; M],
-    few: Option<[[f32; PAD]; M]>,
+    copies: [[f32; PAD]; M],
 }
 
-impl<const M: usize> InVectors<M> {
+impl<const M: usize> Few<M> {
     /// # Safety
     /// The rows have all columns, and nobody else refers to them until `put_back`.
     #[inline(always)]
-    pub unsafe fn new(columns: usize, lanes: usize, rows: [*mut f32; M]) -> Self {
-        let mut few = (columns < lanes).then_some([[0.0; PAD]; M]);
-        for (few, row) in few.iter_mut().flatten().zip(rows) {
-            unsafe { row.copy_to_nonoverlapping(few.as_mut_ptr(), columns) };
+    pub unsafe fn new(columns: usize, rows: [*mut f32; M]) -> Self {
+        let mut copies = [[0.0; PAD]; M];
+        for (copy, row) in copies.iter_mut().zip(rows) {
+            unsafe { row.copy_to_nonoverlapping(copy.as_mut_ptr(), columns) };
         }
-        InVectors { columns, rows, few }
+        Few { columns, rows, copies }
     }
 
     #[inline(always)]
     pub fn rows(&mut self) -> [*mut f32; M] {
-        self.few.as_mut().map_or(self.rows, |few| few.each_mut().map(|few| few.as_mut_ptr()))
+        self.copies.each_mut().map(|copy| copy.as_mut_ptr())
     }
 
     #[inline(always)]
     pub fn put_back(self) {
-        for (few, row) in self.few.iter().flatten().zip(self.rows) {
+        for (copy, row) in self.copies.iter().zip(self.rows) {
             // SAFETY: as `new` was promised.
-            unsafe { row.copy_from_nonoverlapping(few.as_ptr(), self.columns) };
+            unsafe { row.copy_from_nonoverlapping(copy.as_ptr(), self.columns) };
         }
     }
 }
@@ -133,9 +133,12 @@ impl Places {
     unsafe fn rows<V: Shuffle, const M: usize>(&self, lines: &[f32], tuple: usize, rows: [*mut f32; M]) {
         assert!(V::LANES == self.lanes && M * self.line() + V::LANES <= lines.len());
         unsafe {
-            let mut rows = InVectors::new(self.columns, V::LANES, rows);
-            self.blocks::<V, M>(lines, tuple, rows.rows());
-            rows.put_back();
+            if self.columns >= V::LANES {
+                return self.blocks::<V, M>(lines, tuple, rows);
+            }
+            let mut few = Few::new(self.columns, rows);
+            self.blocks::<V, M>(lines, tuple, few.rows());
+            few.put_back();
         }
     }
 
