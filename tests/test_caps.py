@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -125,3 +128,24 @@ def test_a_further_plan_that_memory_does_not_hold_takes_no_model_away(cube: NDAr
     model = follow_any(Task(source, first, "most", 4096, "generic", run, LEAST), [other], told.append)
     assert len(told) == 1
     assert model.plan.levels[0].ranks == (1, 1, 1)
+
+
+@pytest.mark.skipif(sys.platform != "linux" or os.confstr("CS_GNU_LIBC_VERSION") is None, reason="not glibc")
+def test_a_fit_does_not_begin_with_what_choosing_its_plan_took() -> None:
+    program = """
+from hmkcta import compress
+import hmkcta.follow, numpy as np
+from pathlib import Path
+def resident():
+    return next(int(line.split()[1]) for line in Path("/proc/self/status").open() if line.startswith("RssAnon"))
+pieces = [np.ones(12_000) for _ in range(2000)]
+held, full = pieces[::50], resident()
+del pieces
+begun, fit = [], hmkcta.follow.fit_to_goal
+hmkcta.follow.fit_to_goal = lambda *given: (begun.append(resident()), fit(*given))[1]
+waves = np.sin(np.add.outer(np.arange(40), np.arange(30) ** 2))
+compress(waves.astype(np.float32), snr=20, quality="fast")
+print(full - begun[0])
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert int(done.stdout) > 100_000, "of 190,000 KiB that were freed"

@@ -31,6 +31,7 @@ from .hierarchy import (
 from .hmkfile import encoded_size
 from .measure import measure_both
 from .measure_streamed import measure_streamed
+from .memory import give_back_freed_memory
 from .metrics import snr_db
 from .model import Model
 from .pack import bounds, pack_levels
@@ -62,6 +63,7 @@ def follow(task: Task) -> Model:
     Raises:
         HmkctaError: the plan does not fit the tensor, or its goal is below what it can do.
     """
+    give_back_freed_memory()
     plan, run = task.plan, task.run
     check_plan(plan, mode_sizes(task.source.axes, plan.organisation))
     tree, goal = _begun(task)

@@ -65,6 +65,12 @@ def keep_freed_memory(threads: int) -> None:
             mallopt(parameter, value)
 
 
+def give_back_freed_memory() -> None:
+    """Give freed memory back to the system, where the C library can: what choosing a plan took counts beside its fit."""
+    with suppress(TypeError, OSError, AttributeError):
+        ctypes.CDLL(None).malloc_trim(0)
+
+
 def drop_pages(array: NDArray[Any]) -> None:
     """Let go of the memory that pages of a mapped file take once they have been looked at; they stay readable.
 
