@@ -61,6 +61,12 @@ impl<'a> Node<'a> {
             }
             check_members(members[n], size, c, k).map_err(|what| format!("memberships of mode {mode}: {what}"))?;
         }
+        let product = |of: &[usize]| of.iter().try_fold(1usize, |product, &x| product.checked_mul(x));
+        let cells = product(&clusters).zip(product(&ranks)).and_then(|(cells, size)| cells.checked_mul(size));
+        let basis = |n: usize| cells.and_then(|numbers| numbers.checked_mul(members[n].len()));
+        if (0..order).any(|n| basis(n).is_none()) {
+            return Err(format!("C {clusters:?} and R {ranks:?} make more numbers than can be counted"));
+        }
         let subsets = (0..order).map(|n| invert(members[n], clusters[n], mixture[n])).collect();
         Ok(Node { sizes, clusters, mixture, ranks, undecomposed, members, subsets })
     }
@@ -255,6 +261,9 @@ mod tests {
         let mut wrong = shape();
         wrong.3[1] = 1;
         assert!(Node::new(wrong, vec![&[0, 1, 0], &[0, 0]]).is_err_and(|e| e.contains("undecomposed")));
+        let mut endless = shape();
+        endless.3[0] = 1 << 63;
+        assert!(Node::new(endless, vec![&[0, 1, 0], &[0, 0]]).is_err_and(|e| e.contains("counted")));
     }
 
     #[test]

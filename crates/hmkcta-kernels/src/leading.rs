@@ -20,7 +20,7 @@ pub struct Partial {
 /// ranks, `C_b R_b`, padded.
 pub struct Leading<'a> {
     pub node: &'a Node<'a>,
-    /// How many modes lead: all but b, or all but a and b.
+    /// How many modes lead: all but a and b.
     pub depth: usize,
     pub lanes: usize,
     /// For each leading mode `[I_n, K_n, cells of the modes before, of those after but b, R_n, lanes]`.
@@ -31,8 +31,8 @@ pub struct Leading<'a> {
 
 impl<'a> Leading<'a> {
     /// With at most so many rows in a bundle.
-    pub fn new<B: AsRef<[f32]>>(node: &'a Node<'a>, depth: usize, bases: &[B], most: usize) -> Self {
-        let b = node.order() - 1;
+    pub fn new<B: AsRef<[f32]>>(node: &'a Node<'a>, bases: &[B], most: usize) -> Self {
+        let (depth, b) = (node.order() - 2, node.order() - 1);
         let lanes = (node.clusters[b] * node.ranks[b]).next_multiple_of(PAD);
         let bundles = if depth > 0 { alike(node, depth - 1, most) } else { vec![vec![0]] };
         let mut leading = Leading { node, depth, lanes, expanded: vec![], bundles };

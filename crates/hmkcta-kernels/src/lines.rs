@@ -112,7 +112,7 @@ impl<'a> Lines<'a> {
     fn new(node: &'a Node<'a>, bases: &[Vec<f32>]) -> Self {
         let (a, b) = (node.order() - 2, node.order() - 1);
         let most = (BUNDLED / (node.mixture[b] * node.sizes[b])).clamp(1, MOST_BUNDLED);
-        let leading = Leading::new(node, a, bases, most);
+        let leading = Leading::new(node, bases, most);
         let longest = leading.bundles.iter().map(Vec::len).max().unwrap_or(1);
         let mut lines = Lines {
             columns: node.sizes[b],

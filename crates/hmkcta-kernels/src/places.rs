@@ -37,44 +37,11 @@ struct Source {
 }
 
 /// Columns cut into blocks of a vector: where each starts, and from which column on it is new. The last ones that fill no
-/// vector go with some before them, and come first, so that nothing is written just before they are read.
+/// vector go with some before them, and come first, so that where there are several none is read that was just written.
 pub fn cut(columns: usize, lanes: usize) -> impl Iterator<Item = (usize, usize)> {
     let whole = columns - columns % lanes;
     let rest = (whole < columns).then_some((columns.saturating_sub(lanes), whole));
     rest.into_iter().chain((0..whole).step_by(lanes).map(|first| (first, first)))
-}
-
-/// Copies of rows that have fewer columns than a vector, with as many as any has.
-pub struct Few<const M: usize> {
-    columns: usize,
-    rows: [*mut f32; M],
-    copies: [[f32; PAD]; M],
-}
-
-impl<const M: usize> Few<M> {
-    /// # Safety
-    /// The rows have all columns, and nobody else refers to them until `put_back`.
-    #[inline(always)]
-    pub unsafe fn new(columns: usize, rows: [*mut f32; M]) -> Self {
-        let mut copies = [[0.0; PAD]; M];
-        for (copy, row) in copies.iter_mut().zip(rows) {
-            unsafe { row.copy_to_nonoverlapping(copy.as_mut_ptr(), columns) };
-        }
-        Few { columns, rows, copies }
-    }
-
-    #[inline(always)]
-    pub fn rows(&mut self) -> [*mut f32; M] {
-        self.copies.each_mut().map(|copy| copy.as_mut_ptr())
-    }
-
-    #[inline(always)]
-    pub fn put_back(self) {
-        for (copy, row) in self.copies.iter().zip(self.rows) {
-            // SAFETY: as `new` was promised.
-            unsafe { row.copy_from_nonoverlapping(copy.as_ptr(), self.columns) };
-        }
-    }
 }
 
 impl Places {
@@ -132,13 +99,14 @@ impl Places {
     #[inline(always)]
     unsafe fn rows<V: Shuffle, const M: usize>(&self, lines: &[f32], tuple: usize, rows: [*mut f32; M]) {
         assert!(V::LANES == self.lanes && M * self.line() + V::LANES <= lines.len());
+        if self.columns >= V::LANES {
+            return unsafe { self.blocks::<V, M>(lines, tuple, rows) };
+        }
+        let mut few = [[0.0; PAD]; M];
         unsafe {
-            if self.columns >= V::LANES {
-                return self.blocks::<V, M>(lines, tuple, rows);
-            }
-            let mut few = Few::new(self.columns, rows);
-            self.blocks::<V, M>(lines, tuple, few.rows());
-            few.put_back();
+            few.iter_mut().zip(rows).for_each(|(few, row)| row.copy_to_nonoverlapping(few.as_mut_ptr(), self.columns));
+            self.blocks::<V, M>(lines, tuple, few.each_mut().map(|few| few.as_mut_ptr()));
+            few.iter().zip(rows).for_each(|(few, row)| row.copy_from_nonoverlapping(few.as_ptr(), self.columns));
         }
     }
 

@@ -30,7 +30,7 @@ pub trait Shuffle: Copy {
     /// `from` points to `LANES` numbers, whatever the order.
     unsafe fn add_shuffled(self, order: &Order, from: *const f32) -> Self;
 
-    /// The same of an order that fills all lanes, each number times a factor.
+    /// The same of an order that fills all lanes, whether it says `FILLED` or not, each number times a factor.
     ///
     /// # Safety
     /// `from` points to `LANES` numbers, whatever the order.
