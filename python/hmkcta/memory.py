@@ -66,7 +66,7 @@ def keep_freed_memory(threads: int) -> None:
 
 
 def give_back_freed_memory() -> None:
-    """Give freed memory back to the system, where the C library can: what choosing a plan took counts beside its fit."""
+    """Give freed memory back to the system, where the C library can: what a choice took counts beside its fit."""
     with suppress(TypeError, OSError, AttributeError):
         ctypes.CDLL(None).malloc_trim(0)
 
