@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -30,6 +32,27 @@ def test_an_snr_near_what_float16_leaves_takes_few_bytes_beside_a_large_mean() -
 def test_a_larger_size_is_not_worse_where_float16_rounds() -> None:
     small, large = (compress(temperatures(1e4), size=size, threads=1) for size in (20_000, 40_000))
     assert large.snr > small.snr
+
+
+@cache
+def field() -> NDArray[np.float64]:
+    """Smooth `[24, 30, 32, 16]`, of low ranks to float32's error."""
+    a, b, c, d = np.ogrid[0:1:24j, 0:1:30j, 0:1:32j, 0:1:16j]
+    return np.sin(3 * a + 2 * b * c) + np.exp(-4 * ((b - d) ** 2 + (c - a / 2) ** 2))
+
+
+def test_beyond_what_float16_keeps_a_larger_size_goes_to_a_second_level() -> None:
+    models = [compress(field(), size=size, threads=1) for size in (10_000, 18_000, 60_000)]
+    assert [len(model.plan.levels) for model in models[1:]] == [2, 2]
+    assert models[0].snr > 64
+    assert models[1].snr > 80
+    assert models[2].snr > 120
+
+
+def test_an_snr_beyond_what_float16_keeps_takes_few_bytes_more() -> None:
+    near, beyond = (compress(field(), snr=snr, threads=1) for snr in (64.0, 84.0))
+    assert beyond.snr >= 84
+    assert beyond.nbytes < 2.5 * near.nbytes
 
 
 def test_noise_at_a_size_that_holds_it_is_kept_as_it_is() -> None:

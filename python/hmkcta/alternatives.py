@@ -35,13 +35,19 @@ def alternatives(plan: Plan, plain: Organisation, snr: float, nbytes: int) -> It
     if snr > ROUNDED:
         below = first if first.grid else replace(first, clusters=(1,) * first.order)
         yield replace(plan, levels=(_of_rank_one(first), below))
-        ones = (1,) * len(plain)
-        whole = LevelSpec((MOST_RANKS,) * len(plain), ones, ones, first.scheme, own=True)
-        yield replace(plan, organisation=plain, levels=(_of_rank_one(whole), whole))
+        whole = whole_plan(plan, plain)
+        yield replace(whole, levels=(_of_rank_one(whole.levels[0]), *whole.levels))
     if first.cells == 1 and not first.grid and is_coarse(plan, snr, nbytes):
         for n in (n for n, rank in enumerate(first.ranks) if rank is not None):
             halves = tuple(2 if m == n else 1 for m in range(first.order))
             yield replace(plan, levels=(_of_data(first, halves),))
+
+
+def whole_plan(plan: Plan, plain: Organisation) -> Plan:
+    """The plan of the same goal that merges no axes and cuts none: ranks of their own for the whole (HOSVD)."""
+    ones = (1,) * len(plain)
+    whole = LevelSpec((MOST_RANKS,) * len(plain), ones, ones, plan.levels[0].scheme, own=True)
+    return replace(plan, organisation=plain, levels=(whole,))
 
 
 def _of_data(level: LevelSpec, clusters: tuple[int, ...]) -> LevelSpec:

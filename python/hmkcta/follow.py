@@ -9,7 +9,7 @@ from math import prod
 import numpy as np
 
 from .adaptive import Goal, fit_to_goal
-from .alternatives import alternatives
+from .alternatives import alternatives, whole_plan
 from .axes import mode_sizes
 from .errors import HmkctaError, invalid
 from .filesize import metadata_of, undecomposed_in
@@ -41,6 +41,9 @@ from .predict import is_streamed, memory_limit
 from .source import Source
 from .streamed import Streamed
 from .workset import check_worksets
+
+#: From so many dB on a second level is tried, below a first that ends at as many as float16 keeps of one.
+NEARLY, ROUNDED = 64.0, 68.0
 
 
 @dataclass(frozen=True)
@@ -97,15 +100,18 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
 
     Further are the same plan with a level more, for what float16 or the ranks of one leave, and then the `others`;
     `missed` is told of every plan that missed. For a size the others are rivals, of which the best is kept. It is
-    compared with its `alternatives`, where that takes no more than seconds. Where ranks are such large steps that a
-    model lies far beyond its goal, the same plan with a `finer` choice of blocks is tried, and for an SNR the first of
-    the others.
+    compared with its `alternatives`, where that takes no more than seconds, and beyond what float16 keeps of one level
+    with plans of two. Where ranks are such large steps that a model lies far beyond its goal, the same plan with a
+    `finer` choice of blocks is tried, and for an SNR the first of the others.
     """
     rivals = _further(task, others if task.plan.size is not None else ())
+    given = task
     task, model = max([(task, follow(task)), *rivals], key=lambda each: each[1].snr)
     if _is_worth(task):
         near = alternatives(task.plan, task.source.organisation(None), model.snr, model.nbytes)
         task, model = _best([(task, model), *_further(task, near)])
+        if (task.plan.snr or model.snr) > NEARLY:
+            task, model = _best([(task, model), *_further(given, _in_two(given))])
     best = model
     if is_coarse(task.plan, model.snr, model.nbytes):
         return _nearer(task, model, others)
@@ -172,6 +178,20 @@ def _further(task: Task, plans: Iterable[Plan]) -> Iterator[tuple[Task, Model]]:
                 raise
             continue
         yield further, model
+
+
+def _in_two(task: Task) -> Iterator[Plan]:
+    """The plan, and one that merges and cuts nothing, with a first level that ends at what float16 keeps, and a second
+    for what that leaves.
+
+    Where ranks do not reach that, the last of them gain little: then one that ends a dB before them, too.
+    """
+    for plan in dict.fromkeys((task.plan, whole_plan(task.plan, task.source.organisation(None)))):
+        goal = replace(plan, size=None, snr=ROUNDED)
+        firsts = list(_further(task, [goal]))
+        firsts += _further(task, [replace(goal, snr=model.snr - 1) for _, model in firsts if model.snr < ROUNDED])
+        deeper = [_deeper(*each) for each in firsts]
+        yield from (replace(each, snr=task.plan.snr, size=task.plan.size) for each in deeper if each is not None)
 
 
 def _deeper(task: Task, model: Model) -> Plan | None:

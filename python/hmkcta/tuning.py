@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import product
-from math import inf, prod
+from math import inf, log10, prod
 
 from . import blocks
 from .axes import Organisation, mode_sizes
@@ -30,7 +30,7 @@ from .plan import Plan
 from .predict import is_streamed, sampled_together, workset_limit
 from .progress import Progress, share_of
 from .source import Source
-from .trial import OUT_OF_REACH, Kinds, trial_of
+from .trial import OUT_OF_REACH, VERBATIM, Kinds, trial_of
 
 #: Gain in dB, or octaves of bytes, that a change of the grid must bring.
 WORTHWHILE = 0.01
@@ -54,6 +54,8 @@ FEWEST_BLOCKS, MOST_CUTS = 4, 8
 OTHER = 2.5
 #: The values as float16, if they fit, are a rival for a size of what comes so near their SNR in dB, or beyond it.
 ROUNDED = 12.0
+#: Within so many dB of float16's own error plans for a size are alike: then by the bytes that they take to so many dB.
+ALIKE, EXACT = 1.0, 100.0
 #: Further plans for an SNR; where all are short of it by so many dB, the bytes to judge by are found anew.
 SPARE, SHORT = 2, 0.5
 
@@ -86,19 +88,18 @@ def tune(
     care = CARES.get(run.effort, CARES[EFFORTS["medium"]])
     held = not is_streamed(elements, workset_limit(memory))
     search = Search(trial, trial, plain, run.threads, care, together, care.matrices // 2 if held else 0)
-    if sum(length > 1 for length in source.shape) < 2:  # a vector has nothing to cut or to merge
-        worth, best = search.best([(plain, (1,) * len(source.shape))], search.care.refine)[0]
-    else:
-        worth, best = _found(search, organisation is not None, run.progress, narrow=snr is not None)
-        gained, best = _cut_further(search, best, run.progress)
-        worth += gained
+    worth, best = _searched(search, organisation is not None, run.progress, narrow=snr is not None)
+    if trial.ceiling is None and worth > -10 * log10(VERBATIM) - ALIKE:
+        trial = replace(trial, ceiling=EXACT)
+        search = replace(search, goal=trial, trial=trial, rivals=[], losses={}, seen={})
+        worth, best = _searched(search, organisation is not None, run.progress, narrow=False)
     if size is not None and worth <= -OUT_OF_REACH:
         least = planned_bytes(plan_of(source, best, None, None, 1), source, seed=run.seed)
         if ceiling is None:
             allowed = f"at least {least} bytes for an array of {elements} elements"
             raise invalid("size-too-small", "size", f"{size} bytes", allowed, "ask for more, or merge axes")
         size = least
-    if search.highest > (trial.ceiling or inf):
+    if search.highest > (ceiling or inf):
         snr, size = snr or ceiling, None  # what fills the bytes beyond the ceiling reaches it with fewer
     verbatim = trial.verbatim(plain)
     if verbatim[0] > worth:
@@ -109,6 +110,17 @@ def tune(
     further = [] if best == verbatim[1] else spare
     plans = [plan_of(source, each, snr, size, decode_cost) for each in (best, *further)]
     return _held(plans, source, room_of(elements, memory))  # anew, as what is free varies
+
+
+def _searched(search: Search, fixed: bool, progress: Progress, *, narrow: bool) -> tuple[float, Candidate]:
+    """The best candidate, of a fixed organisation or any, its blocks cut further where that helps."""
+    shape = search.trial.source.shape
+    if sum(length > 1 for length in shape) < 2:  # a vector has nothing to cut or to merge
+        (search.highest, best), *_ = search.best([(search.plain, (1,) * len(shape))], search.care.refine)
+        return search.highest, best
+    worth, best = _found(search, fixed, progress, narrow=narrow)
+    gained, best = _cut_further(search, best, progress)
+    return worth + gained, best
 
 
 def _held(plans: Sequence[Plan], source: Source, room: Room | None) -> list[Plan]:
