@@ -101,26 +101,26 @@ def node_spectrum(
     *,
     alone: bool = False,
     nbytes: float = inf,
-    true_sizes: Sequence[int] | None = None,
+    sample_of: tuple[Sequence[int], float] | None = None,
 ) -> Spectrum | None:
     """The node's choices of ranks, its cells' being the same; None where there is nothing to store.
 
     `labels` are the disjoint memberships of its cells; a node that is `alone` in its level needs no convex choices.
-    A tensor of less than the `true_sizes` is a sample of the node.
+    The tensor may be a `sample_of` a node of these sizes and this squared norm.
     """
-    full = tuple(true_sizes or tensor.shape)
-    scale = prod(full) / max(1, tensor.size)
-    energy = squared_norm(tensor)
-    if tensor.size == 0 or energy == 0:
+    own = squared_norm(tensor)
+    if tensor.size == 0 or own == 0:
         return None
+    full, energy = (tensor.shape, own) if sample_of is None else sample_of
     blocks = [tensor] if labels is None else cell_blocks(tensor, labels, spec.clusters)
     sizes = [max(block.shape[n] for block in blocks) for n in range(tensor.ndim)]
     stored = [-(-size * long // max(1, short)) for size, long, short in zip(sizes, full, tensor.shape, strict=True)]
     limits = table_limits(sizes, spec, nbytes, stored, LONE_ENTRIES if alone else TABLE_ENTRIES)
-    table = scale * summed(core_energies(block, limits, np.random.default_rng(seed)) for block in blocks if block.size)
+    # Shares of the sample's energy are taken for those of the node's: as errors they would miss what it has more of.
+    table = energy / own * summed(core_energies(block, limits, np.random.default_rng(seed)) for block in blocks if block.size)
     undecomposed = [r is None for r in spec.ranks]
     return spectrum(
-        table, scale * energy, full, undecomposed, decode_cost, spec.clusters if labels else None, hull=not alone
+        table, energy, full, undecomposed, decode_cost, spec.clusters if labels else None, hull=not alone
     )
 
 
@@ -184,9 +184,13 @@ def _spectrum_of(
         level = level_within(node, len(tree.levels))
         return outside_spectrum(outside, level, spec, part, decode_cost, seed, told, alone=alone, nbytes=nbytes)
     sample = sampled(tree, node, spec)
-    tensor, steps = (gather(tree.residual, node), [1] * len(node.sizes)) if sample is None else sample
+    if outside is None or sample is None:
+        return node_spectrum(gather(tree.residual, node), spec, decode_cost, seed, part, alone=alone, nbytes=nbytes)
+    tensor, steps = sample
     part = None if part is None else [own[::step] for own, step in zip(part, steps, strict=True)]
-    return node_spectrum(tensor, spec, decode_cost, seed, part, alone=alone, nbytes=nbytes, true_sizes=node.sizes)
+    energy = goal.energy if len(tree.levels) == 1 else outside.error
+    whole = (node.sizes, energy)
+    return node_spectrum(tensor, spec, decode_cost, seed, part, alone=alone, nbytes=nbytes, sample_of=whole)
 
 
 def _starts(tree: Hierarchy, spec: LevelSpec, labels: LabelsOf, run: Run) -> list[Way]:

@@ -95,8 +95,9 @@ def energies(
             tensor = cut.settled(Block(piece.rows, cut.read(piece)))
         else:
             tensor = large.sample(thinning(piece.sizes, spec.alone(piece.sizes), min(cut.limit, SAMPLED)))
-        scale = piece.elements / tensor.size
-        return scale * core_energies(tensor, limits, np.random.default_rng(seed)), scale * squared_norm(tensor)
+        own = squared_norm(tensor)
+        norm = own if large is None else large.error
+        return norm / (own or 1.0) * core_energies(tensor, limits, np.random.default_rng(seed)), norm
 
     energy = 0.0
 

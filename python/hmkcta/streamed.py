@@ -299,6 +299,11 @@ class Large(Streamed):
         """Mode sizes of the piece."""
         return self.of.sizes
 
+    @property
+    def error(self) -> float:
+        """Squared norm of what is left of the piece, which is known unless levels above have changed since."""
+        return super().error if self.terms() else self.of.energy
+
     def terms(self, without: int | None = None) -> list[tuple[float, Cells]]:
         """Also what levels above have changed by since the piece was written."""
         return super().terms(without) + [(weight, cells.part(self.of.rows)) for weight, cells in self.above.terms()]
