@@ -117,7 +117,8 @@ def node_spectrum(
     stored = [-(-size * long // max(1, short)) for size, long, short in zip(sizes, full, tensor.shape, strict=True)]
     limits = table_limits(sizes, spec, nbytes, stored, LONE_ENTRIES if alone else TABLE_ENTRIES)
     # Shares of the sample's energy are taken for those of the node's: as errors they would miss what it has more of.
-    table = energy / own * summed(core_energies(block, limits, np.random.default_rng(seed)) for block in blocks if block.size)
+    tables = (core_energies(block, limits, np.random.default_rng(seed)) for block in blocks if block.size)
+    table = energy / own * summed(tables)
     undecomposed = [r is None for r in spec.ranks]
     return spectrum(
         table, energy, full, undecomposed, decode_cost, spec.clusters if labels else None, hull=not alone
