@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -115,3 +116,47 @@ def test_ranks_that_are_written_are_not_cut_short() -> None:
     model = compress(flat, "R<=300,*", snr=20.0, threads=1)
     assert model.snr >= 20
     assert (model.bounds[0].ranks[0] or 0) > 160
+
+
+def highlights() -> NDArray[np.float64]:
+    """Reflections `[16, 24, 24, 3]` of lights on a bumpy surface of two materials, a few of them very bright."""
+    y, x = np.mgrid[:24, :24] / 24
+    normals = np.stack([0.4 * np.sin(5 * x + 7 * y), 0.4 * np.cos(9 * y - 4 * x * y), np.ones_like(x)], axis=-1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    halves = np.random.default_rng(0).normal(size=(16, 3)) * [0.5, 0.5, 0.1] + [0, 0, 1]
+    halves /= np.linalg.norm(halves, axis=1, keepdims=True)
+    cosines = np.clip(normals @ halves.T, 0, None).transpose(2, 0, 1)[..., None]
+    gloss = np.where(np.sin(6 * x) * np.cos(8 * y) > 0, 100, 20)[..., None]
+    albedo = np.array([1.0, 0.8, 0.5]) ** (1 + np.sin(7 * y))[..., None]
+    return 100 * (cosines * albedo + 2 * cosines**gloss) ** 6
+
+
+def test_under_a_transform_kinds_of_plans_are_told_apart_by_fits() -> None:
+    """The trial judges by errors of transformed values, of which few count among the source's."""
+    options: dict[str, Any] = {"axes": "light,y,x,rgb", "transform": "log1p:0.1", "threads": 1}
+    models = [compress(highlights(), snr=snr, **options) for snr in (8.0, 11.0, 14.0, 18.0)]
+    nbytes = [model.nbytes for model in models]
+    assert nbytes == sorted(nbytes)
+    assert nbytes[1] < 11_000
+
+
+def in_subspaces(noise: float) -> NDArray[np.float64]:
+    """Rows `[1600, 40]`, each in one of ten subspaces of six dimensions."""
+    rng = np.random.default_rng(0)
+    rows = np.concatenate([rng.normal(size=(160, 6)) @ rng.normal(size=(6, 40)) for _ in range(10)])
+    return rng.permutation(rows) + noise * rng.standard_normal(rows.shape)
+
+
+def test_clusters_are_parted_anew_by_the_ranks_that_a_goal_gives_them() -> None:
+    """Before these are known rows are parted by three dimensions, which does not bring all of a subspace together."""
+    written = compress(in_subspaces(0.1), "R=6,* C=10,1", threads=1)
+    own = compress(in_subspaces(0.1), "R<=30,* C=10,1", size=written.nbytes + 64, threads=1)
+    assert own.snr > written.snr - 0.5
+    assert own.nbytes <= written.nbytes + 64
+
+
+def test_numbers_of_clusters_between_those_of_the_trial_are_tried() -> None:
+    model = compress(in_subspaces(0.1), snr=26.0, threads=1)
+    assert 9 <= max(model.plan.levels[0].clusters) <= 12
+    assert model.snr >= 26
+    assert model.nbytes < 32_000

@@ -31,7 +31,7 @@ from .hierarchy import (
     streamed,
     within,
 )
-from .memberships import start_candidates
+from .memberships import by_subspaces, start_candidates
 from .memory import check_memory, format_bytes
 from .metrics import snr_db, squared_norm
 from .plan import HIGHEST_RANK, LevelSpec
@@ -157,22 +157,57 @@ def fit_to_goal(tree: Hierarchy, ways: Sequence[Way], goal: Goal, decode_cost: i
     nodes = tree.levels[-1]
     run.progress(EXAMINING, 0.0)  # finding the clusters to start from takes its time already
     ways = [each for spec, labels in ways for each in _starts(tree, spec, labels, run)]
-    spectra: list[Spectrum | None] = [None] * len(nodes)
-
-    told = within(nodes, EXAMINING, run)
-
-    def examine(s: int) -> None:
-        found: list[Spectrum] = []
-        for number, way in enumerate(ways):
-            own = _spectrum_of(tree, nodes[s], way, goal, decode_cost, run.seed, share_of(told, number, len(ways)))
-            found += [] if own is None else [own]
-        spectra[s] = merged(found, hull=len(nodes) > 1) if found else None
-
-    in_parallel(examine, nodes, EXAMINING, run, tree.residual)
-    found = [(s, choices) for s, choices in enumerate(spectra) if choices is not None]
+    spectra = _examined(tree, ways, goal, decode_cost, run)
+    further = _parted_anew(tree, ways, spectra[0], goal, run)
+    if further:
+        spectra[0] += _examined(tree, further, goal, decode_cost, run)[0]
+        ways += further
+    found = [(s, merged(own, hull=len(nodes) > 1)) for s, own in enumerate(spectra) if own]
     if found:
         level = _LastLevel(tree, found, ways, goal, run)
         level.to_size(goal.size) if goal.size is not None else level.to_snr(goal.snr or 0.0)
+
+
+def _examined(
+    tree: Hierarchy, ways: Sequence[Way], goal: Goal, decode_cost: int, run: Run
+) -> list[list[Spectrum]]:
+    """Of every node its choices in each way; none where there is nothing to store."""
+    nodes = tree.levels[-1]
+    spectra: list[list[Spectrum]] = [[] for _ in nodes]
+    told = within(nodes, EXAMINING, run)
+
+    def examine(s: int) -> None:
+        for number, way in enumerate(ways):
+            own = _spectrum_of(tree, nodes[s], way, goal, decode_cost, run.seed, share_of(told, number, len(ways)))
+            spectra[s] += [] if own is None else [own]
+
+    if ways:
+        in_parallel(examine, nodes, EXAMINING, run, tree.residual)
+    return spectra
+
+
+def _parted_anew(
+    tree: Hierarchy, ways: Sequence[Way], spectra: Sequence[Spectrum], goal: Goal, run: Run
+) -> list[Way]:
+    """The way that promises most, with the clusters of the data that its ranks make of it: known now, unlike before."""
+    if isinstance(tree.residual, Streamed) or not spectra or ways[0][0].cells == 1 or ways[0][0].grid:
+        return []
+    choices = merged(spectra, hull=False)
+    within = inf if goal.size is None else float(goal.size)
+    beyond = 0.0 if goal.snr is None else goal.energy * 10 ** (-goal.snr / 10)
+    affordable = np.flatnonzero((choices.nbytes <= within) & (choices.error >= beyond))
+    best = affordable[np.argmin(choices.error[affordable])]
+    if choices.nbytes[best] == choices.nbytes[0]:  # nothing is stored
+        return []
+    spec, _ = ways[int(choices.way[best])]
+    told, rng = _with_ranks(spec, choices.ranks[best]), np.random.default_rng(run.seed)
+    return [(spec, lambda _, found=found: found) for found in by_subspaces(tree.residual, told, rng)]
+
+
+def _with_ranks(spec: LevelSpec, ranks: NDArray[np.int32]) -> LevelSpec:
+    """The level with these ranks instead of those it may choose among."""
+    given = tuple(None if most is None else int(rank) for rank, most in zip(ranks, spec.ranks, strict=True))
+    return replace(spec, ranks=given, own=False)
 
 
 def _spectrum_of(
@@ -308,9 +343,7 @@ class _LastLevel:
         specs: list[LevelSpec | None] = [None] * len(self.tree.levels[-1])
         for (s, choices), choice in zip(self.found, chosen.choice, strict=True):
             if choice:
-                spec, row = self.ways[int(choices.way[int(choice)])][0], choices.ranks[choice]
-                ranks = tuple(None if r is None else int(v) for r, v in zip(spec.ranks, row, strict=True))
-                specs[s] = replace(spec, ranks=ranks, own=False)
+                specs[s] = _with_ranks(self.ways[int(choices.way[int(choice)])][0], choices.ranks[choice])
         return specs
 
     def _within(self, size: float) -> Allocation:

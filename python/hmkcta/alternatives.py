@@ -43,6 +43,20 @@ def alternatives(plan: Plan, plain: Organisation, snr: float, nbytes: int) -> It
             yield replace(plan, levels=(_of_data(first, halves),))
 
 
+def with_clusters_times(plan: Plan, factor: float) -> Plan | None:
+    """A plan with ranks of its own for clusters of the data along one mode, with so many times as many; else None.
+
+    >>> from hmkcta import parse_plan
+    >>> str(with_clusters_times(parse_plan("R<=8,* C=16,1", (("y",), ("x",))), 1.5))
+    'R<=8,* C=24,1'
+    """
+    (first, *others), most = plan.levels, max(plan.levels[0].clusters)
+    count = max(2, round(most * factor))
+    if others or not first.own or first.grid or not 1 < first.cells == most or count == most:
+        return None
+    return replace(plan, levels=(_of_data(first, tuple(count if c > 1 else 1 for c in first.clusters)),))
+
+
 def whole_plan(plan: Plan, plain: Organisation) -> Plan:
     """The plan of the same goal that merges no axes and cuts none: ranks of their own for the whole (HOSVD)."""
     ones = (1,) * len(plain)

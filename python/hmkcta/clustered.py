@@ -134,10 +134,11 @@ def _judged(
     energy = float(np.square(rows, dtype=np.float64).sum())
     labels = balanced_clusters(features, count, LIKELIEST[1], np.random.default_rng(trial.seed))
     reached = _left(rows, labels, limit, trial.seed)
-    if not few and SOME_DIMENSIONS[0] < rows.shape[1]:
-        rng = np.random.default_rng(trial.seed)
-        parted = subspace_clusters(rows, count, SOME_DIMENSIONS[0], rng, restarts=1)
-        reached = np.minimum(reached, _left(rows, parted, limit, trial.seed))
+    for dimension in () if few else SOME_DIMENSIONS:
+        if dimension < rows.shape[1]:
+            rng = np.random.default_rng(trial.seed)
+            parted = subspace_clusters(rows, count, dimension, rng, restarts=1)
+            reached = np.minimum(reached, _left(rows, parted, limit, trial.seed))
     left = np.concatenate([[energy], reached[choices.entry]])
     kept = pareto(choices.nbytes, left)
     spend = partial(best_of_one, choices.nbytes[kept], left[kept])

@@ -9,7 +9,7 @@ from math import prod
 import numpy as np
 
 from .adaptive import Goal, fit_to_goal
-from .alternatives import alternatives, whole_plan
+from .alternatives import alternatives, whole_plan, with_clusters_times
 from .axes import mode_sizes
 from .errors import HmkctaError, invalid
 from .filesize import metadata_of, undecomposed_in
@@ -44,6 +44,8 @@ from .workset import check_worksets
 
 #: From so many dB on a second level is tried, below a first that ends at as many as float16 keeps of one.
 NEARLY, ROUNDED = 64.0, 68.0
+#: Elements up to which numbers of clusters are told apart by fits in all steps.
+SMALL, STEPS = 1 << 22, (1.5, 1.25, 1.125)
 
 
 @dataclass(frozen=True)
@@ -104,17 +106,20 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
     with plans of two. Where ranks are such large steps that a model lies far beyond its goal, the same plan with a
     `finer` choice of blocks is tried, and for an SNR the first of the others.
     """
-    rivals = _further(task, others if task.plan.size is not None else ())
+    # Of values that are transformed the trial knows the errors' size, not where they will be large.
+    doubtful = task.plan.size is not None or task.source.value_transform.name != "identity"
     given = task
-    task, model = max([(task, follow(task)), *rivals], key=lambda each: each[1].snr)
+    task, model = _best([(task, follow(task)), *_further(task, others if doubtful else ())])
     if _is_worth(task):
         near = alternatives(task.plan, task.source.organisation(None), model.snr, model.nbytes)
         task, model = _best([(task, model), *_further(task, near)])
         if (task.plan.snr or model.snr) > NEARLY:
             task, model = _best([(task, model), *_further(given, _in_two(given))])
+        task, model = _with_other_clusters(task, model)
     best = model
     if is_coarse(task.plan, model.snr, model.nbytes):
-        return _nearer(task, model, others)
+        task, model = _nearer(task, model, others)
+        return _with_other_clusters(task, model)[1] if model is not best and _is_worth(task) else model
     further = list(others)
     if (deeper := _deeper(task, model)) is not None:
         further.insert(0, deeper)
@@ -157,11 +162,11 @@ def _is_verbatim(plan: Plan) -> bool:
     return len(plan.levels) == 1 and not any(plan.levels[0].ranks)
 
 
-def _nearer(task: Task, model: Model, others: Sequence[Plan]) -> Model:
+def _nearer(task: Task, model: Model, others: Sequence[Plan]) -> tuple[Task, Model]:
     """The best of a model beyond its goal and those of plans that may come nearer to it."""
     own = finer(task.plan, task.source.axes)
     plans = ([] if own is None else [own]) + list(others[: 1 if task.plan.snr is not None else 0])
-    return _best([(task, model), *_further(task, plans)])[1]
+    return _best([(task, model), *_further(task, plans)])
 
 
 def _further(task: Task, plans: Iterable[Plan]) -> Iterator[tuple[Task, Model]]:
@@ -178,6 +183,19 @@ def _further(task: Task, plans: Iterable[Plan]) -> Iterator[tuple[Task, Model]]:
                 raise
             continue
         yield further, model
+
+
+def _with_other_clusters(task: Task, model: Model) -> tuple[Task, Model]:
+    """The best of more clusters of the data and of fewer, in steps that end small; of large arrays in these alone."""
+    found, tried = (task, model), {task.plan}
+    for step in STEPS if prod(task.source.shape) <= SMALL else STEPS[-1:]:
+        before = None
+        while found is not before:
+            before, near = found, (with_clusters_times(found[0].plan, factor) for factor in (step, 1 / step))
+            plans = [plan for plan in near if plan is not None and plan not in tried]
+            tried.update(plans)
+            found = _best([found, *_further(task, plans)])
+    return found
 
 
 def _in_two(task: Task) -> Iterator[Plan]:

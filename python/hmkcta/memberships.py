@@ -37,7 +37,7 @@ CANDIDATES: tuple[tuple[float, float | None], ...] = (
     (1.0, 1.05),
 )
 #: Dimensions of the subspaces that rows are parted by where ranks are still to be chosen.
-SOME_DIMENSIONS = (3,)
+SOME_DIMENSIONS = (3, 8)
 
 
 def uniform_blocks(size: int, clusters: int) -> NDArray[np.intp]:
@@ -146,13 +146,16 @@ def start_candidates(
             labels.append(balanced_clusters(normalised(f, power), c, cap, rng))
         yield labels
     if count > 1:
-        yield from _by_subspaces(tensor, spec, rng)
+        yield from by_subspaces(tensor, spec, rng)
 
 
-def _by_subspaces(
+def by_subspaces(
     tensor: NDArray[Any], spec: LevelSpec, rng: np.random.Generator
 ) -> Iterator[list[NDArray[np.intp]]]:
-    """Rows of the one mode that has clusters, by the subspaces that the ranks leave each of them; else nothing."""
+    """Rows of the one mode that has clusters, by the subspaces that the ranks leave each of them; else nothing.
+
+    Of ranks that are still to be found only the first dimensions tell.
+    """
     parted = [n for n, c in enumerate(spec.clusters) if c > 1]
     if len(parted) != 1:
         return

@@ -102,13 +102,13 @@ def tune(
     if search.highest > (ceiling or inf):
         snr, size = snr or ceiling, None  # what fills the bytes beyond the ceiling reaches it with fewer
     verbatim = trial.verbatim(plain)
-    if verbatim[0] > worth:
-        best = verbatim[1]
+    found, best = best, verbatim[1] if verbatim[0] > worth else best
     spare = [*search.rivals, *(_spare(search, best) if snr is not None else ())]
     if snr is not None or worth > verbatim[0] - ROUNDED > 0:
         spare.append(verbatim[1])
-    further = [] if best == verbatim[1] else spare
-    plans = [plan_of(source, each, snr, size, decode_cost) for each in (best, *further)]
+    if best == verbatim[1]:
+        spare = [] if source.value_transform.name == "identity" else [found, *search.rivals]
+    plans = [plan_of(source, each, snr, size, decode_cost) for each in (best, *spare)]
     return _held(plans, source, room_of(elements, memory))  # anew, as what is free varies
 
 
