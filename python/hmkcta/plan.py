@@ -316,7 +316,8 @@ def parse_plan(text: str, organisation: Organisation, scheme: str = "most") -> P
     """Read levels parted by ``/``; see `parse_level`."""
     expect("plan", text, str, "text such as R=4,4,6,6")
     if "=" not in text:
-        hint = "a file is written by Model.save, or by -o FILE" if "." in text else "give R of each level, R<=.. for a goal"
+        is_path = "." in text
+        hint = "a file is written by Model.save, or by -o FILE" if is_path else "give R of each level, R<=.. for a goal"
         raise invalid("plan-syntax", "plan", repr(text), "levels such as R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2", hint)
     return Plan(organisation, tuple(parse_level(part, organisation, scheme) for part in text.split("/")))
 
