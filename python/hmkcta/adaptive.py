@@ -32,7 +32,7 @@ from .hierarchy import (
     within,
 )
 from .memberships import by_subspaces, start_candidates
-from .memory import check_memory, format_bytes
+from .memory import check_memory, format_bytes, give_back_freed_memory
 from .metrics import snr_db, squared_norm
 from .plan import HIGHEST_RANK, LevelSpec
 from .predict import MODEL, PROCESS
@@ -319,6 +319,8 @@ class _LastLevel:
 
     def _fit(self, chosen: Allocation) -> None:
         self.fitted = chosen.choice.tobytes()
+        if isinstance(self.tree.residual, Streamed):
+            give_back_freed_memory()  # of the fit before, which lies where large arrays of this one do not
         if isinstance(self.tree.residual, Streamed) and self.goal.memory is not None:
             what = f"a model of {format_bytes(int(chosen.nbytes))}"
             hint = "raise --max-memory, or ask for a lower SNR or fewer bytes"
