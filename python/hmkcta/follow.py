@@ -103,8 +103,8 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
     Further are the same plan with a level more, for what float16 or the ranks of one leave, and then the `others`;
     `missed` is told of every plan that missed. For a size the others are rivals, of which the best is kept. It is
     compared with its `alternatives`, where that takes no more than seconds, with more and fewer clusters of the data,
-    and beyond what float16 keeps of one level with plans of two. Where ranks are such large steps that a model lies far beyond its goal, the same plan with a
-    `finer` choice of blocks is tried, and for an SNR the first of the others.
+    and beyond what float16 keeps of one level with plans of two. Where ranks are such large steps that a model lies far
+    beyond its goal, the same plan with a `finer` choice of blocks is tried, and for an SNR the first of the others.
     """
     # Of values that are transformed the trial knows the errors' size, not where they will be large.
     doubtful = task.plan.size is not None or task.source.value_transform.name != "identity"
