@@ -14,8 +14,6 @@ WORKSET = 1 << 26
 SMALLEST = 1 << 20
 #: Bytes for each of them: the tensor, its residual, and what is made on the way; and bytes of the process itself.
 WORKING, PROCESS = 14, 200 * 2**20
-#: The same at the most: of one cell that is a matrix, also what its projections are made of.
-HOLDING = 18
 #: Bytes for each byte of a model in the file: its numbers in float32, rounded, and packed.
 MODEL = 4
 #: Bytes for each element of a tensor that is fitted in place, by sweeps alone.
@@ -44,7 +42,7 @@ def memory_limit(plan: Plan, sizes: Sequence[int], memory: int | None) -> int:
 
 def workset_limit(memory: int | None) -> int:
     """How many elements of a tensor that is fitted on worksets are worked on at once."""
-    return max(1, min(WORKSET, (memory_budget(memory) - PROCESS) // HOLDING))
+    return max(1, min(WORKSET, (memory_budget(memory) - PROCESS) // WORKING))
 
 
 def _jointly(level: LevelSpec, sizes: Sequence[int], memory: int | None) -> bool:
