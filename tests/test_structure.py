@@ -31,7 +31,7 @@ LAYERS = (
     ("disjoint",),
     ("hierarchy",),
     ("pack", "allocation", "blocks", "filesize", "finer", "model", "verbatim"),
-    ("adaptive", "alternatives", "candidates", "measure"),
+    ("adaptive", "alternatives", "candidates", "cut", "measure"),
     ("caps",),
     ("trial", "measure_streamed"),
     ("judging",),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from math import inf, isfinite, prod
 
 import numpy as np
@@ -142,8 +141,12 @@ def outside_spectrum(
 
 def cell_blocks(tensor: F32, labels: Labels, clusters: Sequence[int]) -> list[F32]:
     """The disjoint sub-tensors of a node's cells."""
-    rows = [[np.flatnonzero(part == c) for c in range(count)] for part, count in zip(labels, clusters, strict=True)]
-    return [np.ascontiguousarray(tensor[np.ix_(*chosen)]) for chosen in product(*rows)]
+    blocks = [tensor]
+    for n, (part, count) in enumerate(zip(labels, clusters, strict=True)):
+        if count > 1:
+            rows = [np.flatnonzero(part == c) for c in range(count)]
+            blocks = [block.take(chosen, axis=n) for block in blocks for chosen in rows]
+    return blocks
 
 
 #: The stage before the fit.

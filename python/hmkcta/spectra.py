@@ -24,6 +24,10 @@ GROWTH = (1.0, 1.08, 1.12, 1.16, 1.2, 1.25, 1.3, 1.35, 1.42, 1.5, 1.6, 1.8, 2.2)
 TERMS = 1024
 #: Up to this side a Gram matrix is decomposed; beyond it a subspace of the rank wanted, and so many more, is iterated.
 SIDE, BESIDE, ITERATIONS = 160, 16, 1
+#: Rank of the first subspace that is iterated where little need be left, and by how much the next ones grow.
+FIRST, WIDER = 48, 4
+#: Rows that are transposed at once: float32 numbers of a cache line.
+LINE = 16
 #: Columns looked at to find singular vectors, for each row of an unfolding, and at the least.
 COLUMNS, LEAST_COLUMNS = 64, 16384
 
@@ -46,33 +50,46 @@ def _ladder(limit: int, growth: float) -> Ladder:
     return tuple(ranks)
 
 
-def cores(batch: F32, limits: Sequence[int | None], dtype: Any = np.float32) -> F32:
+def cores(batch: F32, limits: Sequence[int | None], dtype: Any = np.float32, enough: float = 0.0) -> F32:
     """Blocks `[B, I_1, .., I_N]` rotated into their leading singular vectors: `[B, R_1, .., R_N]`; None: not rotated.
 
-    Gram matrices are formed in `dtype`.
+    Gram matrices are formed in `dtype`. Ranks of a single block may end where they leave a share of its energy that is
+    small `enough`.
     """
     order = batch.ndim - 1
     sizes = batch.shape[1:]
     first = min(range(order), key=lambda n: (limits[n] or sizes[n]) / sizes[n])
     turn = [(first + k) % order for k in range(order)]
-    core = np.ascontiguousarray(batch.transpose(0, *(1 + n for n in turn)))
+    core = _turned(batch, first)
+    beyond = enough * float(energies(batch).sum()) if len(batch) == 1 else 0.0
     for at, n in enumerate(turn):
         limit, rest = limits[n], core.shape[2:]
         unfolded = core.reshape(len(core), core.shape[1], -1)  # the turn brings each mode to the front
         still = prod(rest[: order - 1 - at])  # columns as they come; those of rotated modes are no sample
-        rotated = unfolded.swapaxes(1, 2) if limit is None else _rotated(unfolded, limit, still, dtype)
+        rotated = unfolded.swapaxes(1, 2) if limit is None else _rotated(unfolded, limit, still, dtype, beyond)
         core = np.ascontiguousarray(rotated).reshape(len(core), *rest, rotated.shape[2])
     return core.transpose(0, *(1 + turn.index(n) for n in range(order)))
 
 
-def _rotated(unfolded: F32, limit: int, still: int, dtype: Any) -> F32:
+def _turned(batch: F32, first: int) -> F32:
+    """The blocks with the modes before the `first` behind all others, in one piece."""
+    order = batch.ndim - 1
+    matrices = batch.reshape(len(batch), prod(batch.shape[1 : 1 + first]), -1)
+    turned = np.empty(matrices.swapaxes(1, 2).shape, batch.dtype)
+    for start in range(0, matrices.shape[1], LINE):  # what is read and written stays in the cache
+        turned[:, :, start : start + LINE] = matrices[:, start : start + LINE].swapaxes(1, 2)
+    return turned.reshape(len(batch), *(batch.shape[1 + (first + k) % order] for k in range(order)))
+
+
+def _rotated(unfolded: F32, limit: int, still: int, dtype: Any, beyond: float) -> F32:
     """``A^T U`` of every unfolding `[rows, columns]`, U being its leading left singular vectors.
 
-    Of the columns, in so many groups of which each `still` is like the others, some groups are enough to find U.
+    Of the columns, in so many groups of which each `still` is like the others, some groups are enough to find U. Fewer
+    vectors than the limit may do where they are iterated, and leave no more than what is `beyond` notice.
     """
     rows, columns = unfolded.shape[1:]
     if min(rows, columns) > SIDE and limit + BESIDE < min(rows, columns) // 2:
-        return _iterated(unfolded, limit)
+        return _wide_enough(unfolded, limit, beyond)
     if rows <= columns:
         step = _coprime_step(min(still // 64, columns // max(COLUMNS * rows, LEAST_COLUMNS)), still)
         thin = unfolded.reshape(*unfolded.shape[:2], still, -1)[:, :, ::step].reshape(*unfolded.shape[:2], -1)
@@ -90,6 +107,17 @@ def _coprime_step(step: int, length: int) -> int:
     while step > 1 and gcd(step, length) > 1:
         step -= 1
     return max(1, step)
+
+
+def _wide_enough(unfolded: F32, limit: int, beyond: float) -> F32:
+    """As `_iterated`, of the first of some growing ranks that leaves little; of the limit where none does."""
+    rank, energy = FIRST, float(energies(unfolded).sum())
+    while beyond > 0 and rank * WIDER <= limit:
+        found = _iterated(unfolded, rank)
+        if energy - float(energies(found).sum()) <= beyond:
+            return found
+        rank *= WIDER
+    return _iterated(unfolded, limit)
 
 
 def _iterated(unfolded: F32, limit: int) -> F32:

@@ -13,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .allocation import Choices, best_of_one, choices_of, pareto, plausible, ration
-from .axes import Axis, Organisation, mode_sizes
-from .blocks import Blocks, finer, halved, organised, sampled_blocks, split
+from .axes import Organisation, mode_sizes
+from .blocks import Blocks, finer, organised, sampled_blocks, split
 from .candidates import Candidate, bytes_beside, clusters_of, plan_of
 from .caps import Ranks, Room, capped
+from .cut import Cut
 from .detail import Detail, detail_of
 from .filesize import planned_bytes
-from .growth import Growth, growth_of
+from .growth import Growth
 from .metrics import snr_db
 from .plan import MOST_RANKS_ALONE
 from .source import Source
@@ -44,52 +45,12 @@ HIGHEST = (MOST_RANKS_ALONE, 64)
 VERBATIM = 1e-7
 #: What float32 can tell.
 FINEST = 1e-14
+#: Of the error that a goal leaves, the share from which on further ranks are not told apart.
+UNTOLD = 0.05
 #: Beyond so many dB Gram matrices are summed in float64.
 PRECISE = 50.0
 #: Bytes besides two float16 for each element, that no candidate worth a look takes.
 ENOUGH = 1 << 16
-
-
-@dataclass(frozen=True, eq=False)
-class _Cut:
-    """An organisation of axes cut by a grid.
-
-    Attributes:
-        batch: the sampled blocks as tensors, `[B, modes]`; with `energy`, their squared norms.
-        edges: mode sizes of a block before thinning.
-        sizes: mode sizes of the whole.
-        clusters: numbers of blocks along each mode.
-        precision: what Gram matrices are summed in.
-    """
-
-    axes: Sequence[Axis]
-    organisation: Organisation
-    grid: tuple[int, ...]
-    blocks: Blocks
-    batch: F32
-    energy: F64
-    limits: tuple[int, ...]
-    edges: tuple[int, ...]
-    sizes: tuple[int, ...]
-    clusters: tuple[int, ...]
-    precision: Any
-
-    @cached_property
-    def core(self) -> F32:
-        """Their truncated HOSVD cores, no mode shorter than its entry of `limits`."""
-        return cores(self.batch, self.limits, self.precision)
-
-    @cached_property
-    def growth(self) -> Growth | None:
-        """What ranks of whole blocks are told by; None where no rows were left out."""
-        return self.growth_of(self.batch, self.core, (1,) * len(self.grid), self.edges)
-
-    def growth_of(self, parts: F32, core: F32, way: Sequence[int], edges: Sequence[int]) -> Growth | None:
-        """The same of the blocks cut into so many `parts` along each axis, by their cores and rows."""
-        if not self.blocks.thinned:
-            return None
-        fewer = organised(split(halved(self.blocks), way), self.axes, self.organisation)
-        return growth_of(parts, core, fewer, edges, self.precision)
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +150,7 @@ class Trial:
         least = float(nbytes.min() * cut.blocks.weights.sum())
         return self._worth(path, cut, cut.blocks.overlap, candidate, least)[0]
 
-    def _way(self, cut: _Cut, flags: tuple[bool, ...], caps: Ranks, way: Sequence[int]) -> tuple[F64, F64]:
+    def _way(self, cut: Cut, flags: tuple[bool, ...], caps: Ranks, way: Sequence[int]) -> tuple[F64, F64]:
         """Error that each block is left with and bytes, at every choice of ranks, if all are cut in the same way."""
         axes, clusters = self.source.axes, clusters_of(self.source.axes, way, cut.organisation)
         parts = organised(split(cut.blocks.values, way), axes, cut.organisation)
@@ -208,14 +169,14 @@ class Trial:
         kept = plausible(left)
         return left[:, kept], choices.nbytes[kept]
 
-    def _cut(self, organisation: Organisation, grid: tuple[int, ...], sample: int) -> _Cut:
+    def _cut(self, organisation: Organisation, grid: tuple[int, ...], sample: int) -> Cut:
         """Sampled blocks of the grid as tensors of the organisation's modes."""
         return self._cut_of(organisation, grid, self._blocks(grid, sample))
 
     def _blocks(self, grid: tuple[int, ...], sample: int) -> Blocks:
         return sampled_blocks(self.source, self.values, self.detail, grid, sample, self.room)
 
-    def _cut_of(self, organisation: Organisation, grid: tuple[int, ...], blocks: Blocks) -> _Cut:
+    def _cut_of(self, organisation: Organisation, grid: tuple[int, ...], blocks: Blocks) -> Cut:
         """Blocks as tensors of the organisation's modes."""
         axes = self.source.axes
         batch = organised(blocks.values, axes, organisation)
@@ -224,9 +185,8 @@ class Trial:
         rows = dict(zip((axis.name for axis in axes), blocks.edges, strict=True))
         edges = tuple(prod(rows[name] for name in mode) for mode in organisation)
         limits = self._limits(batch.shape[1:], edges)
-        return _Cut(
-            axes, organisation, grid, blocks, batch, energies(batch), limits, edges, sizes, clusters, self._precision
-        )
+        return Cut(axes, organisation, grid, blocks, batch, energies(batch), limits, edges, sizes, clusters,
+                    self._precision, self._enough)
 
     def _limits(self, have: Sequence[int], edges: Sequence[int]) -> tuple[int, ...]:
         """Highest rank of each mode: what there is, what the bytes can store, what may be decoded."""
@@ -242,7 +202,12 @@ class Trial:
         """What Gram matrices are summed in: a high SNR asks small singular values to be told apart."""
         return np.float64 if self.ceiling is not None and self.ceiling > PRECISE else np.float32
 
-    def _judged(self, cut: _Cut, choice: tuple[int, ...]) -> tuple[list[tuple[float, Candidate]], list[int]]:
+    @property
+    def _enough(self) -> float:
+        """Share of the energy whose ranks are beyond the goal, whatever other modes leave."""
+        return 0.0 if self.ceiling is None or self.ceiling > PRECISE else UNTOLD * 10 ** (-self.ceiling / 10)
+
+    def _judged(self, cut: Cut, choice: tuple[int, ...]) -> tuple[list[tuple[float, Candidate]], list[int]]:
         """Candidates that leave the chosen modes undecomposed, and the ranks of the one without blocks."""
         order = len(cut.sizes)
         flags = tuple(n in choice for n in range(order))
@@ -278,16 +243,17 @@ class Trial:
         held = capped(plan, mode_sizes(self.source.axes, candidate.organisation), self.memory)
         return free if held is plan else None if held is None else held.levels[-1].ranks
 
-    def _core(self, cut: _Cut, flags: Sequence[bool]) -> F32:
+    def _core(self, cut: Cut, flags: Sequence[bool]) -> F32:
         """Cores with all energy along the modes left undecomposed."""
         had = zip(flags, cut.batch.shape[1:], cut.limits, strict=True)
-        if all(not flag or rows == limit for flag, rows, limit in had):
+        # The core of a matrix is diagonal: a rank of one of its modes has its energy at that rank of the other.
+        if len(flags) == 2 or all(not flag or rows == limit for flag, rows, limit in had):
             return cut.core
         limits = [None if flag else limit for flag, limit in zip(flags, cut.limits, strict=True)]
-        return cores(cut.batch, limits, self._precision)
+        return cores(cut.batch, limits, self._precision, self._enough)
 
     def _worth(
-        self, spend: Callable[..., tuple[float, float]], cut: _Cut, share: float, candidate: Candidate, least: float
+        self, spend: Callable[..., tuple[float, float]], cut: Cut, share: float, candidate: Candidate, least: float
     ) -> tuple[float, float]:
         fixed = self.beside(candidate)
         blocks, thinned = cut.blocks, prod(cut.batch.shape[1:]) / prod(cut.edges)
@@ -382,7 +348,7 @@ def _best(found: Sequence[tuple[float, Candidate]]) -> float:
     return max(worth for worth, _ in found)
 
 
-def _promising(cut: _Cut, ranks: Sequence[int]) -> Iterator[int]:
+def _promising(cut: Cut, ranks: Sequence[int]) -> Iterator[int]:
     """Modes without blocks that may be better left undecomposed than given the ranks of an HOSVD.
 
     Short ones that keep much of their rank, which frees multiply-adds for other modes; and those whose rows times the

@@ -101,6 +101,9 @@ def core_energies(tensor: F32, limits: Sequence[int | None], rng: np.random.Gene
     >>> core_energies(np.outer([1, 2], [2, 0]).astype(np.float32), (2, 1), np.random.default_rng(0)).round(3).tolist()
     [[20.0], [20.0]]
     """
+    decomposed = [n for n, limit in enumerate(limits) if limit is not None]
+    if len(decomposed) == 1 and (found := _squares(unfold(tensor, n := decomposed[0]), limits[n] or 0)) is not None:
+        return np.cumsum(found).reshape([-1 if m == n else 1 for m in range(tensor.ndim)])
     core, scale = full_core(tensor, limits, rng)
     kept = np.square(core[tuple(slice(limit) for limit in limits)])
     undecomposed = tuple(n for n, limit in enumerate(limits) if limit is None)
@@ -144,11 +147,23 @@ def full_core(tensor: F32, limits: Sequence[int | None], rng: np.random.Generato
     return core.transpose(back), scale
 
 
+def _squares(matrix: NDArray[np.floating], rank: int) -> F64 | None:
+    """Squares of so many singular values, the largest first; None where their vectors are iterated."""
+    if not _is_exact(matrix, rank):
+        return None
+    gram = _gram(matrix if len(matrix) <= matrix.shape[1] else matrix.T)
+    return np.maximum(np.linalg.eigvalsh(gram)[: -rank - 1 : -1], 0.0)
+
+
+def _is_exact(matrix: NDArray[np.floating], rank: int) -> bool:
+    """Whether all singular vectors are worth finding, where `rank` of them are wanted."""
+    exact = EXACT_SIDE if 6 * min(rank, *matrix.shape) > min(matrix.shape) else SMALL_SIDE
+    return min(matrix.shape) <= exact
+
+
 def _rotated(matrix: F32, rank: int) -> F32 | None:
     """Transpose of ``U^T A``, U being all left singular vectors of A; None where it is worth finding `rank` alone."""
-    rank = min(rank, *matrix.shape)
-    exact = EXACT_SIDE if 6 * rank > min(matrix.shape) else SMALL_SIDE
-    if min(matrix.shape) > exact:
+    if not _is_exact(matrix, rank):
         return None
     if len(matrix) <= matrix.shape[1]:
         _, vectors = np.linalg.eigh(_gram(matrix))
