@@ -16,11 +16,12 @@ from hmkcta import choose_plan, compress
 from hmkcta.caps import Ranks, Room, capped, check_room, room_of
 from hmkcta.errors import HmkctaError
 from hmkcta.fit import EFFORTS
-from hmkcta.follow import Task, follow_any
+from hmkcta.follow import Task
 from hmkcta.hierarchy import Run
 from hmkcta.plan import LevelSpec, Plan, parse_plan
 from hmkcta.predict import memory_limit
 from hmkcta.progress import nobody
+from hmkcta.rivals import follow_any
 from hmkcta.source import described, prepare
 from hmkcta.trial import OUT_OF_REACH, trial_of
 from hmkcta.workset import check_worksets

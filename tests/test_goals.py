@@ -297,7 +297,7 @@ def test_where_a_plan_misses_its_snr_another_is_tried(monkeypatch: pytest.Monkey
         followed.append(task.plan)
         return follow(replace(task, plan=replace(task.plan, snr=20.0)) if len(followed) == 1 else task)
 
-    monkeypatch.setattr("hmkcta.follow.follow", weak)
+    monkeypatch.setattr("hmkcta.rivals.follow", weak)
     with pytest.warns(UserWarning, match=r"a plan chosen for 40 dB came to 2\d\.\d+: another is tried, R="):
         model = fitted("material", snr=40.0)
     assert model.snr >= 40

@@ -37,6 +37,7 @@ LAYERS = (
     ("judging",),
     ("clustered",),
     ("tuning", "follow", "forecast"),
+    ("rivals",),
     ("encode",),
     ("pictures", "readers", "synthetic"),
     ("",),

@@ -19,7 +19,7 @@ from .errors import GoalMissed, expect, invalid
 from .executors import thread_count
 from .finer import SMALL, finer
 from .fit import EFFORTS
-from .follow import Task, follow, follow_any
+from .follow import Task, follow
 from .hierarchy import Run
 from .hmkfile import KINDS
 from .journal import Journal, decisive
@@ -29,6 +29,7 @@ from .model import Model
 from .plan import SCHEMES, Plan, parse_plan
 from .predict import check_least_memory
 from .progress import Progress, nobody
+from .rivals import follow_any
 from .source import Source, prepare
 from .tuning import tune
 

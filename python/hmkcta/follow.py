@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import prod
 
 import numpy as np
 
 from .adaptive import Goal, fit_to_goal
-from .alternatives import alternatives, whole_plan, with_clusters_times
 from .axes import mode_sizes
-from .errors import HmkctaError, invalid
+from .errors import invalid
 from .filesize import metadata_of, undecomposed_in
-from .finer import LARGE, finer, is_coarse
 from .fit import EFFORTS
 from .hierarchy import (
     Hierarchy,
@@ -41,11 +39,6 @@ from .predict import is_streamed, memory_limit
 from .source import Source
 from .streamed import Streamed
 from .workset import check_worksets
-
-#: From so many dB on a second level is tried, below a first that ends at as many as float16 keeps of one.
-NEARLY, ROUNDED = 64.0, 68.0
-#: Elements up to which numbers of clusters are told apart by fits in all steps.
-SMALL, STEPS = 1 << 22, (1.5, 1.25, 1.125)
 
 
 @dataclass(frozen=True)
@@ -95,132 +88,6 @@ def follow(task: Task) -> Model:
         for number in range(rounds):
             backfit(tree, run, last=number == rounds - 1)
     return _measured(task, tree)
-
-
-def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]) -> Model:
-    """The model of the task's plan; where it misses its SNR, of the first further plan that does not, or the best.
-
-    Further are the same plan with a level more, for what float16 or the ranks of one leave, and then the `others`;
-    `missed` is told of every plan that missed. For a size the others are rivals, of which the best is kept. It is
-    compared with its `alternatives`, where that takes no more than seconds, with more and fewer clusters of the data,
-    and beyond what float16 keeps of one level with plans of two. Where ranks are such large steps that a model lies far
-    beyond its goal, the same plan with a `finer` choice of blocks is tried, and for an SNR the first of the others.
-    """
-    # Of values that are transformed the trial knows the errors' size, not where they will be large.
-    doubtful = task.plan.size is not None or task.source.value_transform.name != "identity"
-    given = task
-    task, model = _best([(task, follow(task)), *_further(task, others if doubtful else ())])
-    if _is_worth(task):
-        near = alternatives(task.plan, task.source.organisation(None), model.snr, model.nbytes)
-        task, model = _best([(task, model), *_further(task, near)])
-        if (task.plan.snr or model.snr) > NEARLY:
-            task, model = _best([(task, model), *_further(given, _in_two(given))])
-        task, model = _with_other_clusters(task, model)
-    best = model
-    if is_coarse(task.plan, model.snr, model.nbytes):
-        task, model = _nearer(task, model, others)
-        return _with_other_clusters(task, model)[1] if model is not best and _is_worth(task) else model
-    further = list(others)
-    if (deeper := _deeper(task, model)) is not None:
-        further.insert(0, deeper)
-    for plan in further:
-        if task.plan.snr is None or best.snr >= task.plan.snr:
-            break
-        missed(f"a plan chosen for {task.plan.snr:g} dB came to {model.snr:.2f}: another is tried, {plan}")
-        for _, model in _further(task, [plan]):
-            best = max(best, model, key=lambda each: each.snr)
-    return best if task.plan.snr is None else _unless_verbatim(task, best, others)
-
-
-def _is_worth(task: Task) -> bool:
-    """Whether other plans like it are fitted as well: where that takes seconds, unless it should be fast."""
-    elements = prod(task.source.shape)
-    sizes = mode_sizes(task.source.axes, task.plan.organisation)
-    held = not is_streamed(elements, memory_limit(task.plan, sizes, task.memory))
-    return held and elements <= LARGE and task.run.effort.candidates > EFFORTS["fast"].candidates
-
-
-def _best(followed: Sequence[tuple[Task, Model]]) -> tuple[Task, Model]:
-    """For a size the model of the highest SNR; for an SNR the smallest that reaches it, or the first if none does."""
-    if (snr := followed[0][0].plan.snr) is None:
-        return max(followed, key=lambda each: each[1].snr)
-    return min((each for each in followed if each[1].snr >= snr), key=lambda each: each[1].nbytes, default=followed[0])
-
-
-def _unless_verbatim(task: Task, best: Model, others: Sequence[Plan]) -> Model:
-    """The model for an SNR, or the values as float16 if that takes fewer bytes and does as well."""
-    if best.nbytes <= 2 * prod(task.source.shape) or _is_verbatim(best.plan):
-        return best
-    for _, model in _further(task, filter(_is_verbatim, others)):
-        if model.nbytes < best.nbytes and model.snr >= min(best.snr, task.plan.snr or best.snr):
-            return model
-    return best
-
-
-def _is_verbatim(plan: Plan) -> bool:
-    """Whether it leaves the values as they are."""
-    return len(plan.levels) == 1 and not any(plan.levels[0].ranks)
-
-
-def _nearer(task: Task, model: Model, others: Sequence[Plan]) -> tuple[Task, Model]:
-    """The best of a model beyond its goal and those of plans that may come nearer to it."""
-    own = finer(task.plan, task.source.axes)
-    plans = ([] if own is None else [own]) + list(others[: 1 if task.plan.snr is not None else 0])
-    return _best([(task, model), *_further(task, plans)])
-
-
-def _further(task: Task, plans: Iterable[Plan]) -> Iterator[tuple[Task, Model]]:
-    """Models of further plans, except those that cannot be followed: there is a model already.
-
-    The least file of such a plan is larger than the goal, or memory does not do.
-    """
-    for plan in plans:
-        further = replace(task, plan=plan)
-        try:
-            model = follow(further)
-        except HmkctaError as error:
-            if error.reason not in ("size-too-small", "memory"):
-                raise
-            continue
-        yield further, model
-
-
-def _with_other_clusters(task: Task, model: Model) -> tuple[Task, Model]:
-    """The best of more clusters of the data and of fewer, in steps that end small; of large arrays in these alone."""
-    found, tried = (task, model), {task.plan}
-    for step in STEPS if prod(task.source.shape) <= SMALL else STEPS[-1:]:
-        before = None
-        while found is not before:
-            before, near = found, (with_clusters_times(found[0].plan, factor) for factor in (step, 1 / step))
-            plans = [plan for plan in near if plan is not None and plan not in tried]
-            tried.update(plans)
-            found = _best([found, *_further(task, plans)])
-    return found
-
-
-def _in_two(task: Task) -> Iterator[Plan]:
-    """The plan, and one that merges and cuts nothing, with a first level that ends at what float16 keeps, and a second
-    for what that leaves.
-
-    Where ranks do not reach that, the last of them gain little: then one that ends a dB before them, too.
-    """
-    for plan in dict.fromkeys((task.plan, whole_plan(task.plan, task.source.organisation(None)))):
-        goal = replace(plan, size=None, snr=ROUNDED)
-        firsts = list(_further(task, [goal]))
-        firsts += _further(task, [replace(goal, snr=model.snr - 1) for _, model in firsts if model.snr < ROUNDED])
-        deeper = [_deeper(*each) for each in firsts]
-        yield from (replace(each, snr=task.plan.snr, size=task.plan.size) for each in deeper if each is not None)
-
-
-def _deeper(task: Task, model: Model) -> Plan | None:
-    """A plan of one level as it was fitted, and below it a second with ranks of its own; None where that cannot be."""
-    (own, *more), top = task.plan.levels, model.bounds[0]
-    own, found = next((way for way in own.ways(task.plan.organisation) if way.clusters == top.clusters), own), top.ranks
-    if more or not own.own or model.decode_cost >= task.decode_cost or 0 in found:  # 0: nothing was stored
-        return None
-    ranks = tuple(None if most is None else rank for most, rank in zip(own.ranks, found, strict=True))
-    below = replace(own, clusters=(1,) * own.order, grid=())
-    return replace(task.plan, levels=(replace(own, ranks=ranks, own=False), below))
 
 
 def _begun(task: Task) -> tuple[Hierarchy, Goal]:
