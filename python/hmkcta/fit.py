@@ -90,7 +90,7 @@ def fit_level(
     """
     spec = spec.clamped(tensor.shape)
     if spec.cells == 1:
-        return _hooi(tensor, spec, effort, rng)
+        return _hooi(tensor, spec, effort, rng, own)
     if spec.search == "fast" or max(spec.mixture) == 1:
         return _sequential(tensor if own else tensor.copy(), spec, effort, labels, rng)
     cells = _start(tensor, spec, effort, labels, rng)
@@ -147,7 +147,7 @@ def left_by(cells: Cells, tensor: F32) -> F32:
     return residual
 
 
-def _hooi(tensor: F32, spec: LevelSpec, effort: Effort, rng: np.random.Generator) -> Cells:
+def _hooi(tensor: F32, spec: LevelSpec, effort: Effort, rng: np.random.Generator, own: bool) -> Cells:
     """C_n = 1 throughout: truncated HOSVD, then HOOI rounds (paper, section 3.1)."""
     members = [np.zeros((size, 1), np.uint16) for size in tensor.shape]
     cells = empty_cells(tensor.shape, spec, members, rng)
@@ -158,7 +158,9 @@ def _hooi(tensor: F32, spec: LevelSpec, effort: Effort, rng: np.random.Generator
             cells.bases[n][:, 0, 0, : basis.shape[1]] = basis
     cells.cores[:] = 0
     cells.cores[(0, *map(slice, core.shape))] = core
-    kernels.fit_cells(cells, left_by(cells, tensor), effort.hooi, WARM)
+    residual = tensor if own else tensor.copy()
+    kernels.accumulate(cells, residual, -1.0)
+    kernels.fit_cells(cells, residual, effort.hooi, WARM)
     return cells
 
 

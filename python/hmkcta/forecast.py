@@ -32,7 +32,7 @@ _CHECKED, _NEXT, _SAMPLED, _BESIDE = 17, 6, 18, 0.6
 #: Bytes for each element of a block that shares none with others, which is fitted in place.
 _BLOCK = 8
 #: Copies of a slab that are made while it is read and worked on, or cut into blocks; and of its projections.
-_SLAB_COPIES, _SLAB_CUT, _SLAB_SEEN = 4, 3, 2
+_SLAB_COPIES, _SLAB_CUT, _SLAB_SEEN = 4, 3, 1
 #: How much larger than the average the largest sub-tensors get for each mode of two, or of more clusters, where rows
 #: have one cluster each; where they have more, subdivision has a cap.
 _UNEVEN_TWO, _UNEVEN_MORE = 1.1, 1.8

@@ -24,6 +24,8 @@ F64 = NDArray[np.float64]
 OVER_RELAXED = 1.75
 #: Steps of conjugate gradients for the cores.
 CORE_STEPS = 2
+#: Projections turned into float64 at a time.
+WIDENED = 1 << 18
 
 
 def sweep(
@@ -94,7 +96,11 @@ def choose_rows(
 def right_sides(cells: Cells, y: NDArray[np.floating], n: int) -> F64:
     """b of mode n `[PC, R_n, I_n]` from the projections `y` `[PC, I_n, prod_{m != n} R_m]`."""
     cores = np.moveaxis(cells.cores, n + 1, 1).reshape(cells.spec.cells, cells.ranks[n], -1)
-    return np.matmul(cores.astype(np.float64), y.transpose(0, 2, 1))
+    wide, rows = cores.astype(np.float64), max(1, WIDENED * y.shape[1] // max(1, y.size))
+    b = np.empty((*wide.shape[:2], y.shape[1]))
+    for start in range(0, y.shape[1], rows):  # projections on an undecomposed mode are as large as the tensor
+        b[:, :, start : start + rows] = wide @ y[:, start : start + rows].transpose(0, 2, 1)
+    return b
 
 
 def refit_cores(cells: Cells, products: Sequence[Products | None], y: NDArray[np.floating], n: int) -> None:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from . import backends as kernels
 from .cells import Cells
 from .fit import Effort, Labels, fit_level
-from .memory import check_memory
+from .memory import check_memory, give_back_freed_memory
 from .pieces import Rows
 from .plan import LevelSpec, Plan
 from .predict import PROCESS, WORKING, joint_bytes
@@ -166,6 +166,7 @@ def fit_streamed(
     chosen = None if labels is None else [part[::step] for part, step in zip(labels, steps, strict=True)]
     cells = fit_level(sample, spec, effort, rng, chosen, own=True)
     del sample
+    give_back_freed_memory()
     if max(steps) == 1:
         return cells
     thinned = [n for n, step in enumerate(steps) if step > 1 and spec.ranks[n] is not None]

@@ -54,17 +54,25 @@ pub fn round(
 
 /// Update all bases and the core from the block and the pair tensor of pass 1.
 fn update_all(block: &Block, part: &mut Tucker, data: &[f32], iterations: usize, ws: &mut Workspace) {
-    let halves = [0..block.half, block.half..block.order()];
-    update(block, part, halves[0].clone(), block.mixed(block.half, false), iterations, ws);
-    if part.bases[block.half..].iter().any(Option::is_some) {
-        project_first(block, part, data, ws);
-        update(block, part, halves[1].clone(), block.mixed(block.half, true), iterations, ws);
+    let [first, second] = [0..block.half, block.half..block.order()];
+    let [whole_first, whole_second] =
+        [&first, &second].map(|half| part.bases[half.clone()].iter().all(Option::is_none));
+    let mut pair = std::mem::take(&mut ws.pair);
+    let from = if whole_second { data } else { &pair };
+    update(block, part, first, block.mixed(block.half, false), from, iterations, ws);
+    if !whole_second {
+        if !whole_first {
+            project_first(block, part, data, &mut pair, ws);
+        }
+        let from = if whole_first { data } else { &pair };
+        update(block, part, second, block.mixed(block.half, true), from, iterations, ws);
     }
+    ws.pair = pair;
 }
 
 /// Pass 1: data = residual + own, and the pair tensor, its projection on the second half of the modes.
 ///
-/// Without a residual the data are the residual already.
+/// Without a residual the data are the residual already. Where nothing is projected no pair tensor is made.
 fn take(
     block: &Block,
     part: &Tucker,
@@ -77,11 +85,12 @@ fn take(
     let known = !own.is_zero();
     let head = own.expand_head(block, 1.0, &mut ws.model);
     let (expand, project) = (own.expand_rest(block), part.project_rest(block));
-    let (count, row, reduced) = (block.tuples.len(), block.pick.len(), project.output());
+    let (count, row) = (block.tuples.len(), block.pick.len());
     let head_row = head.len() / count;
+    let reduced = if project.is_identity() { 0 } else { project.output() };
     let slabs = block.tuples.chunks(block.group).zip(head.chunks(block.group * head_row));
-    let pairs = room(&mut ws.pair, count * reduced).chunks_mut(block.group * reduced);
-    let targets = data.chunks_mut(block.group * row).zip(pairs);
+    let mut pairs = room(&mut ws.pair, count * reduced).chunks_mut((block.group * reduced).max(1));
+    let targets = data.chunks_mut(block.group * row).map(|slab| (slab, pairs.next().unwrap_or_default()));
     for_each(block.parallel, slabs.zip(targets).collect(), |((tuples, head), (slab, pair))| {
         with_scratch(|scratch| {
             if let Some(residual) = residual {
@@ -92,13 +101,15 @@ fn take(
             if known {
                 expand.add(head, slab, &mut scratch.steps);
             }
-            project.run(slab, pair, &mut scratch.steps);
+            if !pair.is_empty() {
+                project.run(slab, pair, &mut scratch.steps);
+            }
         });
     });
 }
 
 /// Pass 2: the pair tensor becomes the block's projection on the first half of the modes.
-fn project_first(block: &Block, part: &Tucker, data: &[f32], ws: &mut Workspace) {
+fn project_first(block: &Block, part: &Tucker, data: &[f32], pair: &mut Vec<f32>, ws: &mut Workspace) {
     let columns: usize = block.sizes[block.half..].iter().product();
     let rows: usize = block.ranks[..block.half].iter().product();
     let first = FirstHalf { block: data, sizes: &block.sizes[..block.half], bases: &part.bases, columns };
@@ -113,7 +124,7 @@ fn project_first(block: &Block, part: &Tucker, data: &[f32], ws: &mut Workspace)
         });
     });
     // Panels become rows of the pair tensor.
-    let pair = room(&mut ws.pair, rows * columns);
+    let pair = room(pair, rows * columns);
     for (number, panel) in panels.chunks(rows * COLUMNS).enumerate() {
         let width = panel.len() / rows;
         for (pair, panel) in pair.chunks_exact_mut(columns).zip(panel.chunks_exact(width)) {
@@ -163,16 +174,17 @@ impl FirstHalf<'_> {
     }
 }
 
-/// Update the bases of some modes from the pair tensor, on which all others are projected, and the core.
+/// Update the bases of some modes from a tensor in which all others are projected, and the core.
 fn update(
     block: &Block,
     part: &mut Tucker,
     modes: Range<usize>,
     sizes: Vec<usize>,
+    pair: &[f32],
     iterations: usize,
     ws: &mut Workspace,
 ) {
-    let Workspace { pair, reduced, unfolded, subspace, model: ModelBuffers { steps, .. }, .. } = ws;
+    let Workspace { reduced, unfolded, subspace, model: ModelBuffers { steps, .. }, .. } = ws;
     let pair = &pair[..sizes.iter().product()];
     for n in modes.clone() {
         let Some(mut basis) = part.bases[n].take() else { continue };

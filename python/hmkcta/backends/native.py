@@ -97,6 +97,8 @@ def dense_basis(cells: Cells, n: int) -> F32:
 
 def dictionary_gram(cells: Cells, products: Sequence[Products | None], n: int) -> F64:
     """`H_n = D_n^T D_n` of the dictionaries of all cells: `[PC R_n, PC R_n]`."""
+    if cells.spec.cells == 1:  # a product of matrices, of which lanes for eight cells need not be made
+        return reference.dictionary_gram(cells, products, n)
     side = cells.spec.cells * cells.ranks[n]
     return _native.dictionary_gram(cells.ranks, _products(products), _flat(cells.cores), n).reshape(side, side)
 
