@@ -77,8 +77,8 @@ def _settled(points: F32, bases: F32) -> F32:
         before, labels = labels, np.concatenate([part.argmax(axis=1) for part in _explained(points, bases)])
         if np.array_equal(before, labels):
             break
-        bases = bases.copy()
-        for c in np.unique(labels):
+        bases, moved = bases.copy(), labels != before
+        for c in np.intersect1d(labels, [labels[moved], before[moved]]):  # which gained or lost rows
             bases[c] = _leading(points[labels == c], bases.shape[2])
     return bases
 
