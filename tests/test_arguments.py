@@ -137,6 +137,7 @@ def test_coordinates_may_be_lists(tmp_path: Path) -> None:
     {"snr": "30"}, {"size": "20MiB"}, {"decode_cost": 1.5}, {"seed": None}, {"threads": 2.5}, {"nan": "0"},
     {"quality": ["fast"]}, {"progress": 3}, {"journal": "a.partial"}, {"max_memory": "1GB"},
     {"organisation": [["axis0"], ["axis1"]]}, {"transform": 3}, {"plan": ["R=2"]},
+    {"size": True}, {"snr": False}, {"seed": True}, {"threads": True}, {"max_memory": True},
 ], ids=str)
 def test_arguments_of_another_type_are_named(options: dict[str, Any]) -> None:
     error = refused(**options)

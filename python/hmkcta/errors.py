@@ -87,7 +87,8 @@ def expect(name: str, value: object, types: Any, words: str, hint: str = "") -> 
         ...
     hmkcta.errors.HmkctaError: level: found '1', allowed a whole number. [InvalidArgument/argument-type]
     """
-    if not isinstance(value, types):
+    truth = isinstance(value, bool) and types is not bool  # which Python counts among whole numbers
+    if truth or not isinstance(value, types):
         raise invalid("argument-type", name, shown(value), words, hint)
 
 
