@@ -236,14 +236,17 @@ def test_member_of_a_plain_array(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("name", "text", "expected"), [
     ("a.txt", "# zenith\n\n30\n60\n", [30, 60]), ("a.csv", "0,0,1\n0.6, 0, 0.8 # second\n", [[0, 0, 1], [0.6, 0, 0.8]]),
-    ("a.txt", "", []),
+    ("a.txt", "", []), ("a.csv", "theta, phi\n30,1\n60,2\n", [[30, 1], [60, 2]]), ("a.txt", "zenith\n30\n", [30]),
 ])
 def test_coordinates_from_a_table(tmp_path: Path, name: str, text: str, expected: list[Any]) -> None:
     (tmp_path / name).write_text(text)
     assert read_coordinates(str(tmp_path / name)).tolist() == expected
 
 
-@pytest.mark.parametrize(("name", "text"), [("a.txt", "1 2\n3\n"), ("a.txt", "1,2\n"), ("a.csv", "x,y\n1,2\n")])
+@pytest.mark.parametrize(("name", "text"), [
+    ("a.txt", "1 2\n3\n"), ("a.txt", "1,2\n"), ("a.csv", "nan,y\n1,2\n"),
+    ("a.csv", "x,1\n1,2\n"), ("a.csv", "x,y\nx,y\n1,2\n"),
+])
 def test_what_is_no_table_is_refused(tmp_path: Path, name: str, text: str) -> None:
     (tmp_path / name).write_text(text)
     with pytest.raises(HmkctaError) as caught:

@@ -19,7 +19,8 @@ def read_coordinates(uri: str) -> NDArray[Any]:
     """Numbers for each index of an axis, such as light directions.
 
     Args:
-        uri: what `open_array` takes; or a `.csv` or `.txt` table with a line for each index, `#` before comments.
+        uri: what `open_array` takes; or a `.csv` or `.txt` table with a line for each index, `#` before comments; a
+            first line of words names the columns.
 
     Raises:
         HmkctaError: the file cannot be read, or is no table of numbers.
@@ -37,6 +38,8 @@ def read_coordinates(uri: str) -> NDArray[Any]:
     with opened(path) as file:
         lines = file.read().decode("utf-8", "replace").splitlines()
     rows = [line for line in lines if line.partition("#")[0].strip()]
+    if rows and all(map(_is_name, rows[0].split(TABLES[ending]))):
+        del rows[0]
     try:
         table = np.loadtxt(rows, delimiter=TABLES[ending], ndmin=2) if rows else np.empty((0, 1))
     except ValueError as error:
@@ -44,3 +47,11 @@ def read_coordinates(uri: str) -> NDArray[Any]:
         allowed = f"numbers parted by {'commas' if TABLES[ending] else 'spaces'}, as many in each line"
         raise io_error("coords-table", uri, found, allowed) from error
     return table[:, 0] if table.shape[1] == 1 else table
+
+
+def _is_name(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return any(letter.isalpha() for letter in text)
+    return False
