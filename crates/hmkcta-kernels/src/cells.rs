@@ -1,6 +1,7 @@
 //! The cells (clusters c = c_1..c_N) of one node: which rows belong to a cell and where its basis rows are stored.
 
 use crate::sorting::Sorting;
+use crate::turning::{SIDE, turn_over};
 
 /// Rows transposed at a time, so that a cache line is used up before it is dropped.
 const TILE: usize = 64;
@@ -160,12 +161,14 @@ impl<'a> Node<'a> {
     pub fn load_basis(&self, cell: &Cell, n: usize, stored: &[f32]) -> Vec<f32> {
         let slots = &self.subsets[n][cell.subset[n]].slots;
         let (rank, rows) = (self.ranks[n], slots.len());
+        let numbers = |slot: u32| &stored[self.offset(cell, n, slot as usize)..][..rank];
         let mut basis = vec![0.0; rank * rows];
-        for (tile, slots) in slots.chunks(TILE).enumerate() {
-            for r in 0..rank {
-                let numbers = basis[r * rows + tile * TILE..].iter_mut().zip(slots);
-                numbers.for_each(|(to, &slot)| *to = stored[self.offset(cell, n, slot as usize) + r]);
-            }
+        let (fours, rest) = slots.as_chunks::<SIDE>();
+        for (four, slots) in fours.iter().enumerate() {
+            turn_over(slots.map(numbers), &mut basis[four * SIDE..], rows);
+        }
+        for (row, &slot) in (rows - rest.len()..).zip(rest) {
+            basis[row..].iter_mut().step_by(rows).zip(numbers(slot)).for_each(|(to, &value)| *to = value);
         }
         basis
     }

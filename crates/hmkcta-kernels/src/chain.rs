@@ -71,15 +71,11 @@ impl<'a> Chain<'a> {
 
     /// Apply the steps to as many tensors as lie in `x`, the results one behind the other.
     pub fn run(&self, x: &[f32], out: &mut [f32], scratch: &mut [Vec<f32>; 2]) {
-        self.finish(x, out, scratch, false);
+        self.apply(x, out, scratch, false);
     }
 
-    /// Apply the steps and add the results to what `out` holds.
-    pub fn add(&self, x: &[f32], out: &mut [f32], scratch: &mut [Vec<f32>; 2]) {
-        self.finish(x, out, scratch, true);
-    }
-
-    fn finish(&self, x: &[f32], out: &mut [f32], scratch: &mut [Vec<f32>; 2], add: bool) {
+    /// The same, or add the results to what `out` holds.
+    pub fn apply(&self, x: &[f32], out: &mut [f32], scratch: &mut [Vec<f32>; 2], add: bool) {
         let Some((last, first)) = self.steps.split_last() else {
             return out.iter_mut().zip(x).for_each(|(to, &value)| *to = if add { *to + value } else { value });
         };
@@ -172,7 +168,7 @@ mod tests {
             let mut out = vec![7.0; 2 * chain.output()];
             chain.run(&x, &mut out, &mut Default::default());
             let mut sum = vec![1.0; out.len()];
-            chain.add(&x, &mut sum, &mut Default::default());
+            chain.apply(&x, &mut sum, &mut Default::default(), true);
             let mut expected = x;
             let mut twice = [2, sizes[0], sizes[1], sizes[2], sizes[3]];
             for n in chain_modes {

@@ -1,11 +1,16 @@
 //! Matrix products `C (+)= A B` in which A may be strided and the rows of B and C are contiguous: the lanes run along
 //! the columns. Tiles of the result stay in registers. The instruction set is chosen at run time by `pulp`.
 
-use crate::machine::dispatch;
+use crate::machine::{dispatch, prefetch_from};
 use pulp::{MemMask, Simd, WithSimd};
+use std::ops::Range;
 
 /// Rows of B worked off before the next columns: 256 rows of a tile's columns fit the level 1 or 2 cache.
 const DEPTH: usize = 256;
+/// Numbers of a panel of B that stay in the level 1 cache.
+const CACHED: usize = 4096;
+/// A result of fewer numbers is in the cache, or soon will be.
+const NEAR: usize = 1 << 14;
 /// Rows of a tile and vectors of each, where there are 32 registers, and where there are 16.
 const WIDE: (usize, usize) = (4, 4);
 const NARROW: (usize, usize) = (6, 2);
@@ -81,6 +86,7 @@ impl WithSimd for Run<'_> {
         let Run { a, b, add, out } = self;
         for (number, out) in out.chunks_exact_mut(a.rows * b.columns).enumerate() {
             for k in (0..a.columns).step_by(DEPTH) {
+                let depth = DEPTH.min(a.columns - k);
                 let panel = Panel {
                     a: a.data[k * a.column_step..].as_ptr(),
                     a_steps: (a.row_step, a.column_step),
@@ -89,8 +95,9 @@ impl WithSimd for Run<'_> {
                     out: out.as_mut_ptr(),
                     m: a.rows,
                     n: b.columns,
-                    depth: DEPTH.min(a.columns - k),
+                    depth,
                     add: add || k > 0,
+                    ahead: ahead(a.rows, b.columns, depth),
                 };
                 // SAFETY: `multiply` has checked that all rows and columns lie within the slices.
                 unsafe {
@@ -116,6 +123,17 @@ struct Panel {
     n: usize,
     depth: usize,
     add: bool,
+    /// How far beyond a tile of C that which comes much later begins; 0: all of C is near.
+    ahead: usize,
+}
+
+/// Where to fetch C from memory in time: in the panel after this one or, of short rows, in those after the next.
+fn ahead(rows: usize, columns: usize, depth: usize) -> usize {
+    match CACHED / depth {
+        _ if rows * columns < NEAR => 0,
+        panel if panel < columns => panel,
+        _ => 2 * WIDE.0 * columns,
+    }
 }
 
 impl Panel {
@@ -125,8 +143,9 @@ impl Panel {
         let wide = MAX * S::F32_LANES;
         let whole = self.n - self.n % wide;
         let full = MemMask::new(simd.mask_between_m32s(0, S::F32_LANES as u32).mask());
-        for column in (0..whole).step_by(wide) {
-            unsafe { self.columns::<S, M, MAX, false>(simd, column, full) };
+        let panel = (CACHED / self.depth).next_multiple_of(wide);
+        for first in (0..whole).step_by(panel) {
+            unsafe { self.rows::<S, M, MAX>(simd, first..whole.min(first + panel), full) };
         }
         let rest = self.n - whole;
         if rest > 0 {
@@ -141,6 +160,35 @@ impl Panel {
                     3 => self.columns::<S, M, 3, true>(simd, whole, last),
                     _ => self.columns::<S, M, 4, true>(simd, whole, last),
                 }
+            }
+        }
+    }
+
+    /// Whole vectors of columns, `MAX` at a time, of all rows of C, `M` at a time.
+    #[inline(always)]
+    unsafe fn rows<S: Simd, const M: usize, const MAX: usize>(
+        self,
+        simd: S,
+        columns: Range<usize>,
+        full: MemMask<S::m32s>,
+    ) {
+        let step = MAX * S::F32_LANES;
+        let mut row = 0;
+        while row + M <= self.m {
+            for column in columns.clone().step_by(step) {
+                unsafe { self.tile::<S, M, MAX, false>(simd, row, column, full) };
+            }
+            row += M;
+        }
+        if row < self.m {
+            let rest = Panel {
+                a: self.a.wrapping_add(row * self.a_steps.0),
+                out: self.out.wrapping_add(row * self.n),
+                m: self.m - row,
+                ..self
+            };
+            for column in columns.step_by(step) {
+                unsafe { rest.columns::<S, M, MAX, false>(simd, column, full) };
             }
         }
     }
@@ -182,6 +230,9 @@ impl Panel {
         let mut sums = [[simd.splat_f32s(0.0); V]; M];
         unsafe {
             let out = self.out.add(row * self.n + column);
+            if self.ahead > 0 {
+                (0..M).for_each(|i| prefetch_from(out.wrapping_add(i * self.n + self.ahead), V * S::F32_LANES));
+            }
             if self.add {
                 for (i, line) in sums.iter_mut().enumerate() {
                     *line = load::<S, V, MASKED>(simd, out.add(i * self.n), last);

@@ -84,14 +84,13 @@ fn take(
     let own = own.unwrap_or(part);
     let known = !own.is_zero();
     let head = own.expand_head(block, 1.0, &mut ws.model);
-    let (expand, project) = (own.expand_rest(block), part.project_rest(block));
+    let project = part.project_rest(block);
     let (count, row) = (block.tuples.len(), block.pick.len());
-    let head_row = head.len() / count;
     let reduced = if project.is_identity() { 0 } else { project.output() };
-    let slabs = block.tuples.chunks(block.group).zip(head.chunks(block.group * head_row));
+    let slabs = block.tuples.chunks(block.group).enumerate();
     let mut pairs = room(&mut ws.pair, count * reduced).chunks_mut((block.group * reduced).max(1));
     let targets = data.chunks_mut(block.group * row).map(|slab| (slab, pairs.next().unwrap_or_default()));
-    for_each(block.parallel, slabs.zip(targets).collect(), |((tuples, head), (slab, pair))| {
+    for_each(block.parallel, slabs.zip(targets).collect(), |((number, tuples), (slab, pair))| {
         with_scratch(|scratch| {
             if let Some(residual) = residual {
                 for (&tuple, row) in tuples.iter().zip(slab.chunks_exact_mut(row)) {
@@ -99,7 +98,7 @@ fn take(
                 }
             }
             if known {
-                expand.add(head, slab, &mut scratch.steps);
+                head.expand(number * block.group, tuples.len(), true, slab, scratch);
             }
             if !pair.is_empty() {
                 project.run(slab, pair, &mut scratch.steps);
@@ -210,12 +209,11 @@ fn update(
 /// Pass 3: residual = data - model.
 fn give(block: &Block, part: &Tucker, residual: &mut [f32], data: &mut [f32], ws: &mut Workspace) {
     let head = part.expand_head(block, -1.0, &mut ws.model);
-    let expand = part.expand_rest(block);
     let row = block.pick.len();
-    let slabs = data.chunks_mut(block.group * row).zip(head.chunks(block.group * head.len() / block.tuples.len()));
+    let slabs = data.chunks_mut(block.group * row).enumerate();
     let mut targets = block.places(residual);
-    for_each(block.parallel, slabs.zip(targets.chunks_mut(block.group)).collect(), |((slab, head), targets)| {
-        with_scratch(|Scratch { steps, .. }| expand.add(head, slab, steps));
+    for_each(block.parallel, slabs.zip(targets.chunks_mut(block.group)).collect(), |((number, slab), targets)| {
+        with_scratch(|scratch| head.expand(number * block.group, slab.len() / row, true, slab, scratch));
         for (target, row) in targets.iter_mut().zip(slab.chunks_exact(row)) {
             block.pick.put(target, row);
         }

@@ -52,11 +52,13 @@ pub fn for_each<T: Send>(parallel: bool, tasks: Vec<T>, work: impl Fn(T) + Sync 
     }
 }
 
-/// Buffers for results between the steps of a chain of mode products, for a slab, for sorted rows, and for each level of a recursion.
+/// Buffers for results between the steps of a chain of mode products, for a slab and what it is made from, for sorted
+/// rows, and for each level of a recursion.
 #[derive(Default)]
 pub struct Scratch {
     pub steps: [Vec<f32>; 2],
     pub slab: Vec<f32>,
+    pub head: Vec<f32>,
     pub sorted: Vec<f32>,
     pub levels: Vec<Vec<f32>>,
 }

@@ -3,6 +3,7 @@
 use crate::block::Block;
 use crate::cells::{Cell, Node};
 use crate::chain::Chain;
+use crate::gemm::{Matrix, multiply};
 use crate::threads::{Scratch, for_each, room, with_scratch};
 
 /// One cell's bases `[R_n, m_n]` (None for an undecomposed mode) and core.
@@ -31,17 +32,20 @@ impl Tucker {
         self.core.iter().all(|&z| z == 0.0)
     }
 
-    /// Expand the leading modes of the core, which all slabs start from, and multiply by `weight`.
-    pub fn expand_head<'w>(&self, block: &Block, weight: f32, buffers: &'w mut ModelBuffers) -> &'w [f32] {
-        let chain = Chain::expand(&mut block.ranks.clone(), 0..block.leading, &self.bases);
-        let head = room(&mut buffers.head, chain.output());
-        chain.run(&self.core, head, &mut buffers.steps);
-        head.iter_mut().for_each(|z| *z *= weight);
-        head
+    /// What all slabs start from, times `weight`: the core with its leading modes expanded, the last of them by slabs.
+    pub fn expand_head<'w>(&'w self, block: &Block, weight: f32, buffers: &'w mut ModelBuffers) -> Head<'w> {
+        let last = block.leading - 1;
+        let chain = Chain::expand(&mut block.ranks.clone(), 0..last, &self.bases);
+        let numbers = room(&mut buffers.head, chain.output());
+        chain.run(&self.core, numbers, &mut buffers.steps);
+        numbers.iter_mut().for_each(|z| *z *= weight);
+        let (rows, rank) = (block.sizes[last], block.ranks[last]);
+        let each = block.ranks[block.leading..].iter().product();
+        Head { numbers, basis: self.bases[last].as_deref(), rows, rank, each, rest: self.expand_rest(block) }
     }
 
     /// What makes slabs of the model from the head.
-    pub fn expand_rest(&self, block: &Block) -> Chain<'_> {
+    fn expand_rest(&self, block: &Block) -> Chain<'_> {
         let mut sizes = block.ranks.clone();
         sizes[..block.leading].fill(1);
         Chain::expand(&mut sizes, (block.leading..block.order()).rev(), &self.bases)
@@ -57,24 +61,67 @@ impl Tucker {
     /// Add `weight * model` to a tensor.
     pub fn add_onto(&self, block: &Block, weight: f32, tensor: &mut [f32], buffers: &mut ModelBuffers) {
         let head = self.expand_head(block, weight, buffers);
-        let expand = self.expand_rest(block);
-        let (row, head_row) = (block.pick.len(), head.len() / block.tuples.len());
-        let heads = head.chunks(block.group * head_row);
+        let (row, group) = (block.pick.len(), block.group);
         if block.whole {
-            let slabs = tensor.chunks_mut(block.group * row).zip(heads).collect();
-            return for_each(block.parallel, slabs, |(slab, head)| {
-                with_scratch(|scratch| expand.add(head, slab, &mut scratch.steps))
+            let slabs = tensor.chunks_mut(group * row).enumerate().collect();
+            return for_each(block.parallel, slabs, |(number, slab)| {
+                with_scratch(|scratch| head.expand(number * group, slab.len() / row, true, slab, scratch))
             });
         }
         let mut targets = block.places(tensor);
-        for_each(block.parallel, targets.chunks_mut(block.group).zip(heads).collect(), |(targets, head)| {
-            with_scratch(|Scratch { steps, slab, .. }| {
-                let slab = room(slab, targets.len() * row);
-                expand.run(head, slab, steps);
+        for_each(block.parallel, targets.chunks_mut(group).enumerate().collect(), |(number, targets)| {
+            with_scratch(|scratch| {
+                let mut buffer = std::mem::take(&mut scratch.slab);
+                let slab = room(&mut buffer, targets.len() * row);
+                head.expand(number * group, targets.len(), false, slab, scratch);
                 for (target, row) in targets.iter_mut().zip(slab.chunks_exact(row)) {
                     block.pick.add_onto(target, row);
                 }
+                scratch.slab = buffer;
             });
         });
+    }
+}
+
+/// A core of which all leading modes but the last are expanded, and what makes slabs of it.
+pub struct Head<'a> {
+    /// For each combination of rows of those modes, `[rank, each]`.
+    numbers: &'a [f32],
+    /// `[rank, rows]` of the last leading mode; None where it is undecomposed.
+    basis: Option<&'a [f32]>,
+    rows: usize,
+    rank: usize,
+    /// Numbers of the core for each combination of leading rows.
+    each: usize,
+    rest: Chain<'a>,
+}
+
+impl Head<'_> {
+    /// The model of `count` combinations of leading rows from `first` on; or add it to what `out` holds.
+    pub fn expand(&self, first: usize, count: usize, add: bool, out: &mut [f32], scratch: &mut Scratch) {
+        let &Head { numbers, each, ref rest, .. } = self;
+        let Some(basis) = self.basis else {
+            return rest.apply(&numbers[first * each..][..count * each], out, &mut scratch.steps, add);
+        };
+        if rest.is_identity() {
+            return self.lead(basis, first, count, add, out);
+        }
+        let buffer = room(&mut scratch.head, count * each);
+        self.lead(basis, first, count, false, buffer);
+        rest.apply(buffer, out, &mut scratch.steps, add);
+    }
+
+    /// Rows of the last leading mode times the numbers of each combination of those before.
+    fn lead(&self, basis: &[f32], first: usize, count: usize, add: bool, out: &mut [f32]) {
+        let &Head { numbers, rows, rank, each, .. } = self;
+        let (mut at, end) = (first, first + count);
+        while at < end {
+            let (before, row) = (at / rows, at % rows);
+            let stretch = (rows - row).min(end - at);
+            let u = Matrix::new(basis, rank, rows).columns(row, stretch).transposed();
+            let z = Matrix::new(&numbers[before * rank * each..], rank, each);
+            multiply(u, z, add, &mut out[(at - first) * each..][..stretch * each]);
+            at += stretch;
+        }
     }
 }
