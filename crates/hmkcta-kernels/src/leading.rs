@@ -3,7 +3,7 @@
 use crate::cells::Node;
 use crate::machine::dispatch;
 use pulp::{Simd, WithSimd};
-use std::ops::Range;
+use std::ops::{Deref, DerefMut, Range};
 
 /// More numbers than any vector has; what vectors run along is padded to whole ones.
 pub const PAD: usize = 16;
@@ -13,7 +13,39 @@ pub const PAD: usize = 16;
 #[derive(Clone, Default)]
 pub struct Partial {
     pub cells: Vec<usize>,
-    pub cores: Vec<f32>,
+    pub cores: Aligned,
+}
+
+/// Numbers of a vector, in one cache line: vectors that lie across two take longer to read, and much longer just after they
+/// were written.
+#[derive(Clone, Copy, Default)]
+#[repr(C, align(64))]
+pub struct Padded(pub [f32; PAD]);
+
+/// Numbers of whole vectors, each in a cache line.
+#[derive(Clone, Default)]
+pub struct Aligned(pub Vec<Padded>);
+
+impl Aligned {
+    fn zeros(count: usize) -> Self {
+        Aligned(vec![Padded::default(); count / PAD])
+    }
+}
+
+impl Deref for Aligned {
+    type Target = [f32];
+
+    fn deref(&self) -> &[f32] {
+        // SAFETY: as many numbers lie in the vectors, one behind the other.
+        unsafe { std::slice::from_raw_parts(self.0.as_ptr().cast(), self.0.len() * PAD) }
+    }
+}
+
+impl DerefMut for Aligned {
+    fn deref_mut(&mut self) -> &mut [f32] {
+        // SAFETY: as many numbers lie in the vectors, one behind the other, and are borrowed as they are.
+        unsafe { std::slice::from_raw_parts_mut(self.0.as_mut_ptr().cast(), self.0.len() * PAD) }
+    }
 }
 
 /// The leading modes of a node, b being the last mode and a the one before. Lanes are the clusters of mode b and its
@@ -24,7 +56,7 @@ pub struct Leading<'a> {
     pub depth: usize,
     pub lanes: usize,
     /// For each leading mode `[I_n, K_n, cells of the modes before, of those after but b, R_n, lanes]`.
-    expanded: Vec<Vec<f32>>,
+    expanded: Vec<Aligned>,
     /// Rows of the last leading mode with the same subsets, some at a time; one row 0 where there is no such mode.
     pub bundles: Vec<Vec<u32>>,
 }
@@ -34,17 +66,21 @@ impl<'a> Leading<'a> {
     pub fn new<B: AsRef<[f32]>>(node: &'a Node<'a>, bases: &[B], most: usize) -> Self {
         let (depth, b) = (node.order() - 2, node.order() - 1);
         let lanes = (node.clusters[b] * node.ranks[b]).next_multiple_of(PAD);
-        let bundles = if depth > 0 { alike(node, depth - 1, most) } else { vec![vec![0]] };
+        let bundles = match depth {
+            0 => vec![vec![0]],
+            _ if most == 1 => (0..node.sizes[depth - 1] as u32).map(|row| vec![row]).collect(),
+            _ => alike(node, depth - 1, most),
+        };
         let mut leading = Leading { node, depth, lanes, expanded: vec![], bundles };
         leading.expanded = (0..depth).map(|n| leading.expand(bases[n].as_ref(), node.ranks[n])).collect();
         leading
     }
 
     /// Numbers `[.., C_b, rank]` as `[.., rank, lanes]`.
-    pub fn expand(&self, numbers: &[f32], rank: usize) -> Vec<f32> {
+    pub fn expand(&self, numbers: &[f32], rank: usize) -> Aligned {
         let b = self.node.order() - 1;
         let (clusters, repeats) = (self.node.clusters[b], self.node.ranks[b]);
-        let mut all = vec![0.0; numbers.len() / clusters * self.lanes];
+        let mut all = Aligned::zeros(numbers.len() / clusters * self.lanes);
         for (from, to) in numbers.chunks_exact(clusters * rank).zip(all.chunks_exact_mut(rank * self.lanes)) {
             for (c, from) in from.chunks_exact(rank).enumerate() {
                 let to = to.chunks_exact_mut(self.lanes).zip(from);
@@ -59,7 +95,7 @@ impl<'a> Leading<'a> {
         let b = self.node.order() - 1;
         let (clusters, rank) = (self.node.clusters[b], self.node.ranks[b]);
         let others: usize = self.node.ranks[..b].iter().product();
-        let mut all = vec![0.0; cores.len() / (clusters * rank) * self.lanes];
+        let mut all = Aligned::zeros(cores.len() / (clusters * rank) * self.lanes);
         for (from, to) in cores.chunks_exact(clusters * others * rank).zip(all.chunks_exact_mut(others * self.lanes)) {
             for (c, from) in from.chunks_exact(others * rank).enumerate() {
                 for (from, to) in from.chunks_exact(rank).zip(to.chunks_exact_mut(self.lanes)) {
@@ -148,7 +184,8 @@ impl WithSimd for Choose<'_> {
             present.cells.iter().flat_map(|cell| subsets.iter().map(move |&c| cell * clusters + usize::from(c)));
         next.cells.clear();
         next.cells.extend(cells);
-        next.cores.resize(present.cores.len() / clusters / rank * mixture * rows.len(), 0.0);
+        let vectors = present.cores.0.len() / clusters / rank * mixture * rows.len();
+        next.cores.0.resize(vectors, Padded::default());
         // Cells of the modes after this one, and numbers of one for each number of the row.
         let after: usize = node.clusters[n + 1..b].iter().product();
         let numbers = node.ranks[n + 1..b].iter().product::<usize>() * lanes;

@@ -46,7 +46,7 @@ pub fn accumulate(node: &Node, mode: usize, tensor: &mut [f32], bases: &[&[f32]]
     let lines = Lines::new(&turned.node, &turned.bases);
     let all = lines.leading.cores(&turned.cores, weight);
     let inner = node.sizes[mode + 1..node.order() - 1].iter().product();
-    let target = Target { start: tensor.as_mut_ptr(), rows: node.sizes[mode], columns: lines.columns, inner };
+    let target = Target::new(tensor.as_mut_ptr(), node.sizes[mode], lines.columns, inner);
     let (count, parallel) = (lines.leading.count(), tensor.len() >= PARALLEL);
     let piece = if parallel { count.div_ceil(PIECES) } else { count };
     for_each(parallel, (0..count).step_by(piece).collect(), |from| {
@@ -69,8 +69,12 @@ pub struct Target {
 unsafe impl Sync for Target {}
 
 impl Target {
+    pub fn new(start: *mut f32, rows: usize, columns: usize, inner: usize) -> Self {
+        Target { start, rows, columns, inner }
+    }
+
     /// Where row 0 of a tuple is found.
-    fn tuple(&self, number: usize) -> *mut f32 {
+    pub fn tuple(&self, number: usize) -> *mut f32 {
         let line = number / self.inner * self.rows * self.inner + number % self.inner;
         self.start.wrapping_add(line * self.columns)
     }

@@ -6,19 +6,21 @@
 //! its basis row.
 
 use crate::cells::Node;
-use crate::leading::{Leading, PAD, Partial, alike, subsets};
+use crate::leading::{Leading, PAD, Padded, Partial, alike, subsets};
+use crate::lines::Target;
 use crate::machine::{dispatch, lanes, prefetch_from};
 use crate::places::cut;
 use crate::shuffle::{Order, Shuffle};
 use crate::threads::{PARALLEL, for_each, room};
+use crate::turned::Turned;
 use pulp::{Simd, WithSimd};
 
 /// Lines worked on at a time, which share what is read of the basis of mode b.
-const LINES: usize = 4;
+const LINES: usize = 8;
 /// How many groups of lines ahead lines are fetched.
 const AHEAD: usize = 3;
 /// Groups whose cores are contracted before any lines are made: what was just written takes long to read.
-const TOGETHER: usize = 32;
+const TOGETHER: usize = 16;
 /// Most permutations for a column where cells overlap; with more, lines of products take less.
 const MOST: usize = 8;
 /// Pieces the tensor is cut into, for threads to share.
@@ -43,9 +45,12 @@ pub fn pays(node: &Node) -> bool {
 /// `tensor += weight * model`
 pub fn accumulate(node: &Node, tensor: &mut [f32], bases: &[&[f32]], cores: &[f32], weight: f32) {
     assert_eq!(tensor.len(), node.sizes.iter().product::<usize>());
-    let permuted = Permuted::new(node, bases);
-    let all = permuted.leading.cores(cores, weight);
-    let planes = Planes(tensor.as_mut_ptr());
+    let mode = mode_of_rows(node);
+    let turned = Turned::new(node, mode, bases, cores);
+    let permuted = Permuted::new(&turned.node, &turned.bases);
+    let all = permuted.leading.cores(&turned.cores, weight);
+    let inner = node.sizes[mode + 1..node.order() - 1].iter().product();
+    let target = Target::new(tensor.as_mut_ptr(), permuted.rows, permuted.columns, inner);
     let (count, parallel) = (permuted.leading.count(), tensor.len() >= PARALLEL);
     // Few planes are cut, too.
     let (piece, parts) = if parallel { (count.div_ceil(PIECES), PIECES.div_ceil(count)) } else { (count, 1) };
@@ -54,34 +59,20 @@ pub fn accumulate(node: &Node, tensor: &mut [f32], bases: &[&[f32]], cores: &[f3
     for_each(parallel, pieces.collect(), |(from, groups)| {
         let mut buffers = Buffers::default();
         permuted.leading.each(from..count.min(from + piece), &all, |number, present| {
-            let [start, next] = [number, number + 1].map(|number| planes.start(&permuted, number));
-            dispatch(Plane { permuted: &permuted, groups, present, start, next, buffers: &mut buffers });
+            let [start, next] = [number, number + 1].map(|number| {
+                let (rows, first) = permuted.leading.bundle(number);
+                target.tuple(first + rows[0] as usize)
+            });
+            let step = target.step();
+            dispatch(Plane { permuted: &permuted, groups, present, start, next, step, buffers: &mut buffers });
         });
     });
 }
 
-/// The tensor: a plane of modes a and b for each tuple of the leading modes.
-struct Planes(*mut f32);
-
-// SAFETY: threads work on planes or groups of rows of their own, which share no element.
-unsafe impl Sync for Planes {}
-
-impl Planes {
-    fn start(&self, permuted: &Permuted, number: usize) -> *mut f32 {
-        let (rows, first) = permuted.leading.bundle(number);
-        self.0.wrapping_add((first + rows[0] as usize) * permuted.rows * permuted.columns)
-    }
-}
-
-/// Numbers of a vector, in one cache line: vectors that lie across two take longer to read, and much longer just after they
-/// were written.
-#[derive(Clone, Copy, Default)]
-#[repr(align(64))]
-struct Padded([f32; PAD]);
-
-/// The same numbers so, if they are whole vectors.
-fn padded(numbers: &[f32]) -> Vec<Padded> {
-    numbers.as_chunks().0.iter().map(|&numbers| Padded(numbers)).collect()
+/// The mode whose rows share their subsets with most others.
+fn mode_of_rows(node: &Node) -> usize {
+    let each = |n: usize| node.sizes[n] as f64 / alike(node, n, LINES).len() as f64;
+    (0..node.order() - 1).map(|n| (each(n), n)).max_by(|x, y| x.0.total_cmp(&y.0)).map_or(0, |(_, n)| n)
 }
 
 /// A node prepared for it. Modes a and b are the last two; `Leading` has PAD lanes.
@@ -106,7 +97,7 @@ struct Permuted<'a> {
 }
 
 impl<'a> Permuted<'a> {
-    fn new(node: &'a Node<'a>, bases: &[&[f32]]) -> Self {
+    fn new(node: &'a Node<'a>, bases: &[Vec<f32>]) -> Self {
         let (a, b) = (node.order() - 2, node.order() - 1);
         let leading = Leading::new(node, bases, 1);
         assert!(node.clusters[b] * node.ranks[b] <= lanes());
@@ -114,7 +105,7 @@ impl<'a> Permuted<'a> {
             lanes: lanes(),
             rows: node.sizes[a],
             columns: node.sizes[b],
-            weights: if node.undecomposed[a] { vec![] } else { padded(&leading.expand(bases[a], node.ranks[a])) },
+            weights: if node.undecomposed[a] { vec![] } else { leading.expand(&bases[a], node.ranks[a]).0 },
             groups: alike(node, a, LINES),
             slots: node.mixture[b] * node.ranks[b],
             starts: vec![],
@@ -122,7 +113,7 @@ impl<'a> Permuted<'a> {
             basis: vec![],
             leading,
         };
-        permuted.cut(bases[b]);
+        permuted.cut(&bases[b]);
         permuted
     }
 
@@ -156,6 +147,8 @@ struct Plane<'p> {
     present: &'p Partial,
     start: *mut f32,
     next: *mut f32,
+    /// From one row of mode a to the next.
+    step: usize,
     buffers: &'p mut Buffers,
 }
 
@@ -164,8 +157,18 @@ struct Plane<'p> {
 struct Buffers {
     /// Where the basis of mode b starts.
     bases: Vec<usize>,
-    /// What is contracted of their cores, `[cells, lines]` for each group.
+    /// What is contracted of their cores, `[cells, lines]` for each group; unused where mode a is undecomposed, so that
+    /// each of its rows has cores of its own.
     numbers: Vec<Padded>,
+}
+
+/// What a group of lines is made from.
+struct Group<'p> {
+    /// Where the basis of mode b starts, of each cell that they belong to.
+    bases: &'p [usize],
+    /// Contracted cores of the lines, for each of these cells, whose first ones are so far apart.
+    numbers: &'p [Padded],
+    apart: usize,
 }
 
 impl WithSimd for Plane<'_> {
@@ -192,26 +195,40 @@ impl Plane<'_> {
     #[inline(always)]
     unsafe fn add<S: Simd, V: Shuffle>(self, simd: S) {
         assert!(V::LANES == self.permuted.lanes);
-        let Plane { permuted, groups, present, start, next, buffers: Buffers { bases, numbers } } = self;
+        let Plane { permuted, groups, present, start, next, step, buffers: Buffers { bases, numbers } } = self;
         let count = present.cells.len() * permuted.leading.node.mixture[permuted.leading.depth];
+        let apart = permuted.leading.node.undecomposed[permuted.leading.depth];
+        if apart {
+            let bases = room(bases, count).iter_mut();
+            bases.zip(&present.cells).for_each(|(basis, cell)| *basis = cell * permuted.orders.len());
+        }
         for (number, rows) in groups.iter().enumerate() {
-            if number % TOGETHER == 0 {
+            if !apart && number % TOGETHER == 0 {
                 let groups = &groups[number..groups.len().min(number + TOGETHER)];
                 permuted.contract(simd, groups, present, (&mut *bases, &mut *numbers));
             }
             let ahead = number + AHEAD;
             let plane = if ahead < groups.len() { start } else { next };
             for &row in &groups[ahead % groups.len()] {
-                prefetch_from(plane.wrapping_add(row as usize * permuted.columns), permuted.columns);
+                prefetch_from(plane.wrapping_add(row as usize * step), permuted.columns);
             }
-            let at = number % TOGETHER * count;
-            let (bases, numbers) = (&bases[at..at + count], &numbers[at * LINES..][..rows.len() * count]);
+            let group = if apart {
+                Group { bases: &bases[..count], numbers: &present.cores.0[rows[0] as usize..], apart: permuted.rows }
+            } else {
+                let at = number % TOGETHER * count;
+                Group { bases: &bases[at..at + count], numbers: &numbers[at * LINES..], apart: rows.len() }
+            };
+            let lines = (start, step);
             unsafe {
                 match rows.len() {
-                    1 => permuted.lines::<V, 1>(start, rows, bases, numbers),
-                    2 => permuted.lines::<V, 2>(start, rows, bases, numbers),
-                    3 => permuted.lines::<V, 3>(start, rows, bases, numbers),
-                    _ => permuted.lines::<V, LINES>(start, rows, bases, numbers),
+                    1 => permuted.lines::<V, 1>(lines, rows, &group),
+                    2 => permuted.lines::<V, 2>(lines, rows, &group),
+                    3 => permuted.lines::<V, 3>(lines, rows, &group),
+                    4 => permuted.lines::<V, 4>(lines, rows, &group),
+                    5 => permuted.lines::<V, 5>(lines, rows, &group),
+                    6 => permuted.lines::<V, 6>(lines, rows, &group),
+                    7 => permuted.lines::<V, 7>(lines, rows, &group),
+                    _ => permuted.lines::<V, LINES>(lines, rows, &group),
                 }
             }
         }
@@ -232,7 +249,7 @@ impl Permuted<'_> {
         let (clusters, mixture, rank) = (node.clusters[*a], node.mixture[*a], node.ranks[*a]);
         let (count, before) = (cells.len() * mixture, node.clusters[..*a].iter().product::<usize>());
         assert!(cores.len() == cells.len() * clusters * rank * PAD && cells.iter().all(|&cell| cell < before));
-        assert!(node.undecomposed[*a] || weights.len() == node.sizes[*a] * mixture * before * rank);
+        assert!(weights.len() == node.sizes[*a] * mixture * before * rank);
         let bases = room(bases, TOGETHER * count).chunks_exact_mut(count);
         let numbers = room(numbers, TOGETHER * count * LINES).chunks_exact_mut(count * LINES);
         for ((rows, bases), numbers) in groups.iter().zip(bases).zip(numbers) {
@@ -244,10 +261,6 @@ impl Permuted<'_> {
                     // SAFETY: the numbers of all cells and rows are there, as asserted.
                     unsafe {
                         let core = cores.as_ptr().add((p * clusters + c) * rank * PAD);
-                        if node.undecomposed[*a] {
-                            out.0 = core.add(row as usize * PAD).cast::<[f32; PAD]>().read_unaligned();
-                            continue;
-                        }
                         let weights = weights.as_ptr().add(((row as usize * mixture + k) * before + cell) * rank);
                         let mut sum = simd.mul_f32s(core.cast::<S::f32s>().read_unaligned(), *weights.cast());
                         for r in 1..rank {
@@ -266,37 +279,32 @@ impl Permuted<'_> {
     /// # Safety
     /// The machine has vectors `V`, here and below, and nobody else refers to these lines of the plane.
     #[inline(always)]
-    unsafe fn lines<V: Shuffle, const M: usize>(
-        &self,
-        plane: *mut f32,
-        rows: &[u32],
-        bases: &[usize],
-        numbers: &[Padded],
-    ) {
-        assert!(rows.len() == M && numbers.len() == bases.len() * M && self.columns >= V::LANES);
+    unsafe fn lines<V: Shuffle, const M: usize>(&self, (plane, step): (*mut f32, usize), rows: &[u32], group: &Group) {
+        let &Group { bases, numbers, apart } = group;
+        assert!(rows.len() == M && numbers.len() >= (bases.len() - 1) * apart + M && self.columns >= V::LANES);
         assert!(bases.iter().all(|from| from + self.orders.len() <= self.basis.len()));
         let mut lines = [plane; M];
-        lines.iter_mut().zip(rows).for_each(|(line, &row)| *line = line.wrapping_add(row as usize * self.columns));
+        lines.iter_mut().zip(rows).for_each(|(line, &row)| *line = line.wrapping_add(row as usize * step));
         unsafe {
-            self.vectors::<V, M>(lines, bases, numbers);
+            self.vectors::<V, M>(lines, group);
         }
     }
 
     /// Vector by vector of their columns.
     #[inline(always)]
-    unsafe fn vectors<V: Shuffle, const M: usize>(&self, lines: [*mut f32; M], bases: &[usize], numbers: &[Padded]) {
+    unsafe fn vectors<V: Shuffle, const M: usize>(&self, lines: [*mut f32; M], group: &Group) {
         let mut slot = 0;
         for &first in &self.starts {
             unsafe {
                 let mut sums = lines.map(|line| V::load(line.add(first)));
                 for _ in 0..self.slots {
-                    let (order, mut numbers) = (&self.orders[slot], numbers.as_ptr());
-                    for from in bases {
+                    let (order, mut numbers) = (&self.orders[slot], group.numbers.as_ptr());
+                    for from in group.bases {
                         let factors = V::load(self.basis.as_ptr().add(from + slot).cast());
-                        for sum in &mut sums {
-                            *sum = sum.multiply_add_shuffled(order, numbers.cast(), factors);
-                            numbers = numbers.add(1);
+                        for (m, sum) in sums.iter_mut().enumerate() {
+                            *sum = sum.multiply_add_shuffled(order, numbers.add(m).cast(), factors);
                         }
+                        numbers = numbers.wrapping_add(group.apart);
                     }
                     slot += 1;
                 }
