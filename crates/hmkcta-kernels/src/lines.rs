@@ -65,7 +65,7 @@ pub struct Target {
     inner: usize,
 }
 
-// SAFETY: threads work on tuples of their own, whose lines share no element.
+// SAFETY: threads work on tuples or rows of mode a of their own, whose lines share no element.
 unsafe impl Sync for Target {}
 
 impl Target {
