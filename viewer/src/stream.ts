@@ -127,7 +127,7 @@ async function request(url: URL, headers: Record<string, string>): Promise<Respo
 }
 
 /** The address of a file named on the page's address: http or https, nothing else. */
-export function fileUrl(name: string, base: string): URL {
+export function fileUrl(name: string, base: string | undefined): URL {
   let url: URL;
   try {
     url = new URL(name, base);

@@ -1,4 +1,4 @@
-/** The built page: small, and nothing in it that its security policy would stop. */
+/** The built page and module: small, and nothing in them that a security policy would stop. */
 
 import { existsSync, readFileSync, readdirSync } from "node:fs";
 import { join } from "node:path";
@@ -7,6 +7,7 @@ import { describe, expect, it } from "vitest";
 
 const PAGE = join(import.meta.dirname, "..", "..", "python", "hmkcta", "viewer_page");
 const MOST = 150_000; // bytes, gzipped
+const MOST_MODULE = 30_000;
 
 const built = existsSync(join(PAGE, "index.html"));
 if (!built && process.env["CI"] === "true") {
@@ -21,6 +22,14 @@ describe.runIf(built)("bundle", () => {
     const bytes = files.reduce((sum, file) => sum + gzipSync(readFileSync(file)).length, 0);
     expect(bytes).toBeLessThan(MOST);
     expect(bytes).toBeGreaterThan(10_000);
+  });
+
+  it("has a module of one small file", async () => {
+    const path = join(PAGE, "hmkcta.js");
+    expect(gzipSync(readFileSync(path)).length).toBeLessThan(MOST_MODULE);
+    expect(readFileSync(path, "utf-8")).not.toMatch(/^import |\bimport\(/m);
+    const module = await import(path) as object;
+    expect(Object.keys(module).sort()).toEqual(["HmkError", "Model", "Problem", "open"]);
   });
 
   it("loads only what lies beside it, by relative addresses", () => {

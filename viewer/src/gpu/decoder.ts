@@ -36,7 +36,7 @@ export class Decoder {
       usage: GPUBufferUsage.STORAGE | GPUBufferUsage.COPY_DST,
     }));
     const entry = (binding: number, type: GPUBufferBindingType): GPUBindGroupLayoutEntry =>
-      ({ binding, visibility: GPUShaderStage.COMPUTE, buffer: { type } });
+      ({ binding, visibility: GPUShaderStage.COMPUTE | GPUShaderStage.FRAGMENT, buffer: { type } });
     const entries = [entry(0, "uniform"), ...this.buffers.map((_, page) => entry(page + 1, "read-only-storage"))];
     this.layout = device.createBindGroupLayout({ entries });
     this.framed = device.createBindGroupLayout({ entries: [...entries, entry(FRAME_BINDING, "read-only-storage")] });

@@ -1,0 +1,113 @@
+/** A file as an array: elements and slices by their indices, decoded when they are asked for. */
+
+import { axisPlaces, decodeRows, sourceValue } from "../decode/element";
+import type { Axis, FileKind, LevelQuality } from "../reader/metadata";
+import type { Reading } from "../reader/read";
+import { OnGpu } from "./onGpu";
+
+/** One index, which counts from the end if it is negative; `[from, to]`, without the latter; `null`: the whole axis. */
+export type Index = number | readonly [from: number, to: number] | null;
+
+export interface Slice {
+  /** Sizes of the axes that were not given one index. */
+  shape: number[];
+  /** The last axis runs fastest. */
+  values: Float32Array<ArrayBuffer>;
+}
+
+export class Model {
+  /** Levels whose numbers are there. */
+  arrived = 0;
+  /** Sizes of the axes. */
+  readonly shape: readonly number[];
+  private readonly places: { mode: number; stride: number }[];
+
+  constructor(private readonly reading: Reading) {
+    this.shape = this.axes.map((axis) => axis.size);
+    this.places = axisPlaces(reading.metadata);
+  }
+
+  /** Name, size, role, coordinates and unit of every axis. */
+  get axes(): readonly Axis[] {
+    return this.reading.metadata.axes;
+  }
+
+  get kind(): FileKind {
+    return this.reading.metadata.kind;
+  }
+
+  /** Levels that the file has. */
+  get levels(): number {
+    return this.reading.metadata.levels.length;
+  }
+
+  /** SNR in dB and errors up to each level. */
+  get quality(): readonly LevelQuality[] {
+    return this.reading.metadata.quality;
+  }
+
+  /** One element, of the first `level` levels. */
+  at(index: readonly number[], level = this.arrived): number {
+    return this.slice(index, level).values[0]!;
+  }
+
+  /** Some elements. */
+  slice(index: readonly Index[], level = this.arrived): Slice {
+    const ranges = this.ranges(index);
+    const levels = this.checkedLevel(level);
+    const shape = ranges.map(([from, to]) => to - from);
+    const values = new Float32Array(shape.reduce((count, size) => count * size, 1));
+    const rows = new Array<number>(this.reading.metadata.modeSizes.length).fill(0);
+    const { transform } = this.reading.metadata;
+    for (let at = 0; at < values.length; at += 1) {
+      rows.fill(0);
+      for (let axis = ranges.length - 1, flat = at; axis >= 0; axis -= 1) {
+        const { mode, stride } = this.places[axis]!;
+        rows[mode]! += (ranges[axis]![0] + flat % shape[axis]!) * stride;
+        flat = Math.floor(flat / shape[axis]!);
+      }
+      values[at] = sourceValue(decodeRows(this.reading.levels, rows, levels), transform);
+    }
+    return { shape: shape.filter((_, axis) => typeof index[axis] !== "number"), values };
+  }
+
+  /** The numbers on a GPU, and the WGSL that decodes them there. */
+  onGpu(device: GPUDevice): OnGpu {
+    return new OnGpu(device, this.reading, () => this.arrived);
+  }
+
+  private ranges(index: readonly Index[]): [from: number, to: number][] {
+    if (index.length !== this.axes.length) {
+      const names = this.axes.map((axis) => axis.name).join(", ");
+      throw new RangeError(`${index.length} indices; allowed: ${this.axes.length}, one an axis (${names})`);
+    }
+    return index.map((each, axis) => {
+      const { name, size } = this.axes[axis]!;
+      if (each === null) {
+        return [0, size];
+      }
+      if (typeof each === "number") {
+        const from = bounded(`index of ${name}`, each, size, size - 1);
+        return [from, from + 1];
+      }
+      const [from, to] = [bounded(`start of ${name}`, each[0], size, size), bounded(`end of ${name}`, each[1], size, size)];
+      return [from, Math.max(from, to)];
+    });
+  }
+
+  private checkedLevel(level: number): number {
+    if (!Number.isInteger(level) || level < 1 || level > this.arrived) {
+      throw new RangeError(`level ${level}; allowed: 1 to ${this.arrived}, of which the numbers are there`);
+    }
+    return level;
+  }
+}
+
+/** An index from the start of an axis. */
+function bounded(what: string, index: number, size: number, most: number): number {
+  const found = index < 0 ? index + size : index;
+  if (!Number.isInteger(found) || found < 0 || found > most) {
+    throw new RangeError(`${what}: ${index}; allowed: whole numbers from ${-size} to ${most}`);
+  }
+  return found;
+}

@@ -1,0 +1,44 @@
+/** A file's numbers on a GPU, for a shader of one's own to decode. */
+
+import decode from "../../../python/hmkcta/shaders/decode.wgsl?raw";
+import image from "../../../python/hmkcta/shaders/image.wgsl?raw";
+import { Decoder } from "../gpu/decoder";
+import { prelude } from "../gpu/prelude";
+import type { Reading } from "../reader/read";
+
+export class OnGpu {
+  /**
+   * WGSL to put before a shader of one's own: `decode_element(index: array<u32, AXES>, levels: u32) -> f32`, whose indices
+   * must be in range, and `decoder.levels`, how many the bindings say.
+   */
+  readonly code: string;
+  /** Of group 0. */
+  readonly layout: GPUBindGroupLayout;
+  private readonly decoder: Decoder;
+
+  constructor(device: GPUDevice, { metadata, levels }: Reading, private readonly arrived: () => number) {
+    this.decoder = new Decoder(device, metadata, levels);
+    this.layout = this.decoder.layout;
+    this.code = [prelude(metadata, this.decoder.pages, { uniform: this.decoder.uniform }), image, decode].join("\n");
+  }
+
+  /** Bytes on the GPU. */
+  get bytes(): number {
+    return this.decoder.bytes;
+  }
+
+  /** What to bind as group 0 for so many levels: without a number, for all whose numbers are there by now. */
+  group(levels = this.arrived()): GPUBindGroup {
+    if (!Number.isInteger(levels) || levels < 1 || levels > this.arrived()) {
+      throw new RangeError(`level ${levels}; allowed: 1 to ${this.arrived()}, of which the numbers are there`);
+    }
+    while (this.decoder.arrived < levels) {
+      this.decoder.addLevel();
+    }
+    return this.decoder.group(levels);
+  }
+
+  destroy(): void {
+    this.decoder.destroy();
+  }
+}

@@ -1,0 +1,111 @@
+/** The module for pages of one's own, but for WebGPU: that is tested in the browser. */
+
+import { createServer } from "node:http";
+import type { AddressInfo } from "node:net";
+import { describe, expect, it } from "vitest";
+import { HmkError, type Model, open, Problem } from "../src/module";
+import { fixture } from "./corpus";
+
+interface Expected {
+  indices: number[][]; // of modes
+  values: number[][]; // by level
+}
+
+const bytes = new Uint8Array(fixture("v1.0-small.hmk"));
+const { indices, values } = JSON.parse(fixture("v1.0-small.json").toString("utf-8")) as Expected;
+
+async function small(): Promise<Model> {
+  return open(bytes);
+}
+
+describe("a model", () => {
+  it("has the elements that the fixture says", async () => {
+    const model = await small();
+    expect(indices.length).toBeGreaterThan(5);
+    indices.forEach((index, i) => values[i]!.forEach((value, l) => {
+      const size = Math.max(1e-3, Math.abs(value));
+      expect(Math.abs(model.at(index, l + 1) - value) / size).toBeLessThan(1e-6);
+    }));
+    expect(model.at(indices[0]!)).toBe(model.at(indices[0]!, model.levels));
+  });
+
+  it("says what it is", async () => {
+    const model = await small();
+    expect(model.shape).toEqual(model.axes.map((axis) => axis.size));
+    expect([model.levels, model.arrived, model.quality.length]).toEqual([2, 2, 2]);
+    expect(model.kind).toBe("volume");
+  });
+
+  it("slices as an array does", async () => {
+    const model = await open(new Blob([new Uint8Array(fixture("v1.0-merged.hmk"))]));
+    const whole = model.slice(model.shape.map(() => null));
+    expect(whole.shape).toEqual(model.shape);
+    expect(new Set(whole.values).size).toBeGreaterThan(20);
+    const index = model.shape.map((size, axis) => (axis === 0 ? -1 : axis === 1 ? [1, size] as const : null));
+    const part = model.slice(index);
+    expect(part.shape).toEqual([model.shape[1]! - 1, ...model.shape.slice(2)]);
+    const row = whole.values.length / model.shape[0]!;
+    expect(part.values).toEqual(whole.values.subarray(whole.values.length - row + row / model.shape[1]!));
+    expect(model.slice(model.shape.map(() => [0, 0] as const)).values).toHaveLength(0);
+  });
+
+  it.each<[string, (model: Model) => unknown]>([
+    ["1 indices; allowed: 2, one an axis (", (model) => model.at([0])],
+    ["index of ", (model) => model.at(model.shape)],
+    ["; allowed: whole numbers from -", (model) => model.at(model.shape.map((size) => -size - 1))],
+    ["index of ", (model) => model.at([0.5, 0])],
+    ["end of ", (model) => model.slice([[0, 1000], 0])],
+    ["level 3; allowed: 1 to 2", (model) => model.at([0, 0], 3)],
+    ["level 0; allowed: 1 to 2", (model) => model.at([0, 0], 0)],
+  ])("refuses with %j", async (sentence, use) => {
+    const model = await small();
+    expect(() => use(model)).toThrow(RangeError);
+    expect(() => use(model)).toThrow(sentence);
+  });
+});
+
+describe("opening", () => {
+  it("tells of each level while the next one is not there", async () => {
+    const told: number[][] = [];
+    const model = await open(bytes.buffer, (early, level) => {
+      told.push([level, early.arrived]);
+      expect(() => early.at(indices[0]!, level + 1)).toThrow(RangeError);
+    });
+    expect(told).toEqual([[1, 1], [2, 2]]);
+    expect(model.arrived).toBe(2);
+  });
+
+  it("waits for what is done with a level", async () => {
+    let done = 0;
+    await open(bytes, async (_, level) => {
+      expect(done).toBe(level - 1);
+      await new Promise((resolve) => setTimeout(resolve, 5));
+      done = level;
+    });
+    expect(done).toBe(2);
+  });
+
+  it("reads an address", async () => {
+    const server = createServer((request, response) => {
+      response.statusCode = request.url === "/a.hmk" ? 200 : 404;
+      response.end(response.statusCode === 200 ? bytes : "");
+    });
+    await new Promise<void>((resolve) => server.listen(0, "127.0.0.1", resolve));
+    const base = `http://127.0.0.1:${(server.address() as AddressInfo).port}`;
+    try {
+      expect((await open(`${base}/a.hmk`)).at(indices[0]!)).toBe((await small()).at(indices[0]!));
+      await expect(open(new URL(`${base}/b.hmk`))).rejects.toThrow("There is no file b.hmk");
+    } finally {
+      server.closeAllConnections();
+      server.close();
+    }
+  });
+
+  it("refuses damage and what is no address", async () => {
+    const damaged = bytes.slice();
+    damaged[damaged.length - 1]! ^= 1;
+    await expect(open(damaged)).rejects.toThrow(HmkError);
+    await expect(open("file:///a.hmk")).rejects.toThrow(Problem);
+    await expect(open("no address")).rejects.toThrow(Problem);
+  });
+});
