@@ -195,7 +195,7 @@ def test_numbers_may_be_numpys(tmp_path: Path) -> None:
     assert (tmp_path / "numpys.hmk").read_bytes() == (tmp_path / "own.hmk").read_bytes()
 
 
-@pytest.mark.parametrize("text", ["R=4 C=2 K=3", "R=4 C=2,3 K=3", "R=2 K=2", "R=1 grid=y:2 K=3"])
+@pytest.mark.parametrize("text", ["R=4 C=2 K=3", "R=4 C=2,3 K=3", "R=2 K=2", "R=1 grid=y:2 K=3", "R=1 C=4,1 K=2,2"])
 def test_rows_are_in_no_more_clusters_than_there_are(text: str) -> None:
     with pytest.raises(HmkctaError, match="mixture-out-of-range") as caught:
         parse_plan(text, (("y",), ("x",)))

@@ -213,6 +213,8 @@ def test_own_ranks_want_a_goal() -> None:
     [
         ({"snr": 20.0, "size": 20000}, "two-goals"),
         ({"snr": float("nan")}, "snr"),
+        ({"snr": 0}, "snr"),
+        ({"snr": -5.0}, "snr"),
         ({"size": 0}, "size"),
         ({"snr": 20.0, "decode_cost": 0}, "decode-cost"),
     ],
@@ -220,6 +222,15 @@ def test_own_ranks_want_a_goal() -> None:
 @pytest.mark.parametrize("plan", [None, "R<=8"])
 def test_goals_that_make_no_sense_are_refused(options: dict[str, Any], reason: str, plan: str | None) -> None:
     assert refused(plan=plan, **options).reason == reason
+
+
+def test_the_goal_of_a_plan_makes_sense() -> None:
+    goals: list[tuple[dict[str, Any], str]] = [
+        ({"snr": -5.0}, "snr"), ({"snr": float("inf")}, "snr"), ({"size": 0}, "size")]
+    for goal, reason in goals:
+        with pytest.raises(HmkctaError) as caught:
+            Plan((("y",), ("x",)), (), **goal)
+        assert (caught.value.reason, caught.value.where) == (reason, f"{reason} of the plan")
 
 
 def test_a_size_for_a_plan_of_fixed_shape_is_not_ignored() -> None:
@@ -314,10 +325,10 @@ def test_an_snr_takes_no_more_bytes_than_a_size_that_reaches_it(db: float, most:
     assert by_size.snr <= model.snr + 0.1
 
 
-def test_an_snr_of_nothing_stores_next_to_nothing() -> None:
+def test_an_snr_next_to_nothing_stores_next_to_nothing() -> None:
     tensor = light_field(views=2, size=16, frames=2).values
-    model = compress(tensor, snr=0.0, threads=1, quality="fast")
-    assert model.snr >= 0
+    model = compress(tensor, snr=0.01, threads=1, quality="fast")
+    assert model.snr >= 0.01
     assert model.nbytes < 8192
 
 

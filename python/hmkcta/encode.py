@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
-from math import inf, isfinite, prod
+from math import prod
 from numbers import Integral, Real
 from threading import Lock
 from typing import Any, cast
@@ -20,11 +20,11 @@ from .executors import thread_count
 from .finer import SMALL, finer
 from .fit import EFFORTS
 from .follow import Task, follow
+from .goals import check_goal, misses
 from .hierarchy import Run
 from .hmkfile import KINDS
 from .journal import Journal, decisive
 from .memory import keep_freed_memory
-from .metrics import misses
 from .model import Model
 from .plan import SCHEMES, Plan, parse_plan
 from .predict import check_least_memory
@@ -259,14 +259,9 @@ def _check_types(array: object, organisation: object, transform: object, nan: ob
 
 def _goal(snr: float | None, size: int | None) -> tuple[float | None, int | None]:
     """The goal in Python's own numbers, whose range NumPy's may not have."""
-    expect("snr", snr, Real | None, "a number of dB")
-    expect("size", size, Real | None, "a number of bytes")
+    check_goal(snr, size)
     if snr is not None and size is not None:
         raise invalid("two-goals", "goal", "snr and size", "one of them", "leave one of them out")
-    if snr is not None and not isfinite(snr):
-        raise invalid("snr", "snr", snr, "a finite number of dB")
-    if size is not None and not 1 <= size < inf:
-        raise invalid("size", "size", size, "a positive number of bytes")
     return None if snr is None else float(snr), None if size is None else int(size)
 
 

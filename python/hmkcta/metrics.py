@@ -8,8 +8,6 @@ from math import inf, log10
 import numpy as np
 from numpy.typing import NDArray
 
-#: How far below a goal an SNR in dB may be and still be what was asked for: what is printed is rounded more.
-_SLACK = 0.005
 #: Numbers turned to float64 at a time: they stay in the cache.
 _WIDE = 1 << 16
 
@@ -21,15 +19,6 @@ def snr_db(signal: float, noise: float) -> float:
     (20.0, inf, -inf)
     """
     return inf if noise == 0 else -inf if signal == 0 else 10 * log10(signal / noise)
-
-
-def misses(snr: float, goal: float | None) -> bool:
-    """Whether an SNR in dB is below a goal, if there is one.
-
-    >>> misses(29.0, 30.0), misses(29.999, 30.0), misses(29.0, None)
-    (True, False, False)
-    """
-    return goal is not None and snr < goal - _SLACK
 
 
 def squared_norm(tensor: NDArray[np.float32]) -> float:

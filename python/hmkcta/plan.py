@@ -10,10 +10,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from math import comb, prod
-from numbers import Integral, Real
+from numbers import Integral
 
 from .axes import Organisation, check_modes
 from .errors import expect, invalid
+from .goals import check_goal
 
 SCHEMES = ("most", "least", "uniform")
 
@@ -208,7 +209,8 @@ def multiply_adds(cost: int) -> str:
 def parse_level(text: str, organisation: Organisation, scheme: str = "most") -> LevelSpec:
     """Read one level, e.g. ``R=2,2,3,* C=4,3,4,1 K=2``, ``R=1 grid=y:4,x:6`` or ``R<=8,8,8,*``.
 
-    One number stands for all modes, K for those that have clusters: ``K=2`` leaves unclustered modes alone.
+    One number stands for all modes, K for those that have clusters: ``K=2`` leaves unclustered modes alone,
+    ``K=2,2`` says of each what it is to be.
 
     >>> modes = (("light", "rgb"), ("view",), ("y",), ("x",))
     >>> parse_level("R=2,2,3,* C=4,3,4,1 K=2", modes).mixture
@@ -240,9 +242,9 @@ def parse_level(text: str, organisation: Organisation, scheme: str = "most") -> 
     clusters = _clusters(grid, organisation)
     if "C" in words:
         clusters = tuple(_number("C", word) for word in _words("C", words["C"], order))
-    given = _words("K", words.get("K", "1"), order)
-    mixture = tuple(_number("K", word) for word in given)
-    if len(set(given)) == 1 and max(clusters) > 1:
+    given = words.get("K", "1")
+    mixture = tuple(_number("K", word) for word in _words("K", given, order))
+    if "," not in given and max(clusters) > 1:
         mixture = tuple(min(k, 1) if c == 1 else k for k, c in zip(mixture, clusters, strict=True))
     return LevelSpec(ranks, clusters, mixture, "most" if grid else scheme, grid, own, cuts, fewest)
 
@@ -301,8 +303,7 @@ class Plan:
         check_modes(self.organisation)
         for level in self.levels:
             expect("level of the plan", level, LevelSpec, "a LevelSpec")
-        expect("snr of the plan", self.snr, Real | None, "a number of dB")
-        expect("size of the plan", self.size, Real | None, "a number of bytes")
+        check_goal(self.snr, self.size, " of the plan")
 
     def __str__(self) -> str:
         return " / ".join(str(level) for level in self.levels)

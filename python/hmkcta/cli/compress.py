@@ -13,8 +13,8 @@ from ..backends import Device, find_device
 from ..encode import compress
 from ..errors import GoalMissed
 from ..finer import USED
+from ..goals import misses
 from ..hmkfile import check_output
-from ..metrics import misses
 from ..model import Model
 from .failure import Exit
 from .goal import Goal, goal_from, goal_options
