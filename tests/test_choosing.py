@@ -16,7 +16,7 @@ from hmkcta.allocation import allocate, choices_of, pareto, ration, spectrum
 from hmkcta.axes import Organisation
 from hmkcta.candidates import Candidate
 from hmkcta.fit import EFFORTS
-from hmkcta.grids import allowed, few_grids
+from hmkcta.grids import allowed, few_grids, uncut_grids
 from hmkcta.growth import growth_of
 from hmkcta.judging import Search
 from hmkcta.source import prepare
@@ -24,7 +24,7 @@ from hmkcta.spectra import cores
 from hmkcta.synthetic import light_field
 from hmkcta.trial import Trial, trial_of
 from hmkcta.tucker import core_energies, full_core
-from hmkcta.tuning import CARES, _racing  # pyright: ignore[reportPrivateUsage]
+from hmkcta.tuning import CARES, _near_best, _racing  # pyright: ignore[reportPrivateUsage]
 
 SHAPES = [(5, 6, 7), (60, 3, 4), (3, 4, 60), (4, 9), (9, 4), (7,), (1, 5, 1), (3, 3, 3, 3)]
 
@@ -236,8 +236,17 @@ def test_grids_to_begin_with() -> None:
     """All axes that are not short are cut in one of them: time as well."""
     assert few_grids((48, 180, 320, 3)) == [(1, 1, 1, 1), (1, 3, 5, 1), (1, 6, 10, 1), (3, 11, 20, 1)]
     assert few_grids((9, 9)) == [(1, 1)]
+    assert uncut_grids((48, 180, 320, 3)) == [
+        (1, 1, 20, 1), (1, 11, 1, 1), (1, 11, 20, 1), (3, 1, 1, 1), (3, 1, 20, 1), (3, 11, 1, 1)]
+    assert uncut_grids((9, 9)) == uncut_grids((9, 900)) == []
     assert allowed(2, 0, (1, 2, 2, 1), (72, 160, 160, 3))
     assert not allowed(19, 0, (1, 1, 1, 1), (72, 160, 160, 3))
+
+
+def test_blocks_that_are_long_along_an_axis_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    array = np.random.default_rng(0).random((40, 48, 64))
+    seen = {grid for modes, grid, *_ in judged(monkeypatch, array) if len(modes) == 3}
+    assert seen >= set(uncut_grids(array.shape)) == {(1, 1, 4), (1, 3, 1), (1, 3, 4), (2, 1, 1), (2, 1, 4), (2, 3, 1)}
 
 
 def test_what_cannot_be_cut_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -325,9 +334,10 @@ def test_only_a_race_for_an_snr_lets_grids_far_behind_change(
     samples = 1 << 16, 1 << 17
     monkeypatch.setitem(CARES, EFFORTS["medium"], replace(CARES[EFFORTS["medium"]], compare=samples))
     seen, few = judged(monkeypatch, array, **goal), set(few_grids(array.shape))
+    begun = few | set(uncut_grids(array.shape))
     first, second = ({what[1] for what in seen if (what[0], what[2]) == (plain, sample)} for sample in samples)
-    assert first >= few
-    assert (first > few) == doubted
+    assert first >= begun
+    assert (first > begun) == doubted
     assert second >= few
 
 
@@ -345,3 +355,20 @@ def test_a_race_begins_with_modes_undecomposed_in_other_ways() -> None:
         (30.0, (1, 1, 1), (0,)),
         (29.7, (1, 2, 2), ()),
     ]
+
+
+@pytest.mark.parametrize(("effort", "behind", "found"), [
+    ("medium", 0.4, [(1, 2, 2), (1, 3, 2)]), ("medium", 0.6, [(1, 2, 2)]), ("fast", 0.4, [])])
+def test_what_is_judged_next_to_the_best_is_fitted_too(
+    effort: str, behind: float, found: list[tuple[int, ...]]
+) -> None:
+    """Of what was judged on the largest sample, with the cuts of the best left out."""
+    plain = (("axis0",), ("axis1",), ("axis2",))
+    trial = trial_of(prepare(noise(8, 24, 24), None, "identity", None), 4000, None, 4096, 0)
+    search = Search(trial, trial, plain, 1, CARES[EFFORTS[effort]], 1 << 20, 0)
+    judged = {(1, 1, 1): 30.0, (1, 2, 2): 29.9, (1, 3, 2): 30.0 - behind, (1, 3, 3): 29.0}
+    for grid, worth in judged.items():
+        search.seen[plain, grid, 4608, 4000] = [(worth, Candidate(plain, grid))]
+    search.seen[plain, (1, 4, 4), 1000, 4000] = [(35.0, Candidate(plain, (1, 4, 4)))]
+    best = Candidate(plain, (1, 1, 1), cuts=(1, 1, 2))
+    assert [each.grid for each in _near_best(search, best)] == found

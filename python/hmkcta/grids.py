@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 from math import prod
 
 #: Block edges never fall below this, nor elements of a block below so many times the sum of its edges.
@@ -16,6 +17,13 @@ def few_grids(shape: Sequence[int]) -> list[tuple[int, ...]]:
     grids = [tuple(round(size / edge) if size > 48 else 1 for size in shape) for edge in (64, 32)]
     grids.append(tuple(round(size / 16) if size >= 24 else 1 for size in shape))
     return list(dict.fromkeys([(1,) * len(shape), *(grid for grid in grids if worth_cutting(grid, shape))]))
+
+
+def uncut_grids(shape: Sequence[int]) -> list[tuple[int, ...]]:
+    """The last of the few grids with some of its axes uncut: blocks are long along axes of little detail."""
+    counts = few_grids(shape)[-1]
+    grids = (grid for grid in product(*({1, count} for count in counts)) if 1 < prod(grid) < prod(counts))
+    return sorted(grids)
 
 
 def worth_cutting(grid: Sequence[int], shape: Sequence[int]) -> bool:

@@ -39,7 +39,7 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
         near = alternatives(task.plan, task.source.organisation(None), model.snr, model.nbytes)
         task, model = _best([(task, model), *_further(task, near)])
         if (task.plan.snr or model.snr) > NEARLY:
-            task, model = _best([(task, model), *_further(given, _in_two(given))])
+            task, model = _best([(task, model), *_further(given, _in_two(given, others))])
         task, model = _with_other_clusters(task, model)
     best = model
     if is_coarse(task.plan, model.snr, model.nbytes):
@@ -123,13 +123,16 @@ def _with_other_clusters(task: Task, model: Model) -> tuple[Task, Model]:
     return found
 
 
-def _in_two(task: Task) -> Iterator[Plan]:
-    """The plan, and one that merges and cuts nothing, with a first level that ends at what float16 keeps, and a second
-    for what that leaves.
+def _in_two(task: Task, others: Sequence[Plan]) -> Iterator[Plan]:
+    """The plan, the others, and one that merges and cuts nothing, with a first level that ends at what float16 keeps,
+    and a second for what that leaves.
 
     Where ranks do not reach that, the last of them gain little: then one that ends a dB before them, too.
     """
-    for plan in dict.fromkeys((task.plan, whole_plan(task.plan, task.source.organisation(None)))):
+    whole = whole_plan(task.plan, task.source.organisation(None))
+    for plan in dict.fromkeys((task.plan, *others, whole)):
+        if len(plan.levels) > 1 or _is_verbatim(plan):
+            continue
         goal = replace(plan, size=None, snr=ROUNDED)
         firsts = list(_further(task, [goal]))
         firsts += _further(task, [replace(goal, snr=model.snr - 1) for _, model in firsts if model.snr < ROUNDED])

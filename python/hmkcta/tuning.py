@@ -18,11 +18,12 @@ from . import blocks
 from .axes import Organisation, mode_sizes
 from .candidates import Candidate, plan_of
 from .caps import Room, capped, check_room, room_of
+from .climbing import SURELY_WORSE, WORTHWHILE, climbed
 from .clustered import with_clusters
 from .errors import invalid
 from .filesize import planned_bytes
 from .fit import EFFORTS
-from .grids import SMALLEST_EDGE, allowed, changed, few_grids
+from .grids import SMALLEST_EDGE, allowed, changed, few_grids, uncut_grids
 from .hierarchy import Run
 from .judging import CARES, Choice, Ranked, Search, worth_of
 from .organisations import merges, organisations
@@ -30,24 +31,19 @@ from .plan import Plan
 from .predict import is_streamed, sampled_together, workset_limit
 from .progress import Progress, share_of
 from .source import Source
-from .trial import OUT_OF_REACH, VERBATIM, Kinds, trial_of
+from .trial import OUT_OF_REACH, VERBATIM, trial_of
 
-#: Gain in dB, or octaves of bytes, that a change of the grid must bring.
-WORTHWHILE = 0.01
 #: Up to so many axes all organisations are tried; of more, the best so many are merged further.
 FEW_AXES, BEAM = 5, 3
-#: In dB or octaves of bytes: twice as many blocks are tried where one more loses no more than the first, and none again
-#: where one loses more than the second.
-STEEP, HOPELESS = 0.05, 0.5
 #: With other modes undecomposed an organisation may lie so far behind its best, in so many ways.
 OTHERWISE, KINDS = 1.5, 2
 #: Small samples tell up to so much too little of large blocks: what lies further behind is left. A way along an axis
-#: that lost so much is not gone again in a race, and one that lost so much more in no climb after it.
-LAGGING, WORSE, SURELY_WORSE = 2.0, 1.5, 5.0
+#: that lost so much is not gone again in a race.
+LAGGING, WORSE = 2.0, 1.5
 #: How far behind is left, and which loss is final, in a race; and where bytes for an SNR come from a survey alone.
 TRUSTED, DOUBTED = (LAGGING, WORSE), (inf, SURELY_WORSE)
-#: No climb begins so far behind what those before it reached; it ends that is so far behind after its first round.
-LATE, BEHIND = 0.3, 0.05
+#: No climb begins so far behind what those before it reached.
+LATE = 0.3
 #: Blocks that may be cut further are no fewer than these, and are cut into no more than so many parts.
 FEWEST_BLOCKS, MOST_CUTS = 4, 8
 #: A start of another kind may lie so many times as far behind.
@@ -56,6 +52,8 @@ OTHER = 2.5
 ROUNDED = 12.0
 #: Within so many dB of float16's own error plans for a size are alike: then by the bytes that they take to so many dB.
 ALIKE, EXACT = 1.0, 100.0
+#: For a size so many candidates that are judged so near the best are fitted, too, of arrays of so many elements.
+NEAR, BESIDE, FITTED = 2, 0.5, 1 << 24
 #: Further plans for an SNR; where all are short of it by so many dB, the bytes to judge by are found anew.
 SPARE, SHORT = 2, 0.5
 
@@ -73,8 +71,9 @@ def tune(
 ) -> list[Plan]:
     """The best plan found for bytes (`size`) or for an SNR; with a `ceiling` in dB bytes are not spent beyond it.
 
-    One may follow that a fit may tell to be better, with clusters of the data or without; and for an SNR the best of
-    other kinds, in case that the fit of the first does not keep what it promised.
+    Others may follow that a fit may tell to be better: with clusters of the data or without, and for a size those that
+    are judged next to it; for an SNR the best of other kinds, in case that the fit of the first does not keep what it
+    promised.
 
     Raises:
         HmkctaError: the size is too small for the array, or `memory` bytes (None: half of what is free) for a search.
@@ -103,7 +102,7 @@ def tune(
         snr, size = snr or ceiling, None  # what fills the bytes beyond the ceiling reaches it with fewer
     verbatim = trial.verbatim(plain)
     found, best = best, verbatim[1] if verbatim[0] > worth else best
-    spare = [*search.rivals, *(_spare(search, best) if snr is not None else ())]
+    spare = [*search.rivals, *(_spare(search, best) if snr is not None else _near_best(search, best))]
     if snr is not None or worth > verbatim[0] - ROUNDED > 0:
         spare.append(verbatim[1])
     if best == verbatim[1]:
@@ -171,11 +170,23 @@ def _spare(search: Search, best: Candidate) -> list[Candidate]:
     return others[:SPARE]
 
 
+def _near_best(search: Search, best: Candidate) -> list[Candidate]:
+    """For a size the next best candidates, if judged so near the best that only fits tell which is better."""
+    if prod(search.trial.source.shape) > FITTED or search.care == CARES[EFFORTS["fast"]]:
+        return []
+    most = max(sample for *_, sample, size in search.seen if size == search.trial.size)
+    judged = [item for key, found in search.seen.items() if key[2:] == (most, search.trial.size) for item in found]
+    ranked = sorted(judged, key=worth_of, reverse=True)
+    near = [item for item in ranked[: 1 + NEAR] if item[0] > ranked[0][0] - BESIDE]
+    return [each for _, each in near if each != replace(best, cuts=())][:NEAR]
+
+
 def _finalists(search: Search, fixed: bool, progress: Progress, *, narrow: bool) -> Ranked:
     """Organisations by a survey over few grids, then what races of the best of them end with, on samples that grow."""
     grids, care = few_grids(search.trial.source.shape), search.care
     left = [search.plain] if fixed else _surveyed(search, grids, progress, narrow=narrow)
-    choices, found = list(product(left, grids)), list[tuple[float, Candidate]]()
+    choices = [*product(left, grids), *((search.plain, grid) for grid in uncut_grids(search.trial.source.shape))]
+    found = list[tuple[float, Candidate]]()
     if narrow:
         search.narrow(search.best(choices, care.survey), care.compare[0])
     for sample in care.compare:
@@ -304,7 +315,7 @@ def _settled(
         whole = _is_whole(best[1])
         if worth > best[0] - (LAGGING if whole else LATE):
             reached = -inf if whole else best[0]
-            best = max(best, _climbed(search, candidate, search.care.refine, reached), key=worth_of)
+            best = max(best, climbed(search, candidate, search.care.refine, reached), key=worth_of)
         progress("finer choice of blocks", 1 / 3 + 2 * number / (3 * len(starts)))
     return best
 
@@ -322,28 +333,6 @@ def _starts(judged: Ranked, far: float) -> Ranked:
     second = [item for item in ranked[1:2] if item[0] > worth - far]
     other = [item for item in others[:1] if item[0] > worth - (LAGGING if _is_whole(first) else OTHER * far)]
     return list(dict.fromkeys([ranked[0], *second, *other]))
-
-
-def _climbed(search: Search, start: Candidate, sample: int, reached: float) -> tuple[float, Candidate]:
-    """Change the blocks along one axis after the other while that helps, unless far behind what others `reached`."""
-    now = search.best([(start.organisation, start.grid)], sample)[0]
-    around = search.seen[start.organisation, start.grid, min(sample, search.most), search.trial.size]
-    kinds = tuple(dict.fromkeys(each.undecomposed for worth, each in around if worth > now[0] - HOPELESS))
-    idle, n, before = 0, 0, len(search.seen)
-    own = (start.organisation, start.undecomposed)
-    lost = {(n, 1 if more else -1): loss for (*kind, n, more), loss in search.losses.items() if tuple(kind) == own}
-    hopeless = {way for way, loss in lost.items() if loss > SURELY_WORSE}
-    while idle < len(start.grid) and len(search.seen) - before < search.care.steps:
-        found = max([now, *_around(search, now, n, sample, hopeless, kinds)], key=worth_of)
-        if found[0] > now[0] + WORTHWHILE:
-            now, idle = found, 0
-            hopeless -= {(n, 1), (n, -1)}
-        else:
-            idle += 1
-        n = (n + 1) % len(start.grid)
-        if n == 0 and now[0] < reached - BEHIND:
-            break
-    return now
 
 
 def _cut_further(search: Search, best: Candidate, progress: Progress) -> tuple[float, Candidate]:
@@ -379,21 +368,3 @@ def _cut_along(search: Search, now: Candidate, n: int) -> Iterator[Candidate]:
 def _undecomposed(search: Search, candidate: Candidate, n: int) -> bool:
     name = search.trial.source.axes[n].name
     return any(name in candidate.organisation[mode] for mode in candidate.undecomposed)
-
-
-def _around(
-    search: Search, now: tuple[float, Candidate], n: int, sample: int, hopeless: set[tuple[int, int]], kinds: Kinds
-) -> Ranked:
-    """Candidates with one block more or less along axis n; where that does little harm, twice or half as many.
-
-    Directions that are `hopeless` are left out, and those that turn out so are added.
-    """
-    worth, (modes, grid) = now[0], (now[1].organisation, now[1].grid)
-    shape, count = search.trial.source.shape, grid[n]
-    steps = [step for step in (1, -1) if (n, step) not in hopeless and allowed(count + step, n, grid, shape)]
-    found = search.best([(modes, changed(grid, n, count + step)) for step in steps], sample, kinds=kinds)
-    hopeless |= {(n, step) for step, (reached, _) in zip(steps, found, strict=True) if reached < worth - HOPELESS}
-    near = [step for step, (reached, _) in zip(steps, found, strict=True) if reached > worth - STEEP]
-    further = [2 * count if step > 0 else count // 2 for step in near]
-    many = [(modes, changed(grid, n, many)) for many in further if allowed(many, n, grid, shape)]
-    return found + search.best(many, sample, kinds=kinds)

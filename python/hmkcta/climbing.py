@@ -1,0 +1,78 @@
+"""From one grid to a better one: a block more or less along an axis, or along two axes at once, while that helps."""
+
+from __future__ import annotations
+
+from itertools import permutations
+
+from .candidates import Candidate
+from .grids import allowed, changed
+from .judging import Choice, Ranked, Search, worth_of
+from .trial import Kinds
+
+#: Gain in dB, or octaves of bytes, that a change of the grid must bring.
+WORTHWHILE = 0.01
+#: In dB or octaves of bytes: twice as many blocks are tried where one more loses no more than the first, and none again
+#: where one loses more than the second.
+STEEP, HOPELESS = 0.05, 0.5
+#: A way along an axis that lost so much in a race is gone in no climb after it.
+SURELY_WORSE = 5.0
+#: A climb ends that is so far behind after its first round.
+BEHIND = 0.05
+
+
+def climbed(search: Search, start: Candidate, sample: int, reached: float) -> tuple[float, Candidate]:
+    """Change the blocks along one axis after the other while that helps, and along two at once where it no longer does.
+
+    Unless far behind what others `reached`.
+    """
+    now = search.best([(start.organisation, start.grid)], sample)[0]
+    around = search.seen[start.organisation, start.grid, min(sample, search.most), search.trial.size]
+    kinds = tuple(dict.fromkeys(each.undecomposed for worth, each in around if worth > now[0] - HOPELESS))
+    idle, n, before = 0, 0, len(search.seen)
+    own = (start.organisation, start.undecomposed)
+    lost = {(n, 1 if more else -1): loss for (*kind, n, more), loss in search.losses.items() if tuple(kind) == own}
+    hopeless = {way for way, loss in lost.items() if loss > SURELY_WORSE}
+    while idle <= len(start.grid) and len(search.seen) - before < search.care.steps:
+        if idle < len(start.grid):
+            tried = _around(search, now, n, sample, hopeless, kinds)
+        else:
+            tried = _exchanged(search, now[1], sample, kinds)
+            hopeless.clear()
+        found = max([now, *tried], key=worth_of)
+        if found[0] > now[0] + WORTHWHILE:
+            now, idle = found, 0
+            hopeless -= {(n, 1), (n, -1)}
+        else:
+            idle += 1
+        n = (n + 1) % len(start.grid)
+        if n == 0 and now[0] < reached - BEHIND:
+            break
+    return now
+
+
+def _around(
+    search: Search, now: tuple[float, Candidate], n: int, sample: int, hopeless: set[tuple[int, int]], kinds: Kinds
+) -> Ranked:
+    """Candidates with one block more or less along axis n; where that does little harm, twice or half as many.
+
+    Directions that are `hopeless` are left out, and those that turn out so are added.
+    """
+    worth, (modes, grid) = now[0], (now[1].organisation, now[1].grid)
+    shape, count = search.trial.source.shape, grid[n]
+    steps = [step for step in (1, -1) if (n, step) not in hopeless and allowed(count + step, n, grid, shape)]
+    found = search.best([(modes, changed(grid, n, count + step)) for step in steps], sample, kinds=kinds)
+    hopeless |= {(n, step) for step, (reached, _) in zip(steps, found, strict=True) if reached < worth - HOPELESS}
+    near = [step for step, (reached, _) in zip(steps, found, strict=True) if reached > worth - STEEP]
+    further = [2 * count if step > 0 else count // 2 for step in near]
+    many = [(modes, changed(grid, n, many)) for many in further if allowed(many, n, grid, shape)]
+    return found + search.best(many, sample, kinds=kinds)
+
+
+def _exchanged(search: Search, now: Candidate, sample: int, kinds: Kinds) -> Ranked:
+    """Candidates with one block more along an axis for one less along another."""
+    choices: list[Choice] = []
+    for less, more in permutations((n for n, count in enumerate(now.grid) if count > 1), 2):
+        fewer = changed(now.grid, less, now.grid[less] - 1)
+        if allowed(fewer[more] + 1, more, fewer, search.trial.source.shape):
+            choices.append((now.organisation, changed(fewer, more, fewer[more] + 1)))
+    return search.best(choices, sample, kinds=kinds)
