@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from cli_tools import smooth
 from hmkcta import choose_plan, compress
-from hmkcta.caps import Ranks, Room, capped, check_room, room_of
+from hmkcta.choosing.caps import Ranks, Room, capped, check_room, room_of
+from hmkcta.choosing.trial import OUT_OF_REACH, trial_of
 from hmkcta.errors import HmkctaError
 from hmkcta.fit import EFFORTS
 from hmkcta.follow import Task
@@ -23,7 +24,6 @@ from hmkcta.predict import memory_limit
 from hmkcta.progress import nobody
 from hmkcta.rivals import follow_any
 from hmkcta.source import described, prepare
-from hmkcta.trial import OUT_OF_REACH, trial_of
 from hmkcta.workset import check_worksets
 
 #: Bytes of memory that choosing a plan takes at the least; so three million elements are held.
@@ -114,7 +114,7 @@ def test_where_nothing_fits_that_is_said_before_the_search(monkeypatch: pytest.M
     def searched(*_: object) -> None:
         pytest.fail("began to search")
 
-    monkeypatch.setattr("hmkcta.tuning.trial_of", searched)
+    monkeypatch.setattr("hmkcta.choosing.tuning.trial_of", searched)
     with pytest.raises(HmkctaError, match=r"any plan for 13 x .*found 264.* MiB, .*--organisation") as refused:
         choose_plan(array, organisation="axis0,axis1,axis2,axis3,axis4,axis5", max_memory=LEAST)
     assert "lower R" not in str(refused.value)

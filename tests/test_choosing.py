@@ -14,17 +14,17 @@ from dense_reference import energy, snr, tucker_product
 from hmkcta import HmkctaError, choose_plan, compress, parse_plan
 from hmkcta.allocation import allocate, choices_of, pareto, ration, spectrum
 from hmkcta.axes import Organisation
-from hmkcta.candidates import Candidate
+from hmkcta.choosing.candidates import Candidate
+from hmkcta.choosing.growth import growth_of
+from hmkcta.choosing.judging import Search
+from hmkcta.choosing.spectra import cores
+from hmkcta.choosing.trial import Trial, trial_of
+from hmkcta.choosing.tuning import CARES, _near_best, _racing  # pyright: ignore[reportPrivateUsage]
 from hmkcta.fit import EFFORTS
 from hmkcta.grids import allowed, few_grids, uncut_grids
-from hmkcta.growth import growth_of
-from hmkcta.judging import Search
 from hmkcta.source import prepare
-from hmkcta.spectra import cores
 from hmkcta.synthetic import light_field
-from hmkcta.trial import Trial, trial_of
 from hmkcta.tucker import core_energies, full_core
-from hmkcta.tuning import CARES, _near_best, _racing  # pyright: ignore[reportPrivateUsage]
 
 SHAPES = [(5, 6, 7), (60, 3, 4), (3, 4, 60), (4, 9), (9, 4), (7,), (1, 5, 1), (3, 3, 3, 3)]
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from hmkcta import compress
-from hmkcta.candidates import Candidate
-from hmkcta.climbing import climbed
+from hmkcta.choosing.candidates import Candidate
+from hmkcta.choosing.climbing import climbed
+from hmkcta.choosing.judging import CARES, Search
+from hmkcta.choosing.trial import Trial, trial_of
+from hmkcta.choosing.tuning import _settled  # pyright: ignore[reportPrivateUsage]
 from hmkcta.fit import EFFORTS
-from hmkcta.judging import CARES, Search
 from hmkcta.progress import nobody
 from hmkcta.source import prepare
-from hmkcta.trial import Trial, trial_of
-from hmkcta.tuning import _settled  # pyright: ignore[reportPrivateUsage]
 
 PLAIN = (("axis0",), ("axis1",), ("axis2",))
 MERGED = (("axis0", "axis1"), ("axis2",))

@@ -10,12 +10,12 @@ import pytest
 from numpy.typing import NDArray
 
 from hmkcta import choose_plan, compress, encode
-from hmkcta import clustered as clusters
-from hmkcta.clustered import clustered
+from hmkcta.choosing import clustered as clusters
+from hmkcta.choosing.clustered import clustered
+from hmkcta.choosing.trial import trial_of
+from hmkcta.choosing.tuning import tune
 from hmkcta.plan import Plan
 from hmkcta.source import prepare
-from hmkcta.trial import trial_of
-from hmkcta.tuning import tune
 
 F32 = NDArray[np.float32]
 

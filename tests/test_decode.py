@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hmkcta import backends, decode_dense, decode_scattered
-from hmkcta.decode import decode_block, decode_elements
+from hmkcta import backends
+from hmkcta.decode import decode_block, decode_elements, dense, scattered
 from hmkcta.errors import HmkctaError
 from hmkcta.packed import PackedLevel
 from random_models import Shapes, random_model
@@ -126,16 +126,16 @@ def test_elements_and_block_equal_the_plain_loop_at_every_level(name: str) -> No
 @pytest.mark.parametrize("way", ["nodes one by one", "elements", "small tiles"])
 def test_every_way_to_decode_a_block_gives_the_same(name: str, way: str, monkeypatch: pytest.MonkeyPatch) -> None:
     if way == "elements":
-        monkeypatch.setattr(decode_dense, "_PLAIN_NS", np.inf)
-        monkeypatch.setattr(decode_dense, "_CELL_NS", np.inf)
+        monkeypatch.setattr(dense, "_PLAIN_NS", np.inf)
+        monkeypatch.setattr(dense, "_CELL_NS", np.inf)
     else:
-        monkeypatch.setattr(decode_dense, "_PLAIN_NS", 0.0)
-        monkeypatch.setattr(decode_dense, "_CELL_NS", 0.0)
+        monkeypatch.setattr(dense, "_PLAIN_NS", 0.0)
+        monkeypatch.setattr(dense, "_CELL_NS", 0.0)
     if way == "small tiles":
-        monkeypatch.setattr(decode_dense, "TILE", 40)
-        monkeypatch.setattr(decode_dense, "BATCH", 50)
-        monkeypatch.setattr("hmkcta.decode_cells.STEP", 1)
-        monkeypatch.setattr("hmkcta.decode_cells.DENSE", 0)
+        monkeypatch.setattr(dense, "TILE", 40)
+        monkeypatch.setattr(dense, "BATCH", 50)
+        monkeypatch.setattr("hmkcta.decode.cells.STEP", 1)
+        monkeypatch.setattr("hmkcta.decode.cells.DENSE", 0)
     sizes, levels = some_model(name, 5)
     rng = np.random.default_rng(3)
     rows = [rng.integers(0, size, size + 2) for size in sizes]
@@ -149,11 +149,11 @@ def test_every_way_to_contract_a_core_gives_the_same(name: str, way: str, monkey
     sizes, levels = some_model(name, 1)
     coords = np.random.default_rng(4).permutation(every_index(sizes))
     expected = decode_elements(levels, sizes, coords, dtype=np.float64)
-    monkeypatch.setattr(decode_scattered, "FEW", 10**9 if way == "few" else 0)
-    monkeypatch.setattr(decode_scattered, "PRODUCT_COST", -(10**9) if way == "shared" else 10**12)
-    monkeypatch.setattr(decode_scattered, "SORT_WORTH", 1 if way == "shared" else 10**9)
-    monkeypatch.setattr(decode_scattered, "BATCH", 100)
-    monkeypatch.setattr(decode_scattered, "CHUNK_NUMBERS", 500)
+    monkeypatch.setattr(scattered, "FEW", 10**9 if way == "few" else 0)
+    monkeypatch.setattr(scattered, "PRODUCT_COST", -(10**9) if way == "shared" else 10**12)
+    monkeypatch.setattr(scattered, "SORT_WORTH", 1 if way == "shared" else 10**9)
+    monkeypatch.setattr(scattered, "BATCH", 100)
+    monkeypatch.setattr(scattered, "CHUNK_NUMBERS", 500)
     assert_close(decode_elements(levels, sizes, coords), expected)
 
 

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from dense_reference import energy, snr
 from hmkcta import adaptive, compress
 from hmkcta.axes import name_axes
+from hmkcta.choosing.clustered import clustered
+from hmkcta.choosing.trial import trial_of
 from hmkcta.cli.notes import notes
-from hmkcta.clustered import clustered
 from hmkcta.memberships import start_candidates
 from hmkcta.source import prepare
-from hmkcta.trial import trial_of
 
 PIXELS = "y+x, band"
 

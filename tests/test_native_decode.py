@@ -13,10 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hmkcta import backends, decode_dense, decode_scattered
+from hmkcta import backends
 from hmkcta.axes import name_axes
 from hmkcta.backends import decoding, native
-from hmkcta.decode import decode_block, decode_elements
+from hmkcta.decode import decode_block, decode_elements, dense, scattered
 from hmkcta.errors import HmkctaError
 from hmkcta.model import Model
 from hmkcta.packed import PackedLevel
@@ -70,7 +70,7 @@ def check_elements(sizes: tuple[int, ...], levels: Levels, count: int, seed: int
     coords = np.stack([rng.integers(0, size, count) for size in sizes], axis=1).astype(np.intp)
     for upto in range(1, len(levels) + 1):
         expected = np.zeros(count)
-        decode_scattered.decode_batches(levels[:upto], coords, expected)
+        scattered.decode_batches(levels[:upto], coords, expected)
         for dtype, tolerance in ((np.float32, 1e-5), (np.float64, 1e-12)):
             found = np.zeros(count, dtype)
             decoding.decode_batches(levels[:upto], coords, found)
@@ -84,13 +84,13 @@ def check_block(levels: Levels, rows: list[NDArray[np.intp]]) -> None:
     shape = [len(index) for index in rows]
     for upto in range(1, len(levels) + 1):
         expected = np.zeros(shape)
-        decode_dense.add_block(levels[:upto], rows, expected)
+        dense.add_block(levels[:upto], rows, expected)
         found = np.zeros(shape, np.float32)
         decoding.add_block(levels[:upto], rows, found)
         assert_close(found, expected, 1e-5)
         for first in range(1, upto):
             decoding.add_block(levels[:upto], rows, found, first)
-            decode_dense.add_block(levels[:upto], rows, expected, first)
+            dense.add_block(levels[:upto], rows, expected, first)
         assert_close(found, expected, 1e-5)
 
 
@@ -147,7 +147,7 @@ def test_a_large_block_is_cut_into_runs() -> None:
     found = decode_block(levels, sizes, rows)
     part = [rows[0][3::40], rows[1], rows[2][::9], rows[3][::-7]]
     expected = np.zeros([len(index) for index in part])
-    decode_dense.add_block(levels, part, expected)
+    dense.add_block(levels, part, expected)
     assert_close(found[np.ix_(*part)], expected, 1e-5)
 
 

@@ -8,12 +8,12 @@ from math import prod
 import numpy as np
 import pytest
 
-from hmkcta.blocks import finer, representatives, sampled_blocks
-from hmkcta.candidates import Candidate, bytes_beside, clusters_of
-from hmkcta.detail import Detail, detail_of
-from hmkcta.organisations import organisations
+from hmkcta.choosing.blocks import finer, representatives, sampled_blocks
+from hmkcta.choosing.candidates import Candidate, bytes_beside, clusters_of
+from hmkcta.choosing.detail import Detail, detail_of
+from hmkcta.choosing.organisations import organisations
+from hmkcta.choosing.trial import trial_of
 from hmkcta.source import prepare
-from hmkcta.trial import trial_of
 from test_choosing import noise
 
 #: Nothing happens anywhere.

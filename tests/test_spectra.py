@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from dense_reference import energy
-from hmkcta.spectra import FIRST, WIDER, captured, cores, energies, ladders
+from hmkcta.choosing.spectra import FIRST, WIDER, captured, cores, energies, ladders
 from hmkcta.tucker import core_energies
 
 

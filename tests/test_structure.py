@@ -17,26 +17,22 @@ PACKAGE = ROOT / "python" / "hmkcta"
 
 #: Modules and subpackages from the lowest layer up; an import goes to a lower layer, or stays in its subpackage.
 LAYERS = (
-    ("_version", "errors", "executors", "metrics", "progress", "recordlog", "slabs", "spectra", "subspaces",
-     "temporaries",
+    ("_version", "errors", "executors", "metrics", "progress", "recordlog", "slabs", "subspaces", "temporaries",
      "_native"),
-    ("axes", "conventions", "goals", "grids", "growth", "memory", "transform", "tucker", "indexing"),
-    ("plan", "organisations", "packed", "scratch"),
+    ("axes", "conventions", "goals", "grids", "memory", "transform", "tucker", "indexing"),
+    ("plan", "packed", "scratch"),
     ("cells", "coding", "kmeans", "pieces", "predict", "storage", "hmkfile", "source", "_example"),
-    ("backends", "detail", "decode_scattered"),
-    ("projection", "decode_cells", "journal", "memberships", "streamed"),
-    ("search", "decode_dense"),
+    ("backends",),
+    ("projection", "journal", "memberships", "streamed"),
+    ("search",),
     ("fit", "subdivision"),
     ("workset", "decode"),
     ("disjoint",),
     ("hierarchy",),
-    ("pack", "allocation", "blocks", "filesize", "finer", "model", "verbatim"),
-    ("adaptive", "alternatives", "candidates", "cut", "measure"),
-    ("caps",),
-    ("trial", "measure_streamed"),
-    ("judging",),
-    ("climbing", "clustered"),
-    ("tuning", "follow", "forecast"),
+    ("pack", "allocation", "filesize", "finer", "model", "verbatim"),
+    ("adaptive", "alternatives", "measure"),
+    ("choosing", "measure_streamed"),
+    ("follow", "forecast"),
     ("rivals",),
     ("encode",),
     ("pictures", "readers", "synthetic"),
@@ -45,7 +41,26 @@ LAYERS = (
     ("cli",),
     ("__main__",),
 )
+#: The same within subpackages.
+WITHIN = {
+    "choosing": (
+        ("detail", "organisations", "spectra"),
+        ("blocks", "candidates", "growth"),
+        ("caps", "cut"),
+        ("trial",),
+        ("judging",),
+        ("climbing", "clustered"),
+        ("tuning",),
+    ),
+    "decode": (("scattered",), ("cells",), ("dense",)),
+}
 LAYER_OF = {name: number for number, layer in enumerate(LAYERS) for name in layer}
+LAYER_WITHIN = {
+    f"{package}.{name}": number
+    for package, layers in WITHIN.items()
+    for number, layer in enumerate(layers)
+    for name in layer
+}
 
 #: Folders whose code is ours, and what each file may come to.
 FOLDERS = ("python", "tests", "benchmarks", "docs", "crates")
@@ -96,25 +111,26 @@ def dotted(path: Path) -> list[str]:
     return words[:-1] if words[-1] == "__init__" else words
 
 
-def imports(path: Path) -> Iterator[str]:
-    """The first word below `hmkcta` of everything of ours that a module imports, wherever in it."""
+def imported(path: Path) -> Iterator[list[str]]:
+    """Words below `hmkcta` of everything of ours that a module imports, wherever in it."""
     own = dotted(path)
     package = own if path.name == "__init__.py" else own[:-1]
     for statement in ast.walk(tree(path)):
         if isinstance(statement, ast.Import):
-            yield from (
-                alias.name.split(".")[1] if "." in alias.name else ""
-                for alias in statement.names
-                if alias.name.split(".")[0] == "hmkcta"
-            )
+            found = [alias.name.split(".") for alias in statement.names]
         elif isinstance(statement, ast.ImportFrom):
-            words = (statement.module or "").split(".") if statement.module else []
+            words = statement.module.split(".") if statement.module else []
             if statement.level:
                 words = ["hmkcta", *package[: len(package) - statement.level + 1], *words]
-            if words[:1] != ["hmkcta"]:
-                continue
-            found = words[1:] or [alias.name for alias in statement.names]
-            yield from found[:1] if words[1:] else (name if name in LAYER_OF else "" for name in found)
+            found = [[*words, alias.name] for alias in statement.names]
+        else:
+            continue
+        yield from (words[1:] for words in found if words[0] == "hmkcta")
+
+
+def imports(path: Path) -> Iterator[str]:
+    """The first of those words; that of the package itself is empty."""
+    return (words[0] if words and words[0] in LAYER_OF else "" for words in imported(path))
 
 
 def test_every_module_has_a_layer() -> None:
@@ -136,9 +152,22 @@ def test_imports_point_downward() -> None:
     assert not upward
 
 
+def test_imports_point_downward_within_subpackages() -> None:
+    inner = {".".join(dotted(path)): path for package in WITHIN for path in (PACKAGE / package).glob("[!_]*.py")}
+    assert inner.keys() == LAYER_WITHIN.keys()
+    upward = [
+        f"{named(path)} imports {target}"
+        for name, path in sorted(inner.items())
+        for target in (".".join(words[:2]) for words in imported(path))
+        if target.partition(".")[0] == name.partition(".")[0] and LAYER_WITHIN.get(target, 99) >= LAYER_WITHIN[name]
+    ]
+    assert not upward
+
+
 def test_the_import_rule_sees_imports() -> None:
     assert {"_native", "cells"} <= set(imports(PACKAGE / "backends" / "native.py"))
     assert {"axes", "encode", "model"} <= set(imports(PACKAGE / "__init__.py"))
+    assert ["choosing", "blocks"] in imported(PACKAGE / "choosing" / "tuning.py")
 
 
 def test_files_are_short() -> None:

@@ -15,6 +15,7 @@ from warnings import warn
 from . import backends as kernels
 from .axes import Axis, check_kind, check_organisation, format_organisation, mode_sizes
 from .backends import Device
+from .choosing.tuning import tune
 from .errors import GoalMissed, expect, invalid
 from .executors import thread_count
 from .finer import SMALL, finer
@@ -31,7 +32,6 @@ from .predict import check_least_memory
 from .progress import Progress, nobody
 from .rivals import follow_any
 from .source import Source, prepare
-from .tuning import tune
 
 #: Default goal: 1/100 of the float32 bytes, and no more than this SNR, beyond which eyes and 8-bit screens see nothing.
 DEFAULT_RATIO, DEFAULT_SNR = 100, 50.0

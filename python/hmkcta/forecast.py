@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from math import prod
 from pathlib import Path
 
+from .choosing.judging import CARES
 from .disjoint import JUDGING
 from .fit import EFFORTS, Effort
-from .judging import CARES
 from .measure import SLAB as MEASURED
 from .plan import LevelSpec, Plan
 from .predict import FLAT, MODEL, WORKING, is_streamed, joint_bytes, memory_limit, sampled_together

@@ -1,5 +1,5 @@
 //! Dense blocks: the elements of an outer product of row lists, node by node down the tree.
-//! The twin of `hmkcta.decode_dense`.
+//! The twin of `hmkcta.decode.dense`.
 //!
 //! The block is cut into runs of its leading indices, for threads to share. Within a run a node adds its part as the
 //! fitting kernels do it, or element by element where that is less work.

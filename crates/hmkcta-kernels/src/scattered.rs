@@ -1,5 +1,5 @@
 //! Scattered elements: batches of them walk down the tree level by level, sorted by node, so that neighbours share what
-//! is in the cache. The twin of `hmkcta.decode_scattered`.
+//! is in the cache. The twin of `hmkcta.decode.scattered`.
 
 use crate::element::{Decode, Elements};
 use crate::packed::{Level, NodeView, Position};

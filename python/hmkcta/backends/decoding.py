@@ -1,4 +1,4 @@
-"""Decoding by the Rust kernels: `decode_batches` of `decode_scattered` and `add_block` of `decode_dense`.
+"""Decoding by the Rust kernels: `decode_batches` of `decode.scattered` and `add_block` of `decode.dense`.
 
 Levels are handed over as they are stored: nothing is converted or copied but what an element needs.
 """

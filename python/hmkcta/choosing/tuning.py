@@ -14,23 +14,23 @@ from functools import partial
 from itertools import product
 from math import inf, log10, prod
 
+from ..axes import Organisation, mode_sizes
+from ..errors import invalid
+from ..filesize import planned_bytes
+from ..fit import EFFORTS
+from ..grids import SMALLEST_EDGE, allowed, changed, few_grids, uncut_grids
+from ..hierarchy import Run
+from ..plan import Plan
+from ..predict import is_streamed, sampled_together, workset_limit
+from ..progress import Progress, share_of
+from ..source import Source
 from . import blocks
-from .axes import Organisation, mode_sizes
 from .candidates import Candidate, plan_of
 from .caps import Room, capped, check_room, room_of
 from .climbing import SURELY_WORSE, WORTHWHILE, climbed
 from .clustered import with_clusters
-from .errors import invalid
-from .filesize import planned_bytes
-from .fit import EFFORTS
-from .grids import SMALLEST_EDGE, allowed, changed, few_grids, uncut_grids
-from .hierarchy import Run
 from .judging import CARES, Choice, Ranked, Search, worth_of
 from .organisations import merges, organisations
-from .plan import Plan
-from .predict import is_streamed, sampled_together, workset_limit
-from .progress import Progress, share_of
-from .source import Source
 from .trial import OUT_OF_REACH, VERBATIM, trial_of
 
 #: Up to so many axes all organisations are tried; of more, the best so many are merged further.

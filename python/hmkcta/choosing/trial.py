@@ -12,18 +12,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .allocation import Choices, best_of_one, choices_of, pareto, plausible, ration
-from .axes import Organisation, mode_sizes
+from ..allocation import Choices, best_of_one, choices_of, pareto, plausible, ration
+from ..axes import Organisation, mode_sizes
+from ..filesize import planned_bytes
+from ..metrics import snr_db
+from ..plan import MOST_RANKS_ALONE
+from ..source import Source
 from .blocks import Blocks, finer, organised, sampled_blocks, split
 from .candidates import Candidate, bytes_beside, clusters_of, plan_of
 from .caps import Ranks, Room, capped
 from .cut import Cut
 from .detail import Detail, detail_of
-from .filesize import planned_bytes
 from .growth import Growth
-from .metrics import snr_db
-from .plan import MOST_RANKS_ALONE
-from .source import Source
 from .spectra import Ladder, captured, cores, energies, ladders
 
 F32 = NDArray[np.float32]

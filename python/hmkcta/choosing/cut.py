@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .axes import Axis, Organisation
+from ..axes import Axis, Organisation
 from .blocks import Blocks, halved, organised, split
 from .growth import Growth, growth_of
 from .spectra import cores

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .grids import SMALLEST_EDGE
-from .slabs import thinning
-from .source import Source
+from ..grids import SMALLEST_EDGE
+from ..slabs import thinning
+from ..source import Source
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

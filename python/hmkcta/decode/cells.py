@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from .decode_scattered import NO_TABLE, Index, Real, count
-from .packed import PackedLevel
+from ..packed import PackedLevel
+from .scattered import NO_TABLE, Index, Real, count
 
 Rows = dict[int, tuple[Index, Index]]
 

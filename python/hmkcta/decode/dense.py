@@ -4,8 +4,8 @@ The walk goes down the tree level by level with a *front*: the nodes that own re
 its requested rows in every mode. A level adds its nodes to the block in whichever way costs least:
 
 1. plain nodes (all C_n = 1): core tensor times basis matrices, mode by mode, batched over nodes of equal shape;
-2. clustered nodes: `decode_cells`, cluster by cluster over its member rows;
-3. nodes too small for either: element by element, all together, `decode_scattered`.
+2. clustered nodes: `cells`, cluster by cluster over its member rows;
+3. nodes too small for either: element by element, all together, `scattered`.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from .decode_cells import add_clustered_node, add_outer, tiles
-from .decode_scattered import BATCH, NO_TABLE, Index, Real, count, level_values, undecomposed_modes
-from .packed import PackedLevel
+from ..packed import PackedLevel
+from .cells import add_clustered_node, add_outer, tiles
+from .scattered import BATCH, NO_TABLE, Index, Real, count, level_values, undecomposed_modes
 
 #: Elements of the block worked on at a time: the working set stays near the cache, whatever the block's size.
 TILE = 1 << 19

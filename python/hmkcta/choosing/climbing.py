@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from itertools import permutations
 
+from ..grids import allowed, changed
 from .candidates import Candidate
-from .grids import allowed, changed
 from .judging import Choice, Ranked, Search, worth_of
 from .trial import Kinds
 

@@ -9,10 +9,10 @@ from math import inf, prod
 import numpy as np
 from numpy.typing import NDArray
 
-from .axes import Axis, Organisation, axis_order
+from ..axes import Axis, Organisation, axis_order
+from ..slabs import thinning
+from ..source import Source
 from .detail import Detail
-from .slabs import thinning
-from .source import Source
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

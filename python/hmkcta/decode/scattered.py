@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .packed import PackedLevel
+from ..packed import PackedLevel
 
 Index = NDArray[np.intp]
 Real = NDArray[np.floating[Any]]

@@ -13,15 +13,15 @@ from math import log2, prod
 import numpy as np
 from numpy.typing import NDArray
 
-from .allocation import best_of_one, choices_of, pareto
-from .axes import Organisation, mode_sizes
+from ..allocation import best_of_one, choices_of, pareto
+from ..axes import Organisation, mode_sizes
+from ..memberships import CANDIDATES, SOME_DIMENSIONS, balanced_clusters, normalised, row_features
+from ..plan import MOST_RANKS
+from ..slabs import thinning
+from ..subspaces import subspace_clusters
 from .blocks import organised
 from .candidates import Candidate
 from .judging import Ranked, Search, worth_of
-from .memberships import CANDIDATES, SOME_DIMENSIONS, balanced_clusters, normalised, row_features
-from .plan import MOST_RANKS
-from .slabs import thinning
-from .subspaces import subspace_clusters
 from .trial import OUT_OF_REACH, Trial
 
 F32 = NDArray[np.float32]

@@ -1,7 +1,7 @@
 """Decoding: elements of the tensor (indices of modes, not of source axes) from packed levels.
 
-The kernels of `backends.decoding` do the work, or their readable twins `decode_scattered` and `decode_dense`, which
-also stand in for them where a block is asked for in float64.
+The kernels of `backends.decoding` do the work, or their readable twins `scattered` and `dense`, which also stand in for
+them where a block is asked for in float64.
 
 `decode_elements` follows `docs/format.md`, section 4, for scattered elements, and the WGSL decoder mirrors it function
 by function; `decode_block` decodes an outer product of index lists at a small part of the cost an element. Both read
@@ -17,10 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from . import backends, decode_dense, decode_scattered
-from .decode_scattered import Index, Real
-from .errors import invalid
-from .packed import PackedLevel
+from .. import backends
+from ..errors import invalid
+from ..packed import PackedLevel
+from . import dense, scattered
+from .scattered import Index, Real
 
 
 def decode_elements(
@@ -115,19 +116,19 @@ def _native(levels: Sequence[PackedLevel]) -> Any:  # a module, or None
     """The native kernels where they are in use and have room for the model's modes."""
     if backends.name != "native":
         return None
-    from .backends import decoding
+    from ..backends import decoding
 
     return decoding if levels[0].order <= decoding.MOST_MODES else None
 
 
 def _add_elements(levels: Sequence[PackedLevel], coords: Index, out: Real) -> None:
     native = _native(levels)
-    (native or decode_scattered).decode_batches(levels, coords, out)
+    (native or scattered).decode_batches(levels, coords, out)
 
 
 def _add_block(levels: Sequence[PackedLevel], rows: Sequence[Index], block: Real, first: int = 0) -> None:
     native = _native(levels) if block.dtype == np.float32 else None
-    (native or decode_dense).add_block(levels, rows, block, first)
+    (native or dense).add_block(levels, rows, block, first)
 
 
 def add_level(levels: Sequence[PackedLevel], rows: Sequence[Index], block: Real, level: int) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from itertools import combinations
 
-from .axes import Axis, Organisation
+from ..axes import Axis, Organisation
 
 
 def organisations(axes: Sequence[Axis]) -> Iterator[Organisation]:

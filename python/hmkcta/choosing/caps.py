@@ -10,15 +10,15 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import prod
 
-from .axes import Organisation, mode_sizes
+from ..axes import Organisation, mode_sizes
+from ..grids import few_grids
+from ..memory import available_memory, check_memory, memory_budget
+from ..plan import LevelSpec, Plan
+from ..predict import FLAT, MODEL, PROCESS, WORKING, is_streamed, joint_bytes, workset_limit
+from ..source import Source
+from ..workset import FEWEST, blocks, next_step, thinning, workset
 from .candidates import clusters_of
-from .grids import few_grids
-from .memory import available_memory, check_memory, memory_budget
 from .organisations import organisations
-from .plan import LevelSpec, Plan
-from .predict import FLAT, MODEL, PROCESS, WORKING, is_streamed, joint_bytes, workset_limit
-from .source import Source
-from .workset import FEWEST, blocks, next_step, thinning, workset
 
 #: R of every mode; None: undecomposed.
 Ranks = tuple[int | None, ...]

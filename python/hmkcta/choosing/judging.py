@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from math import inf, prod
 
-from .axes import Organisation
+from ..axes import Organisation
+from ..executors import in_order
+from ..fit import EFFORTS
+from ..progress import Told, nobody
 from .candidates import Candidate
-from .executors import in_order
-from .fit import EFFORTS
-from .progress import Told, nobody
 from .trial import Kinds, Trial
 
 #: Modes are left undecomposed on trial again if that came so near before, in dB or octaves of bytes.
