@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, prod
+from threading import Lock
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +55,28 @@ class Blocks:
     def thinned(self) -> bool:
         """Whether rows were left out."""
         return max(self.steps) > 1
+
+
+class Samples:
+    """Samples of blocks, by grid and size; the last are kept, as candidates of one grid follow one another."""
+
+    def __init__(self, source: Source, values: F32 | None, detail: Detail) -> None:
+        self._data = (source, values, detail)
+        self._last = OrderedDict[tuple[tuple[int, ...], int], Blocks]()
+        self._lock = Lock()
+
+    def of(self, grid: tuple[int, ...], sample: int, room: float, kept: float) -> Blocks:
+        """As `sampled_blocks`; of those before it `kept` elements stay."""
+        with self._lock:
+            if (found := self._last.get((grid, sample))) is not None:
+                self._last.move_to_end((grid, sample))
+                return found
+        found = sampled_blocks(*self._data, grid, sample, room)
+        with self._lock:
+            self._last[grid, sample] = found
+            while sum(blocks.values.size for blocks in self._last.values()) > kept:
+                self._last.popitem(last=False)
+        return found
 
 
 def sampled_blocks(

@@ -18,11 +18,11 @@ from ..filesize import planned_bytes
 from ..metrics import snr_db
 from ..plan import MOST_RANKS_ALONE
 from ..source import Source
-from .blocks import Blocks, finer, organised, sampled_blocks, split
+from .blocks import Blocks, Samples, finer, organised, split
 from .candidates import Candidate, bytes_beside, clusters_of, plan_of
 from .caps import Ranks, Room, capped
 from .cut import Cut
-from .detail import Detail, detail_of
+from .detail import detail_of
 from .growth import Growth
 from .spectra import Ladder, captured, cores, energies, ladders
 
@@ -35,6 +35,8 @@ Kinds = tuple[tuple[int, ...], ...]
 OUT_OF_REACH = 1000.0
 #: Elements looked at together where all are, and of a source that is held in memory.
 SLAB, HELD = 1 << 20, 1 << 23
+#: Elements of samples that are kept for the next candidates, where memory sets no bounds.
+KEPT = 1 << 25
 #: Modes up to this length are left undecomposed on trial if their rank takes this share of their rows.
 LONGEST_UNDECOMPOSED, NEARLY_FULL = 128, 0.2
 #: Of modes that are better left undecomposed, so many are tried in pairs.
@@ -59,7 +61,7 @@ class Trial:
 
     Bytes are not spent beyond a `ceiling` in dB of the transformed values, which is how an SNR is a goal: what reaches
     it is worth the more, the fewer bytes it takes, an octave as much as a dB. `values` are the source's, if held,
-    `detail` and `energy` its own, `room` the most elements of a sample, `memory` what the fit may take, if that sets
+    `samples` and `energy` its own, `room` the most elements of a sample, `memory` what the fit may take, if that sets
     bounds.
     """
 
@@ -69,7 +71,7 @@ class Trial:
     ceiling: float | None
     decode_cost: int
     seed: int
-    detail: Detail
+    samples: Samples
     energy: float
     room: float = inf
     memory: Room | None = None
@@ -174,7 +176,8 @@ class Trial:
         return self._cut_of(organisation, grid, self._blocks(grid, sample))
 
     def _blocks(self, grid: tuple[int, ...], sample: int) -> Blocks:
-        return sampled_blocks(self.source, self.values, self.detail, grid, sample, self.room)
+        kept = KEPT if self.memory is None else self.room / 8
+        return self.samples.of(grid, sample, self.room, kept)
 
     def _cut_of(self, organisation: Organisation, grid: tuple[int, ...], blocks: Blocks) -> Cut:
         """Blocks as tensors of the organisation's modes."""
@@ -250,7 +253,7 @@ class Trial:
         if len(flags) == 2 or all(not flag or rows == limit for flag, rows, limit in had):
             return cut.core
         limits = [None if flag else limit for flag, limit in zip(flags, cut.limits, strict=True)]
-        return cores(cut.batch, limits, self._precision, self._enough)
+        return cut.core_of(limits)
 
     def _worth(
         self, spend: Callable[..., tuple[float, float]], cut: Cut, share: float, candidate: Candidate, least: float
@@ -309,7 +312,8 @@ def trial_of(source: Source, size: int | None, ceiling: float | None, decode_cos
     ceiling = None if ceiling is None else ceiling + higher_by
     held = source.values() if prod(source.shape) <= HELD else None
     size = size or 4 * prod(source.shape) + ENOUGH
-    return Trial(source, held, size, ceiling, decode_cost, seed, detail_of(source, held), energy)
+    samples = Samples(source, held, detail_of(source, held))
+    return Trial(source, held, size, ceiling, decode_cost, seed, samples, energy)
 
 
 def decibels(signal: float, error: float) -> float:
