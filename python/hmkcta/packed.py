@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .axes import Axis, Organisation
+from .narrow import BASIS_NUMBERS, CORE_NUMBERS, I8, narrowed
 
 U16 = NDArray[np.uint16]
 U32 = NDArray[np.uint32]
@@ -40,6 +41,7 @@ class PackedLevel:
     basis_offset: tuple[U32 | None, ...]
     part: tuple[U16 | None, ...]  # [rows]; None at the last level and for undecomposed modes
     local: tuple[U32 | None, ...]  # [rows]; likewise
+    bits: int = 16  # of a core or basis number in the file; of 8 the arrays hold what the bytes stand for (`narrow.py`)
 
     @property
     def nodes(self) -> int:
@@ -52,7 +54,7 @@ class PackedLevel:
         return self.shape.shape[2]
 
     def numbers(self) -> int:
-        """Core and basis numbers stored, what the paper counts (2 bytes each)."""
+        """Core and basis numbers stored; the paper counts 2 bytes each."""
         return self.core.size + sum(basis.size for basis in self.basis if basis is not None)
 
     def tables(self) -> Iterator[tuple[str, NDArray[Any]]]:
@@ -74,10 +76,13 @@ class PackedLevel:
             )
             yield from ((f"{name}/{n}", array) for name, array in per_mode if array is not None)
 
-    def coefficients(self) -> Iterator[tuple[str, F16]]:
-        """Names (without ``level/<l>/``) and arrays of the float16 numbers."""
-        yield "core", self.core
-        yield from ((f"basis/{n}", basis) for n, basis in enumerate(self.basis) if basis is not None)
+    def coefficients(self) -> Iterator[tuple[str, F16 | I8]]:
+        """Names (without ``level/<l>/``) and arrays of the core and basis numbers, as the file has them."""
+        eight = self.bits == 8
+        yield "core", narrowed(self.core, CORE_NUMBERS) if eight else self.core
+        for n, basis in enumerate(self.basis):
+            if basis is not None:
+                yield f"basis/{n}", narrowed(basis, BASIS_NUMBERS) if eight else basis
 
 
 @dataclass(frozen=True)
