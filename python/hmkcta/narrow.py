@@ -1,4 +1,4 @@
-"""Core and basis numbers in a byte each (`docs/format.md`, section 3): what a byte stands for, and the byte for a number.
+"""Core and basis numbers in a byte each (`docs/format.md`, section 3): what a byte stands for, and the nearest byte.
 
 In memory they are the float16 numbers that the bytes stand for, so that fits and decoders know no other. Basis numbers
 are multiples of 1/128. Those of a core, few of which are large, are finer the smaller they are: a byte q stands for
