@@ -46,6 +46,8 @@ TABLE_ENTRIES, LONE_ENTRIES = 60_000, 400_000
 #: How far above an SNR goal a fit may end, in dB, how often a fit is repeated to land there, and how far above many
 #: nodes, whose choices come in small steps, aim; where promises too poor and too good are so near each other it ends.
 OVERSHOOT, ATTEMPTS, MARGIN, NARROW = 0.25, 16, 0.05, 0.03
+#: What numbers of a byte leave of a level's energy, and the most that is reckoned with of an error that is allowed.
+ROUNDING, MOST_ROUNDING = 1e-4, 0.3
 
 
 @dataclass
@@ -83,7 +85,7 @@ def table_limits(
     limits: list[int | None] = []
     for n, rank in enumerate(spec.ranks):
         rest = int(min(prod(float(size) for m, size in enumerate(sizes) if m != n), 2.0**31))
-        affordable = int(min(nbytes / (2 * (stored or sizes)[n]), HIGHEST_RANK)) + 1
+        affordable = int(min(nbytes / (spec.bits / 8 * (stored or sizes)[n]), HIGHEST_RANK)) + 1
         limits.append(None if rank is None else min(rank, sizes[n], rest, HIGHEST_RANK, affordable))
     while prod(limit or 1 for limit in limits) > entries:
         longest = max(range(len(limits)), key=lambda n: limits[n] or 0)
@@ -120,7 +122,8 @@ def node_spectrum(
     table = energy / own * summed(tables)
     undecomposed = [r is None for r in spec.ranks]
     return spectrum(
-        table, energy, full, undecomposed, decode_cost, spec.clusters if labels else None, hull=not alone
+        table, energy, full, undecomposed, decode_cost, spec.clusters if labels else None, hull=not alone,
+        bits=spec.bits,
     )
 
 
@@ -135,7 +138,9 @@ def outside_spectrum(
 
     table, energy = energies(outside, number, spec, labels, limits, seed, told)
     undecomposed = [r is None for r in spec.ranks]
-    choices = spectrum(table, energy, outside.shape, undecomposed, decode_cost, spec.clusters, hull=not alone)
+    choices = spectrum(
+        table, energy, outside.shape, undecomposed, decode_cost, spec.clusters, hull=not alone, bits=spec.bits
+    )
     return choices if energy else None
 
 
@@ -276,8 +281,14 @@ class _LastLevel:
         #: What was fitted last.
         self.fitted = b""
         #: Squared error outside the nodes that have choices, and bytes beside what the choices count.
-        self.elsewhere = tree.error - sum(float(choices.error[0]) for choices in self.spectra)
+        own = sum(float(choices.error[0]) for choices in self.spectra)
+        self.elsewhere = tree.error - own + self._rounding(own)
         self.beside = goal.file_bytes(tree) - allocate(self.spectra, nbytes=0.0).nbytes
+
+    def _rounding(self, energy: float) -> float:
+        """What bytes will leave of so much energy, but no more than a share of what an SNR allows."""
+        allowed = inf if self.goal.snr is None else self.goal.energy * 10 ** (-self.goal.snr / 10)
+        return min(energy * ROUNDING, MOST_ROUNDING * allowed) if self.ways[0][0].bits == 8 else 0.0
 
     def to_size(self, size: int) -> None:
         """As much as fits into a file of `size` bytes."""

@@ -51,14 +51,19 @@ class Spectrum:
 
 
 def node_bytes(
-    sizes: Sequence[float], ranks: NDArray[np.int32], undecomposed: Sequence[bool], clusters: Sequence[int]
+    sizes: Sequence[float],
+    ranks: NDArray[np.int32],
+    undecomposed: Sequence[bool],
+    clusters: Sequence[int],
+    bits: int = 16,
 ) -> F64:
-    """Bytes of a node with K_n = 1: float16 numbers, cluster numbers, core scales and offsets; ranks `[.., N]`."""
+    """Bytes of a node with K_n = 1: numbers of so many bits, cluster numbers, scales, offsets; ranks `[.., N]`."""
     stored = [n for n in range(len(sizes)) if not undecomposed[n]]
     cells = float(np.prod(clusters))
     basis = sum(ranks[..., n] * (sizes[n] * cells / clusters[n]) for n in stored)
     numbers = cells * np.prod(ranks.astype(np.float64), axis=-1) + basis
-    return 2.0 * numbers + 4.0 * cells + 2.0 * sum(sizes[n] for n in stored) + empty_node_bytes(len(sizes), len(stored))
+    tables = 4.0 * cells + 2.0 * sum(sizes[n] for n in stored) + empty_node_bytes(len(sizes), len(stored))
+    return bits / 8 * numbers + tables
 
 
 def spectrum(
@@ -70,6 +75,7 @@ def spectrum(
     clusters: Sequence[int] | None = None,
     *,
     hull: bool = True,
+    bits: int = 16,
 ) -> Spectrum:
     """The choices among all ranks within the decode cost.
 
@@ -81,9 +87,11 @@ def spectrum(
         decode_cost: largest prod R_n over decomposed modes.
         clusters: cells of the node along each mode, which all get the same ranks; None: one cell.
         hull: steps are those on the lower convex hull of (bytes, error) only, else all of them.
+        bits: of a number in the file.
     """
     steps = tuple(tuple(range(1, extent + 1)) for extent in table.shape)
-    choices = choices_of(steps, tuple(sizes), tuple(undecomposed), decode_cost, tuple(clusters or [1] * len(sizes)))
+    cells = tuple(clusters or [1] * len(sizes))
+    choices = choices_of(steps, tuple(sizes), tuple(undecomposed), decode_cost, cells, bits)
     error = np.concatenate([[energy], np.maximum(energy - table.reshape(-1)[choices.entry], 0.0)])
     kept = pareto(choices.nbytes, error)
     error, nbytes = error[kept], choices.nbytes[kept]
@@ -119,6 +127,7 @@ def choices_of(
     undecomposed: tuple[bool, ...],
     decode_cost: int,
     clusters: tuple[int, ...],
+    bits: int = 16,
 ) -> Choices:
     """What can be chosen of the ranks in a table, `steps` of each mode, and what it costs."""
     grid = np.meshgrid(*(np.array(own, np.int32) for own in steps), indexing="ij")
@@ -126,7 +135,7 @@ def choices_of(
     ranks[:, list(undecomposed)] = np.array(sizes)[list(undecomposed)]
     cost = np.prod(ranks[:, [not flag for flag in undecomposed]].astype(np.float64), axis=1)
     allowed = np.flatnonzero(cost <= decode_cost)
-    nbytes = node_bytes(sizes, ranks[allowed], undecomposed, clusters)
+    nbytes = node_bytes(sizes, ranks[allowed], undecomposed, clusters, bits)
     order = np.argsort(nbytes, kind="stable")
     empty = empty_node_bytes(len(sizes), len(sizes) - sum(undecomposed))
     nothing = np.zeros((1, len(sizes)), np.int32)

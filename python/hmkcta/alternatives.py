@@ -13,8 +13,10 @@ from .axes import Organisation
 from .finer import is_coarse
 from .plan import MOST_RANKS, LevelSpec, Plan
 
-#: From this SNR in dB on, float16's own error is no longer small beside what a level leaves.
-ROUNDED = 55.0
+#: From this SNR in dB on, the error of the numbers themselves, by their bits, is not small beside what a level leaves.
+ROUNDED = {16: 55.0, 8: 33.0}
+#: Between so many dB numbers of eight bits and of sixteen may each take fewer bytes.
+EITHER = (36.0, 50.0)
 
 
 def alternatives(plan: Plan, plain: Organisation, snr: float, nbytes: int) -> Iterator[Plan]:
@@ -30,9 +32,11 @@ def alternatives(plan: Plan, plain: Organisation, snr: float, nbytes: int) -> It
     first, *others = plan.levels
     if len(others) == 1 and others[0].own and first.grid and first.cells > 1:
         yield replace(plan, levels=(_of_data(first, first.clusters), *others))
+    if EITHER[0] < snr < EITHER[1]:
+        yield with_bits(plan, 24 - plan.levels[-1].bits)
     if others or not first.own or all(rank is None for rank in first.ranks):
         return
-    if snr > ROUNDED:
+    if snr > ROUNDED[first.bits]:
         below = first if first.grid else replace(first, clusters=(1,) * first.order)
         yield replace(plan, levels=(_of_rank_one(first), below))
         whole = whole_plan(plan, plain)
@@ -41,6 +45,17 @@ def alternatives(plan: Plan, plain: Organisation, snr: float, nbytes: int) -> It
         for n in (n for n, rank in enumerate(first.ranks) if rank is not None):
             halves = tuple(2 if m == n else 1 for m in range(first.order))
             yield replace(plan, levels=(_of_data(first, halves),))
+
+
+def with_bits(plan: Plan, bits: int) -> Plan:
+    """The plan with so many bits for a number of its last level, and at least as many above.
+
+    >>> from hmkcta import parse_plan
+    >>> str(with_bits(parse_plan("R=1 / R=2", (("y",), ("x",))), 8))
+    'R=1,1 / R=2,2 bits=8'
+    """
+    above = (replace(level, bits=max(bits, level.bits)) for level in plan.levels[:-1])
+    return replace(plan, levels=(*above, replace(plan.levels[-1], bits=bits)))
 
 
 def with_clusters_times(plan: Plan, factor: float) -> Plan | None:
@@ -60,7 +75,8 @@ def with_clusters_times(plan: Plan, factor: float) -> Plan | None:
 def whole_plan(plan: Plan, plain: Organisation) -> Plan:
     """The plan of the same goal that merges no axes and cuts none: ranks of their own for the whole (HOSVD)."""
     ones = (1,) * len(plain)
-    whole = LevelSpec((MOST_RANKS,) * len(plain), ones, ones, plan.levels[0].scheme, own=True)
+    bits = plan.levels[-1].bits
+    whole = LevelSpec((MOST_RANKS,) * len(plain), ones, ones, plan.levels[0].scheme, own=True, bits=bits)
     return replace(plan, organisation=plain, levels=(whole,))
 
 

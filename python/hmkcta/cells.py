@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import invalid
+from .narrow import BASIS_NUMBERS, CORE_NUMBERS, LARGEST_BASIS, narrowed, widened
 from .plan import LevelSpec
 
 F32 = NDArray[np.float32]
@@ -73,10 +74,18 @@ class Cells:
         return Cells(self.sizes, self.spec, list(self.members), bases, self.cores.copy())
 
     def rounded(self) -> Cells:
-        """The cells as they will be stored: float16 numbers, cores with a float32 factor a cell."""
-        cores, scale = round_cores(self.cores)
-        wide = cores.astype(np.float32) * scale.reshape(-1, *[1] * len(self.sizes))
-        bases = [basis.astype(np.float16, order="C").astype(np.float32) for basis in self.bases]
+        """The cells as they will be stored: numbers of the spec's bits, cores with a float32 factor a cell.
+
+        Of eight bits, columns of bases go as far as a byte does, and cores take their lengths.
+        """
+        if self.spec.bits == 8:
+            bases, cores = scaled_columns(self)
+            bases = [widened(narrowed(basis, BASIS_NUMBERS), BASIS_NUMBERS) for basis in bases]
+        else:
+            bases, cores = self.bases, self.cores
+        stored, scale = round_cores(cores, self.spec.bits)
+        wide = stored.astype(np.float32) * scale.reshape(-1, *[1] * len(self.sizes))
+        bases = [basis.astype(np.float16, order="C").astype(np.float32) for basis in bases]
         return Cells(self.sizes, self.spec, self.members, bases, wide)
 
 
@@ -90,14 +99,43 @@ def check_shape(tensor: F32, cells: Cells) -> None:
         raise invalid("wrong-shape", "tensor", tensor.shape, str(cells.sizes))
 
 
-def round_cores(cores: F32) -> tuple[NDArray[np.float16], F32]:
+def scaled_columns(cells: Cells) -> tuple[list[F32], F32]:
+    """Bases whose columns, cell by cell, reach up to the largest number of a byte, and cores that make up for it.
+
+    Columns that do already stay as they are, bit by bit.
+    """
+    cores, bases = cells.cores, list(cells.bases)
+    for n, basis in enumerate(cells.bases):
+        if cells.undecomposed[n]:
+            continue
+        members, clusters = cells.members[n], cells.spec.clusters
+        peak = np.zeros((clusters[n], *basis.shape[2:]), np.float32)  # [C_n, PC_-n, R_n]
+        for k in range(basis.shape[1]):
+            np.maximum.at(peak, members[:, k], np.abs(basis[:, k]))
+        factor = np.where(peak > 0, peak, LARGEST_BASIS).astype(np.float64) / LARGEST_BASIS
+        bases[n] = (basis / factor[members]).astype(np.float32)
+        before, after = prod(clusters[:n]), prod(clusters[n + 1 :])
+        each = factor.reshape(clusters[n], before, after, -1).swapaxes(0, 1).reshape(cells.spec.cells, -1)
+        along = [1] * cells.order
+        along[n] = each.shape[1]
+        cores = (cores * each.reshape(-1, *along)).astype(np.float32)
+    return bases, cores
+
+
+def round_cores(cores: F32, bits: int = 16) -> tuple[NDArray[np.float16], F32]:
     """Cores `[PC, ..]` as float16 with the largest number of each near 1, and the float32 factors `[PC]`.
+
+    Of eight bits they are numbers of `narrow.CORE_NUMBERS`, the largest being 1.
 
     >>> stored, scale = round_cores(np.array([[3e6, 1e6], [0, 0]], np.float32))
     >>> [float(x) for x in scale], [float(x) for x in stored[1]]
     ([2097152.0, 1.0], [0.0, 0.0])
     """
-    peak = np.abs(cores).reshape(len(cores), -1).max(axis=1)
+    peak = np.abs(cores).reshape(len(cores), -1).max(axis=1, initial=0.0)
+    if bits == 8:
+        scale = np.where(peak > 0, peak, 1.0).astype(np.float32)
+        shares = cores / scale.astype(np.float64).reshape(-1, *[1] * (cores.ndim - 1))
+        return widened(narrowed(shares, CORE_NUMBERS), CORE_NUMBERS), scale
     # A power of two, so that scaling rounds nothing.
     scale = np.exp2(np.floor(np.log2(np.where(peak > 0, peak, 1.0)))).astype(np.float32)
     return (cores / scale.reshape(-1, *[1] * (cores.ndim - 1))).astype(np.float16), scale

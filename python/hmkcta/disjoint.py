@@ -20,6 +20,7 @@ from .metrics import squared_norm
 from .pieces import Piece
 from .plan import LevelSpec
 from .progress import Told
+from .search import orthonormalise
 from .streamed import Block, Streamed
 from .tucker import core_energies
 from .workset import SAMPLED, fit_streamed, refit_streamed, thinning
@@ -62,6 +63,7 @@ def fit_outside(
 
 def refit_outside(residual: Streamed, number: int, cells: Cells, told: Told) -> Cells:
     """Back-fitting of the cells of level `number`, memberships kept."""
+    orthonormalise(cells)
     if not cells.spec.disjoint:
         return refit_streamed(residual, number, cells)
 

@@ -27,7 +27,8 @@ from .hmkfile import KINDS
 from .journal import Journal, decisive
 from .memory import keep_freed_memory
 from .model import Model
-from .plan import SCHEMES, Plan, parse_plan
+from .narrow import BITS
+from .plan import SCHEMES, LevelSpec, Plan, parse_plan
 from .predict import check_least_memory
 from .progress import Progress, nobody
 from .rivals import follow_any
@@ -49,6 +50,7 @@ class Wanted:
     decode_cost: int
     organisation: str | None
     max_memory: int | None
+    bits: int | None
 
 
 def choose_plan(
@@ -63,6 +65,7 @@ def choose_plan(
     scheme: str = "auto",
     transform: str | None = None,
     nan: float | None = None,
+    bits: int | None = None,
     seed: int = 0,
     threads: int | None = None,
     max_memory: int | None = None,
@@ -77,7 +80,7 @@ def choose_plan(
     _check_types(array, organisation, transform, nan, max_memory)
     with _threads(run.threads):
         source = prepare(array, axes, transform, nan, run.threads)
-        return _chosen(source, run, _wanted(snr, size, decode_cost, organisation, max_memory))[0]
+        return _chosen(source, run, _wanted(snr, size, decode_cost, organisation, max_memory, bits))[0]
 
 
 def compress(
@@ -93,6 +96,7 @@ def compress(
     scheme: str = "auto",
     transform: str | None = None,
     nan: float | None = None,
+    bits: int | None = None,
     kind: str | None = None,
     seed: int = 0,
     threads: int | None = None,
@@ -119,6 +123,8 @@ def compress(
             whatever those of a `Plan` say.
         transform: value transform for high dynamic range, e.g. ``log1p``; None: identity.
         nan: value to put for NaN and infinity; None: refuse them.
+        bits: of each core and basis number in the file, 16 (float16) or 8; None: as the plan says, for a chosen one
+            eight as far as that does, up to some 40 dB.
         kind: ``svbrdf``, ``lightfield``, ``volume`` or ``generic``, whose roles the axes must have; None: what their
             roles make.
         seed: the same seed makes the same file.
@@ -156,7 +162,7 @@ def compress(
     expect("journal", journal, Journal | None, "a Journal")
     if kind is not None and kind not in KINDS:
         raise invalid("unknown-kind", "kind", kind, ", ".join(KINDS))
-    wanted = _wanted(snr, size, decode_cost, organisation, max_memory)
+    wanted = _wanted(snr, size, decode_cost, organisation, max_memory, bits)
     with _threads(run.threads):
         source = prepare(array, axes, transform, nan, run.threads)
         check_kind(source.axes, kind or source.kind)
@@ -168,7 +174,9 @@ def compress(
             journal.begin(decisive(source, plan, kind=kind, quality=quality, scheme=scheme, seed=run.seed,
                                    device=device.described, **asdict(wanted)))
         plans = [plan] if plan else run.journal.plans(lambda: _chosen(source, run, wanted))
-        task = Task(source, plans[0], scheme, wanted.decode_cost, kind or source.kind, run, wanted.max_memory)
+        task = Task(
+            source, plans[0], scheme, wanted.decode_cost, kind or source.kind, run, wanted.max_memory, wanted.bits
+        )
         with kernels.use(device):
             model = follow(task) if plan else follow_any(task, plans[1:], lambda said: warn(said, stacklevel=4))
     if misses(model.snr, goal := task.plan.snr):
@@ -270,7 +278,7 @@ def _with_all_said(plan: Plan | str, source: Source, wanted: Wanted, scheme: str
     modes = None if wanted.organisation is None else source.organisation(wanted.organisation)
     if isinstance(plan, str):
         read = parse_plan(plan, modes or source.organisation(None), "most" if scheme == "auto" else scheme)
-        return replace(read, snr=wanted.snr, size=wanted.size)
+        return replace(read, levels=of_bits(read.levels, wanted.bits), snr=wanted.snr, size=wanted.size)
     own = check_organisation(tuple(map(tuple, plan.organisation)), source.axes)
     if modes not in (None, own):
         raise invalid("organisation", "organisation", repr(wanted.organisation),
@@ -278,13 +286,23 @@ def _with_all_said(plan: Plan | str, source: Source, wanted: Wanted, scheme: str
     levels = plan.levels if scheme == "auto" else [
         level if level.grid else replace(level, scheme=scheme) for level in plan.levels]
     goal = {} if wanted.snr is None and wanted.size is None else {"snr": wanted.snr, "size": wanted.size}
-    return replace(plan, organisation=own, levels=tuple(levels), **goal)
+    return replace(plan, organisation=own, levels=of_bits(levels, wanted.bits), **goal)
+
+
+def of_bits(levels: Sequence[LevelSpec], bits: int | None) -> tuple[LevelSpec, ...]:
+    """The levels, all numbers of which have so many bits, if they are given."""
+    return tuple(level if bits is None else replace(level, bits=bits) for level in levels)
 
 
 def _wanted(
-    snr: float | None, size: int | None, decode_cost: int, organisation: str | None, max_memory: int | None
+    snr: float | None, size: int | None, decode_cost: int, organisation: str | None, max_memory: int | None,
+    bits: int | None,
 ) -> Wanted:
-    return Wanted(snr, size, int(decode_cost), organisation, None if max_memory is None else int(max_memory))
+    expect("bits", bits, Integral | None, "a whole number")
+    if bits not in (None, *BITS):
+        raise invalid("bits", "bits", bits, " or ".join(map(str, BITS)))
+    memory, bits = (None if given is None else int(given) for given in (max_memory, bits))
+    return Wanted(snr, size, int(decode_cost), organisation, memory, bits)
 
 
 def _chosen(source: Source, run: Run, wanted: Wanted) -> list[Plan]:
@@ -296,6 +314,6 @@ def _chosen(source: Source, run: Run, wanted: Wanted) -> list[Plan]:
         ceiling = DEFAULT_SNR
     plans = tune(
         source, run, snr=snr, size=size, ceiling=ceiling, decode_cost=wanted.decode_cost, organisation=fixed,
-        memory=wanted.max_memory,
+        memory=wanted.max_memory, bits=wanted.bits,
     )
     return [finer(plan, source.axes) or plan for plan in plans] if prod(source.shape) <= SMALL else plans

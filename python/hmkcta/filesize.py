@@ -90,7 +90,7 @@ def planned_bytes(plan: Plan, source: Source, kind: str | None = None, seed: int
     bounds: list[LevelBounds] = []
     for number, level in enumerate(plan.levels, start=1):
         shapes = [[_shape(level, n, size) for size in sizes] for n, sizes in enumerate(parts)]
-        schema = _level_arrays(plan, parts, shapes, last=number == len(plan.levels))
+        schema = _level_arrays(plan, level, parts, shapes, last=number == len(plan.levels))
         arrays |= {prefix(number) + name: info for name, info in schema}
         clusters, mixture, ranks = (tuple(max(shape[of] for shape in mode) for mode in shapes) for of in range(3))
         bounds.append(LevelBounds(clusters, mixture, ranks, level.scheme))
@@ -109,7 +109,12 @@ def _shape(level: LevelSpec, n: int, size: int) -> tuple[int, int, int]:
 
 
 def _level_arrays(
-    plan: Plan, parts: Sequence[Parts], shapes: Sequence[Sequence[tuple[int, int, int]]], *, last: bool
+    plan: Plan,
+    level: LevelSpec,
+    parts: Sequence[Parts],
+    shapes: Sequence[Sequence[tuple[int, int, int]]],
+    *,
+    last: bool,
 ) -> Iterator[tuple[str, ArrayInfo]]:
     """Names and infos of a level's arrays in the order of the schema.
 
@@ -124,7 +129,7 @@ def _level_arrays(
         lengths[f"cluster/{n}"] = others * sum(size * k for size, (_, k, _) in zip(sizes, mode, strict=True))
         lengths[f"basis/{n}"] = other_cells * sum(size * k * r for size, (_, k, r) in zip(sizes, mode, strict=True))
         lengths[f"part/{n}"] = lengths[f"local/{n}"] = others * sum(sizes)
-    for name, info in level_schema(order, undecomposed_in(plan), nodes, last):
+    for name, info in level_schema(order, undecomposed_in(plan), nodes, last, level.bits):
         yield name, ArrayInfo(info.dtype, tuple(lengths[name] if size < 0 else size for size in info.shape))
 
 

@@ -19,7 +19,7 @@ from .cells import Cells, empty_cells
 from .memberships import start_candidates, strided_sample
 from .metrics import squared_norm
 from .plan import LevelSpec
-from .search import OVER_RELAXED, extend, sweep
+from .search import OVER_RELAXED, extend, orthonormalise, sweep
 from .tucker import st_hosvd
 
 F32 = NDArray[np.float32]
@@ -118,6 +118,7 @@ def _sequential(
 
 def refit_level(cells: Cells, residual: F32) -> None:
     """Sweeps over fitted cells with the memberships they have; they and the residual they leave change in place."""
+    orthonormalise(cells)
     if max(cells.spec.mixture) == 1 or cells.spec.search == "fast":
         kernels.fit_cells(cells, residual, 1, WARM)
         return

@@ -44,7 +44,7 @@ from .workset import check_worksets
 @dataclass(frozen=True)
 class Task:
     """A plan to follow on a source: subdivision scheme (``auto``: the best of three), decode cost, kind of data, most
-    bytes of memory (None: half of what is free)."""
+    bytes of memory (None: half of what is free), bits of a number (None: as suits the goal)."""
 
     source: Source
     plan: Plan
@@ -53,6 +53,7 @@ class Task:
     kind: str
     run: Run
     memory: int | None = None
+    bits: int | None = None
 
 
 def follow(task: Task) -> Model:

@@ -354,6 +354,6 @@ def _plan(content: Mapping[str, Any]) -> Plan:
         LevelSpec(tuple(level["ranks"]), tuple(level["clusters"]), tuple(level["mixture"]), level["scheme"],
                   tuple((axis, count) for axis, count in level["grid"]), level["own"],
                   tuple((axis, count) for axis, count in level["cuts"]),
-                  tuple((axis, count) for axis, count in level["fewest"]))
+                  tuple((axis, count) for axis, count in level["fewest"]), level["bits"])
         for level in content["levels"])
     return Plan(tuple(map(tuple, content["organisation"])), levels, content["snr"], content["size"])

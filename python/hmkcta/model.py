@@ -124,8 +124,8 @@ class Model:
         undecomposed = self.metadata.undecomposed
         levels = [
             LevelSpec(tuple(None if n in undecomposed else r for n, r in enumerate(level.ranks)), level.clusters,
-                      level.mixture, level.scheme)
-            for level in self.bounds
+                      level.mixture, level.scheme, bits=stored.bits)
+            for level, stored in zip(self.bounds, self.levels, strict=True)
             if all(level.clusters)
         ]
         return Plan(self.metadata.organisation, tuple(levels))

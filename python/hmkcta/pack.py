@@ -37,7 +37,8 @@ def _pack(nodes: Sequence[Node], undecomposed: Sequence[int], unit: float, *, la
     for s, node in enumerate(nodes):
         if node.cells is not None:
             shape[s] = node.cells.spec.clusters, node.cells.spec.mixture, node.cells.ranks
-    rounded = [None if node.cells is None else round_cores(node.cells.cores) for node in nodes]
+    bits = next((node.cells.spec.bits for node in nodes if node.cells is not None), 16)
+    rounded = [None if node.cells is None else round_cores(node.cells.cores, bits) for node in nodes]
     core, core_offset = _ragged([np.zeros(0) if r is None else r[0] for r in rounded], np.float16)
     scale, cell_offset = _ragged([np.zeros(0) if r is None else r[1] for r in rounded], np.float32)
     scale = (scale * unit).astype(np.float32)
@@ -64,6 +65,7 @@ def _pack(nodes: Sequence[Node], undecomposed: Sequence[int], unit: float, *, la
         local=tuple(
             _joined([_local(node, n) for node in nodes], np.uint32) if inner[n] else None for n in range(order)
         ),
+        bits=bits,
     )
 
 

@@ -57,6 +57,11 @@ class PackedLevel:
         """Core and basis numbers stored; the paper counts 2 bytes each."""
         return self.core.size + sum(basis.size for basis in self.basis if basis is not None)
 
+    @property
+    def number_bytes(self) -> int:
+        """Bytes of the core and basis numbers in the file."""
+        return self.bits // 8 * self.numbers()
+
     def tables(self) -> Iterator[tuple[str, NDArray[Any]]]:
         """Names (without ``level/<l>/``) and arrays of the small integer and scale tables."""
         yield "shape", self.shape

@@ -15,6 +15,7 @@ from numbers import Integral
 from .axes import Organisation, check_modes
 from .errors import expect, invalid
 from .goals import check_goal
+from .narrow import BITS
 
 SCHEMES = ("most", "least", "uniform")
 
@@ -44,7 +45,7 @@ class LevelSpec:
     ranks of its own up to R, by one Lagrange multiplier over the level (`allocation.py`), as the plan's goal allows.
     `fewest` are numbers of blocks for axes of the grid: of so many up to those of the grid the goal takes what pays.
     `cuts` lists axes that each such node may be cut along into so many equal blocks, or a divisor of that, as pays: its
-    cells, which then all have the same ranks.
+    cells, which then all have the same ranks. `bits` are those of each core and basis number in the file.
 
     >>> LevelSpec((2, 2, None), (4, 3, 1), (2, 2, 1)).search
     'optimal'
@@ -58,10 +59,13 @@ class LevelSpec:
     own: bool = False
     cuts: tuple[tuple[str, int], ...] = ()
     fewest: tuple[tuple[str, int], ...] = ()
+    bits: int = 16
 
     def __post_init__(self) -> None:
         if self.scheme not in SCHEMES:
             raise invalid("unknown-scheme", "scheme", self.scheme, ", ".join(SCHEMES))
+        if self.bits not in BITS:
+            raise invalid("bits", "bits of the level", self.bits, " or ".join(map(str, BITS)))
         if any(count < 1 for _, count in self.cuts):
             raise invalid("clusters-too-small", "cut<=", _grid_text(self.cuts), "1 or more of each axis")
         if not len(self.ranks) == len(self.clusters) == len(self.mixture):
@@ -167,6 +171,7 @@ class LevelSpec:
             self.scheme,
             self.grid,
             self.own,
+            bits=self.bits,
         )
 
     def __str__(self) -> str:
@@ -176,14 +181,14 @@ class LevelSpec:
 
         text = ("R<=" if self.own else "R=") + ",".join("*" if r is None else str(r) for r in self.ranks)
         if self.cuts:
-            return f"{text} cut<={_grid_text(self.cuts)}"
-        if self.grid:
-            return f"{text} grid={_grid_text(self.grid, dict(self.fewest))}"
-        if self.cells > 1:
+            text += f" cut<={_grid_text(self.cuts)}"
+        elif self.grid:
+            text += f" grid={_grid_text(self.grid, dict(self.fewest))}"
+        elif self.cells > 1:
             text += f" C={','.join(map(str, self.clusters))}"
         if max(self.mixture) > 1:
             text += f" K={joined(self.mixture)}"
-        return text
+        return text if self.bits == BITS[0] else f"{text} bits={self.bits}"
 
 
 def _grid_text(grid: Sequence[tuple[str, int]], fewest: Mapping[str, int] | None = None) -> str:
@@ -207,7 +212,7 @@ def multiply_adds(cost: int) -> str:
 
 
 def parse_level(text: str, organisation: Organisation, scheme: str = "most") -> LevelSpec:
-    """Read one level, e.g. ``R=2,2,3,* C=4,3,4,1 K=2``, ``R=1 grid=y:4,x:6`` or ``R<=8,8,8,*``.
+    """Read one level, e.g. ``R=2,2,3,* C=4,3,4,1 K=2``, ``R=1 grid=y:4,x:6`` or ``R<=8,8,8,* bits=8``.
 
     One number stands for all modes, K for those that have clusters: ``K=2`` leaves unclustered modes alone,
     ``K=2,2`` says of each what it is to be.
@@ -224,8 +229,8 @@ def parse_level(text: str, organisation: Organisation, scheme: str = "most") -> 
     words: dict[str, str] = {}
     for word in text.split():
         key, equals, values = word.partition("=")
-        if not equals or key not in ("R", "R<", "C", "K", "grid", "cut<") or key in words:
-            allowed = "R=.., R<=.., C=.., K=.., grid=.., cut<=.. once a level, levels parted by /"
+        if not equals or key not in ("R", "R<", "C", "K", "grid", "cut<", "bits") or key in words:
+            allowed = "R=.., R<=.., C=.., K=.., grid=.., cut<=.., bits=.. once a level, levels parted by /"
             raise invalid("plan-syntax", "plan", repr(word), allowed)
         words[key] = values
     own = "R<" in words
@@ -246,7 +251,8 @@ def parse_level(text: str, organisation: Organisation, scheme: str = "most") -> 
     mixture = tuple(_number("K", word) for word in _words("K", given, order))
     if "," not in given and max(clusters) > 1:
         mixture = tuple(min(k, 1) if c == 1 else k for k, c in zip(mixture, clusters, strict=True))
-    return LevelSpec(ranks, clusters, mixture, "most" if grid else scheme, grid, own, cuts, fewest)
+    bits = _number("bits", words.get("bits", str(BITS[0])))
+    return LevelSpec(ranks, clusters, mixture, "most" if grid else scheme, grid, own, cuts, fewest, bits)
 
 
 def _grid(
@@ -346,6 +352,9 @@ def check_plan(plan: Plan, sizes: Sequence[int]) -> None:
         if [r is None for r in level.ranks] != [r is None for r in first.ranks]:
             allowed = "* for the same modes in every level"
             raise invalid("undecomposed-differ", f"R of level {number}", str(level), allowed)
+        if level.bits > plan.levels[max(0, number - 2)].bits:
+            allowed = f"bits={plan.levels[number - 2].bits}, no more than the level above"
+            raise invalid("bits-ascend", f"level {number}", str(level), allowed, "give the levels above 16 bits, too")
         if level.own and (number < len(plan.levels) or (plan.snr is None and plan.size is None)):
             allowed = "R<= in the last level only, together with a goal"
             raise invalid("own-ranks-place", f"level {number}", str(level), allowed, "say an snr or a size")

@@ -6,13 +6,14 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from math import prod
 
-from .alternatives import alternatives, whole_plan, with_clusters_times
+from .alternatives import alternatives, whole_plan, with_bits, with_clusters_times
 from .axes import mode_sizes
 from .errors import HmkctaError
 from .finer import LARGE, finer, is_coarse
 from .fit import EFFORTS
 from .follow import Task, follow
 from .model import Model
+from .narrow import BITS
 from .plan import Plan
 from .predict import is_streamed, memory_limit
 
@@ -37,7 +38,7 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
     task, model = _best([(task, follow(task)), *_further(task, others if doubtful else ())])
     if _is_worth(task):
         near = alternatives(task.plan, task.source.organisation(None), model.snr, model.nbytes)
-        task, model = _best([(task, model), *_further(task, near)])
+        task, model = _best([(task, model), *_further(task, (plan for plan in near if _may_be(task, plan)))])
         if (task.plan.snr or model.snr) > NEARLY:
             task, model = _best([(task, model), *_further(given, _in_two(given, others))])
         task, model = _with_other_clusters(task, model)
@@ -48,6 +49,8 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
     further = list(others)
     if (deeper := _deeper(task, model)) is not None:
         further.insert(0, deeper)
+    if task.plan.levels[-1].bits < BITS[0] and task.bits is None:
+        further.insert(0, with_bits(task.plan, BITS[0]))
     for plan in further:
         if task.plan.snr is None or best.snr >= task.plan.snr:
             break
@@ -55,6 +58,11 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
         for _, model in _further(task, [plan]):
             best = max(best, model, key=lambda each: each.snr)
     return best if task.plan.snr is None else _unless_verbatim(task, best, others)
+
+
+def _may_be(task: Task, plan: Plan) -> bool:
+    """Whether numbers have the bits that are asked for."""
+    return task.bits in (None, plan.levels[-1].bits)
 
 
 def _is_worth(task: Task) -> bool:
@@ -74,7 +82,7 @@ def _best(followed: Sequence[tuple[Task, Model]]) -> tuple[Task, Model]:
 
 def _unless_verbatim(task: Task, best: Model, others: Sequence[Plan]) -> Model:
     """The model for an SNR, or the values as float16 if that takes fewer bytes and does as well."""
-    if best.nbytes <= 2 * prod(task.source.shape) or _is_verbatim(best.plan):
+    if best.nbytes <= task.plan.levels[-1].bits // 8 * prod(task.source.shape) or _is_verbatim(best.plan):
         return best
     for _, model in _further(task, filter(_is_verbatim, others)):
         if model.nbytes < best.nbytes and model.snr >= min(best.snr, task.plan.snr or best.snr):

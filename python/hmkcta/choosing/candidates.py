@@ -28,6 +28,7 @@ class Candidate:
             cells of a single level, all of the same ranks.
         cuts: carried blocks may each be cut into so many, or a divisor of it, along each source axis; (): they are not.
         clusters: of the data along each mode, in the place of blocks, the cells of a single level; (): none.
+        bits: of a number in the file; those of a first level of rank one are always 16.
     """
 
     organisation: Organisation
@@ -36,6 +37,7 @@ class Candidate:
     carried: bool = True
     cuts: tuple[int, ...] = ()
     clusters: tuple[int, ...] = ()
+    bits: int = 16
 
 
 def plan_of(source: Source, best: Candidate, snr: float | None, size: int | None, decode_cost: int) -> Plan:
@@ -46,13 +48,14 @@ def plan_of(source: Source, best: Candidate, snr: float | None, size: int | None
     clusters = clusters_of(source.axes, best.grid, best.organisation)
     highest = MOST_RANKS_ALONE if len(sizes) - len(best.undecomposed) == 1 else MOST_RANKS
     most = tuple(None if n in best.undecomposed else min(i, decode_cost, highest) for n, i in enumerate(sizes))
-    if not grid:
-        return Plan(best.organisation, (LevelSpec(most, best.clusters or ones, ones, own=True),), snr, size)
-    if not best.carried:
-        return Plan(best.organisation, (LevelSpec(most, clusters, ones, "most", grid, own=True),), snr, size)
+    if not grid or not best.carried:
+        cells = clusters if grid else best.clusters or ones
+        own = LevelSpec(most, cells, ones, "most", grid, own=True, bits=best.bits)
+        return Plan(best.organisation, (own,), snr, size)
     carrier = LevelSpec(tuple(None if rank is None else 1 for rank in most), clusters, ones, "most", grid)
     cuts = tuple((axis.name, count) for axis, count in zip(source.axes, best.cuts, strict=False) if count > 1)
-    return Plan(best.organisation, (carrier, LevelSpec(most, ones, ones, own=True, cuts=cuts)), snr, size)
+    own = LevelSpec(most, ones, ones, own=True, cuts=cuts, bits=best.bits)
+    return Plan(best.organisation, (carrier, own), snr, size)
 
 
 def clusters_of(axes: Sequence[Axis], counts: Sequence[int], organisation: Organisation) -> tuple[int, ...]:
@@ -66,11 +69,12 @@ def bytes_beside(source: Source, candidate: Candidate, seed: int) -> float:
     whole = planned_bytes(plan_of(source, candidate, None, None, 1), source, seed=seed)
     sizes, clusters, flags, ranks = _carrier(source.axes, candidate)
     if not candidate.carried:
-        return whole - float(node_bytes(sizes, ranks, flags, clusters))
+        return whole - float(node_bytes(sizes, ranks, flags, clusters, candidate.bits))
     nodes, stored = prod(clusters), [n for n, flag in enumerate(flags) if not flag]
     rows = sum(sizes[n] * nodes // clusters[n] for n in stored)
-    each = 2.0 * float(np.prod(ranks, dtype=np.float64)) + 4 + empty_node_bytes(len(ranks), len(stored))
-    return whole - nodes * each - 4 * rows
+    number = candidate.bits / 8
+    each = number * float(np.prod(ranks, dtype=np.float64)) + 4 + empty_node_bytes(len(ranks), len(stored))
+    return whole - nodes * each - (2 + number) * rows
 
 
 def _carrier(

@@ -124,12 +124,12 @@ def _judged(
     sizes, flags = mode_sizes(trial.source.axes, organisation), (long == 1, long == 0)
     clusters = (1, count) if long else (count, 1)
     ones = (1,) * len(trial.source.shape)
-    each = Candidate(organisation, ones, (1 - long,), carried=False, clusters=clusters)
+    each = Candidate(organisation, ones, (1 - long,), carried=False, clusters=clusters, bits=trial.bits)
     limit = min(MOST_RANKS, trial.decode_cost, len(rows) // (2 * count), rows.shape[1])
     steps = tuple((1,) if flag else tuple(range(1, limit + 1)) for flag in flags)
-    choices = choices_of(steps, sizes, flags, trial.decode_cost, clusters)
-    fixed, least = trial.beside(each), float(choices.nbytes[1])
-    if (needed := fixed + least) > trial.size:
+    choices = choices_of(steps, sizes, flags, trial.decode_cost, clusters, trial.bits)
+    least = float(choices.nbytes[1])
+    if (needed := trial.beside(each) + least) > trial.size:
         return -OUT_OF_REACH - log2(needed), each
     energy = float(np.square(rows, dtype=np.float64).sum())
     labels = balanced_clusters(features, count, LIKELIEST[1], np.random.default_rng(trial.seed))
@@ -142,7 +142,7 @@ def _judged(
     left = np.concatenate([[energy], reached[choices.entry]])
     kept = pareto(choices.nbytes, left)
     spend = partial(best_of_one, choices.nbytes[kept], left[kept])
-    return trial.worth_of(spend, energy, 1.0, fixed, least)[0], each
+    return trial.worth_of(spend, energy, 1.0, each, least)[0], each
 
 
 def _sampled_rows(trial: Trial, organisation: Organisation, long: int, fewer: int) -> F32:

@@ -76,6 +76,10 @@ class Search:
     )
     seen: dict[Judged, Ranked] = field(default_factory=dict["Judged", Ranked])
 
+    def anew(self, goal: Trial) -> Search:
+        """A search for another goal, in which nothing has been judged."""
+        return replace(self, goal=goal, trial=goal, highest=-inf, rivals=[], losses={}, seen={})
+
     def best(
         self, choices: Sequence[Choice], sample: int, told: Told = nobody, kinds: Kinds = ()
     ) -> Ranked:

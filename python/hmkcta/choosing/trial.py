@@ -51,6 +51,11 @@ FINEST = 1e-14
 UNTOLD = 0.05
 #: Beyond so many dB Gram matrices are summed in float64.
 PRECISE = 50.0
+#: What bytes leave instead of float16 numbers, as a share of the energy, of numbers of so many bits: where blocks are
+#: cells of one level, and below a first level of rank one, which takes most of it.
+ROUNDING = {16: (0.0, 0.0), 8: (8e-5, 2e-5)}
+#: What bytes leave of the values themselves, in dB.
+VERBATIM_BYTES = 36.0
 #: Bytes besides two float16 for each element, that no candidate worth a look takes.
 ENOUGH = 1 << 16
 
@@ -62,7 +67,7 @@ class Trial:
     Bytes are not spent beyond a `ceiling` in dB of the transformed values, which is how an SNR is a goal: what reaches
     it is worth the more, the fewer bytes it takes, an octave as much as a dB. `values` are the source's, if held,
     `samples` and `energy` its own, `room` the most elements of a sample, `memory` what the fit may take, if that sets
-    bounds.
+    bounds; `bits` are those of a number in the file.
     """
 
     source: Source
@@ -75,6 +80,7 @@ class Trial:
     energy: float
     room: float = inf
     memory: Room | None = None
+    bits: int = 16
 
     @property
     def floor(self) -> float:
@@ -114,15 +120,16 @@ class Trial:
         return found
 
     def verbatim(self, organisation: Organisation) -> tuple[float, Candidate]:
-        """All values as float16: two bytes each for an SNR of about 73 dB, whatever they are."""
+        """All values as float16: two bytes each for an SNR of about 73 dB, whatever they are; or a byte for 36 dB."""
         every = tuple(range(len(organisation)))
-        candidate = Candidate(organisation, (1,) * len(self.source.shape), every, carried=False)
+        bits = self.bits if self.ceiling is not None and self.ceiling <= VERBATIM_BYTES else 16
+        candidate = Candidate(organisation, (1,) * len(self.source.shape), every, carried=False, bits=bits)
         nbytes = planned_bytes(plan_of(self.source, candidate, None, None, 1), self.source, seed=self.seed)
         if nbytes > self.size:
             return -OUT_OF_REACH - log2(nbytes), candidate
         if self._caps(candidate) is None or (self.memory is not None and not self.memory.holds(nbytes)):
             return _too_large(self.source.shape), candidate
-        reached = -10 * log10(VERBATIM)
+        reached = -10 * log10(VERBATIM) if bits == 16 else VERBATIM_BYTES
         if self.ceiling is None or reached <= self.ceiling:
             return reached, candidate
         return self.ceiling + log2(self.size / nbytes), candidate
@@ -162,7 +169,7 @@ class Trial:
         core = cores(parts, chosen, self._precision)
         steps, meant = _steps(chosen, caps, len(parts), cut.growth_of(parts, core, way, edges))
         energy, table = energies(parts), captured(core, steps)
-        choices = choices_of(meant, cut.edges, flags, max(1, self.decode_cost - 1), clusters)
+        choices = choices_of(meant, cut.edges, flags, max(1, self.decode_cost - 1), clusters, self.bits)
         together = (len(cut.batch), prod(way), -1)
         whole, tables = energy.reshape(together).sum(axis=(1, 2)), table.reshape(together).sum(axis=1)
         left = _left(whole, tables, choices, self.floor)
@@ -196,7 +203,7 @@ class Trial:
         elements = prod(float(rows) for rows in have)
         most = min(self.decode_cost, HIGHEST[len(have) > 2])
         return tuple(
-            int(max(1, min(rows, elements // rows, most, self.size // (2 * edge) + 1)))
+            int(max(1, min(rows, elements // rows, most, 8 * self.size // (self.bits * edge) + 1)))
             for rows, edge in zip(have, edges, strict=True)
         )
 
@@ -214,14 +221,14 @@ class Trial:
         """Candidates that leave the chosen modes undecomposed, and the ranks of the one without blocks."""
         order = len(cut.sizes)
         flags = tuple(n in choice for n in range(order))
-        one = Candidate(cut.organisation, cut.grid, choice, carried=False)
+        one = Candidate(cut.organisation, cut.grid, choice, carried=False, bits=self.bits)
         caps = self._caps(one)
         if caps is None:
             return [(_too_large(cut.edges), one)], [1] * order
         limits = [None if flag else limit for flag, limit in zip(flags, cut.limits, strict=True)]
         steps, meant = _steps(limits, caps, len(cut.batch), cut.growth)
         table = captured(self._core(cut, flags), steps).reshape(len(cut.batch), -1)
-        whole = choices_of(meant, cut.sizes, flags, self.decode_cost, cut.clusters)
+        whole = choices_of(meant, cut.sizes, flags, self.decode_cost, cut.clusters, self.bits)
         weights, nbytes = cut.blocks.weights, whole.nbytes
         left = _left((weights @ cut.energy)[None], (weights @ table)[None], whole, self.floor)[0]
         best = pareto(nbytes, left)
@@ -231,7 +238,7 @@ class Trial:
         found = [(worth, one)]
         if prod(cut.clusters) > 1 and self.decode_cost > 1:
             many = replace(one, carried=True)
-            nodes = choices_of(meant, cut.edges, flags, self.decode_cost - 1, (1,) * order)
+            nodes = choices_of(meant, cut.edges, flags, self.decode_cost - 1, (1,) * order, self.bits)
             path = partial(ration, _left(cut.energy, table, nodes, self.floor), nodes.nbytes, weights)
             least = float(nodes.nbytes[0] * weights.sum())
             found.append((self._worth(path, cut, cut.blocks.overlap, many, least)[0], many))
@@ -258,12 +265,11 @@ class Trial:
     def _worth(
         self, spend: Callable[..., tuple[float, float]], cut: Cut, share: float, candidate: Candidate, least: float
     ) -> tuple[float, float]:
-        fixed = self.beside(candidate)
         blocks, thinned = cut.blocks, prod(cut.batch.shape[1:]) / prod(cut.edges)
-        return self.worth_of(spend, self.energy * blocks.seen * blocks.overlap * thinned, share, fixed, least)
+        return self.worth_of(spend, self.energy * blocks.seen * blocks.overlap * thinned, share, candidate, least)
 
     def worth_of(
-        self, spend: Callable[..., tuple[float, float]], energy: float, share: float, fixed: float, least: float
+        self, spend: Callable[..., tuple[float, float]], energy: float, share: float, candidate: Candidate, least: float
     ) -> tuple[float, float]:
         """What bytes and error make a candidate worth, and the bytes spent on the blocks of the sample.
 
@@ -271,16 +277,17 @@ class Trial:
             spend: bytes and error of these blocks, for a `limit` of bytes or an `error`.
             energy: their squared norm.
             share: what part of the whole they stand for.
-            fixed: bytes of the whole beside the blocks.
+            candidate: whose bytes are beside the blocks, and whose numbers are rounded.
             least: bytes of the sample's blocks at the least.
         """
+        fixed, rounding = self.beside(candidate), ROUNDING[candidate.bits][candidate.carried]
         if (needed := fixed + least / share) > self.size:  # after all that fit, the smallest first
             return -OUT_OF_REACH - log2(needed), least
         spent, error = spend(limit=(self.size - fixed) * share)
-        worth = decibels(energy, error)
+        worth = decibels(energy, error + rounding * energy)
         if self.ceiling is None or worth <= self.ceiling:
             return worth, spent
-        spent, _ = spend(error=energy * 10 ** (-self.ceiling / 10))
+        spent, _ = spend(error=energy * (10 ** (-self.ceiling / 10) - rounding))
         return self.ceiling + log2(self.size / (spent / share + fixed)), spent
 
     def beside(self, candidate: Candidate) -> float:

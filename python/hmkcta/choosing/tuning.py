@@ -8,7 +8,7 @@ the end local PCA (`clustered.py`). For an SNR they are judged as for a size: by
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import product
@@ -52,6 +52,9 @@ OTHER = 2.5
 ROUNDED = 12.0
 #: Within so many dB of float16's own error plans for a size are alike: then by the bytes that they take to so many dB.
 ALIKE, EXACT = 1.0, 100.0
+#: Up to so many dB bytes leave next to nothing more than float16 numbers, and from so many on too much. Between them
+#: both are looked at; where bytes end a race with more than so much, they are left to fits.
+BYTES_DO, BYTES_HARDLY_DO, BYTES_FALL_SHORT = 38.0, 42.0, 52.0
 #: For a size so many candidates that are judged so near the best are fitted, too, of arrays of so many elements.
 NEAR, BESIDE, FITTED = 2, 0.5, 1 << 24
 #: Further plans for an SNR; where all are short of it by so many dB, the bytes to judge by are found anew.
@@ -68,6 +71,7 @@ def tune(
     decode_cost: int,
     organisation: Organisation | None,
     memory: int | None = None,
+    bits: int | None = None,
 ) -> list[Plan]:
     """The best plan found for bytes (`size`) or for an SNR; with a `ceiling` in dB bytes are not spent beyond it.
 
@@ -87,11 +91,11 @@ def tune(
     care = CARES.get(run.effort, CARES[EFFORTS["medium"]])
     held = not is_streamed(elements, workset_limit(memory))
     search = Search(trial, trial, plain, run.threads, care, together, care.matrices // 2 if held else 0)
-    worth, best = _searched(search, organisation is not None, run.progress, narrow=snr is not None)
+    look = partial(_searched, progress=run.progress, narrow=snr is not None)
+    search, worth, best = _of_bits(search, look, bits, organisation is not None)
     if trial.ceiling is None and worth > -10 * log10(VERBATIM) - ALIKE:
-        trial = replace(trial, ceiling=EXACT)
-        search = replace(search, goal=trial, trial=trial, rivals=[], losses={}, seen={})
-        worth, best = _searched(search, organisation is not None, run.progress, narrow=False)
+        search = search.anew(replace(search.goal, ceiling=EXACT))
+        worth, best = look(search, organisation is not None, inf)
     if size is not None and worth <= -OUT_OF_REACH:
         least = planned_bytes(plan_of(source, best, None, None, 1), source, seed=run.seed)
         if ceiling is None:
@@ -100,10 +104,11 @@ def tune(
         size = least
     if search.highest > (ceiling or inf):
         snr, size = snr or ceiling, None  # what fills the bytes beyond the ceiling reaches it with fewer
-    verbatim = trial.verbatim(plain)
-    found, best = best, verbatim[1] if verbatim[0] > worth else best
+    verbatim = search.goal.verbatim(plain)
+    may_be = bits in (None, verbatim[1].bits)
+    found, best = best, verbatim[1] if may_be and verbatim[0] > worth else best
     spare = [*search.rivals, *(_spare(search, best) if snr is not None else _near_best(search, best))]
-    if snr is not None or worth > verbatim[0] - ROUNDED > 0:
+    if may_be and (snr is not None or worth > verbatim[0] - ROUNDED > 0):
         spare.append(verbatim[1])
     if best == verbatim[1]:
         spare = [] if source.value_transform.name == "identity" else [found, *search.rivals]
@@ -111,13 +116,39 @@ def tune(
     return _held(plans, source, room_of(elements, memory))  # anew, as what is free varies
 
 
-def _searched(search: Search, fixed: bool, progress: Progress, *, narrow: bool) -> tuple[float, Candidate]:
-    """The best candidate, of a fixed organisation or any, its blocks cut further where that helps."""
+def _of_bits(
+    search: Search, look: Callable[[Search, bool, float], tuple[float, Candidate]], bits: int | None, fixed: bool
+) -> tuple[Search, float, Candidate]:
+    """The best candidate whose numbers have so many bits, of a fixed organisation or any.
+
+    None: eight bits, or where what these leave tells, sixteen, which are looked at with the organisation of the best.
+    """
+    ceiling = inf if search.goal.ceiling is None else search.goal.ceiling
+    first = bits or (16 if BYTES_FALL_SHORT < ceiling < inf else 8)
+    narrow = search.anew(replace(search.goal, bits=first))
+    found = narrow, *look(narrow, fixed, BYTES_HARDLY_DO if bits is None and first == 8 else inf)
+    if bits is not None or first == 16 or min(found[1], ceiling) < BYTES_DO:
+        return found
+    wide = replace(search.anew(replace(search.goal, bits=16)), plain=found[2].organisation)
+    return max(found, (wide, *look(wide, True, inf)), key=lambda each: each[1])
+
+
+def _searched(
+    search: Search, fixed: bool, enough: float, progress: Progress, *, narrow: bool
+) -> tuple[float, Candidate]:
+    """The best candidate, of a fixed organisation or any, its blocks cut further where that helps.
+
+    Where races end with more than `enough`, what they end with.
+    """
     shape = search.trial.source.shape
     if sum(length > 1 for length in shape) < 2:  # a vector has nothing to cut or to merge
         (search.highest, best), *_ = search.best([(search.plain, (1,) * len(shape))], search.care.refine)
         return search.highest, best
-    worth, best = _found(search, fixed, progress, narrow=narrow)
+    finalists = _finalists(search, fixed, progress, narrow=narrow)
+    search.highest = finalists[0][0]
+    if search.highest > enough:
+        return finalists[0]
+    worth, best = _found(search, finalists, progress, narrow=narrow)
     gained, best = _cut_further(search, best, progress)
     return worth + gained, best
 
@@ -128,10 +159,8 @@ def _held(plans: Sequence[Plan], source: Source, room: Room | None) -> list[Plan
     return [plan for plan in capped_plans if plan is not None] or [plans[0]]
 
 
-def _found(search: Search, fixed: bool, progress: Progress, *, narrow: bool) -> tuple[float, Candidate]:
+def _found(search: Search, finalists: Ranked, progress: Progress, *, narrow: bool) -> tuple[float, Candidate]:
     """The best candidate; to `narrow`, of those that reach the ceiling at the bytes of the best, or nearly."""
-    finalists = _finalists(search, fixed, progress, narrow=narrow)
-    search.highest = finalists[0][0]
     found = _settled(search, [candidate for _, candidate in finalists], progress, narrow=narrow)
     if not narrow:
         return with_clusters(search, found)

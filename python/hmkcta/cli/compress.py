@@ -153,6 +153,8 @@ def unused(model: Model, goal: Goal, plan: str | None) -> list[str]:
 def advice(model: Model, plan: str | None) -> str:
     """What may reach the goal that was missed."""
     levels = len(model.levels)
+    if plan is not None and model.levels[-1].bits == 8:
+        return "write numbers of two bytes, --bits 16, or add ranks or a level"
     if model.snr > FLOAT16_SNR * levels:
         return f'write a level more, for what float16 numbers leave: --plan "{" / ".join(["R=.."] * (levels + 1))}"'
     return "allow a higher --decode-cost, or try --quality thorough" if plan is None else "add ranks or a level"

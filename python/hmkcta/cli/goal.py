@@ -40,6 +40,8 @@ goal_options = together(
     click.option("--transform", default="identity", metavar="NAME",
                  help="Of values: log1p[:scale], asinh[:scale], sqrt."),
     nan_option,
+    click.option("--bits", type=click.Choice(["8", "16"]), metavar="N",
+                 help="Of each stored number, 8 or 16 (as suits the goal; 16 for a --plan that says nothing)."),
     click.option("--seed", type=Count(0), default=0, metavar="N", help="One seed makes one file (0)."),
     click.option("--threads", type=Count(1), metavar="N", help="Threads (all cores, never more)."),
     memory_option,
@@ -90,6 +92,7 @@ def goal_from(options: dict[str, Any]) -> Goal:
     """Take the values of `goal_options`, but for --plan, out of a command's options."""
     source = {key: options.pop(key) for key in ("member", "shape", "dtype", "order", "offset")}
     along = {key: options.pop(key) for key in ("coords", "unit")}
+    options["bits"] = None if options["bits"] is None else int(options["bits"])
     goal = Goal(options.pop("snr"), options.pop("size"), options.pop("kind"), options, source, along)
     if goal.snr is not None and goal.size is not None:
         raise click.UsageError("--snr and --size are both given: choose one of them.")
@@ -103,7 +106,7 @@ def command_for(source: str, output: str, plan: Plan, goal: Goal) -> str:
     given: dict[str, Any] = {"snr": plan.snr, "size": plan.size, "kind": goal.kind, **goal.settings, **goal.source}
     defaults = {param.name: param.default for param in click.get_current_context().command.params}
     for name, value in given.items():
-        if name != "organisation" and value is not None and value != defaults.get(name):
+        if name not in ("organisation", "bits") and value is not None and value != defaults.get(name):
             words += [f"--{name.replace('_', '-')}", _written(name, value)]
     for option, pairs in goal.along.items():
         words += [word for pair in pairs for word in (f"--{option}", "=".join(pair))]

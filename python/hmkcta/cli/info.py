@@ -38,7 +38,7 @@ def info_command(file: str, as_json: bool, verbose: bool) -> None:
 def describe(model: Model, size: int) -> dict[str, Any]:
     """The facts of a model whose file has `size` bytes."""
     metadata = model.metadata
-    numbers = sum(2 * level.numbers() for level in model.levels)
+    numbers = sum(level.number_bytes for level in model.levels)
     tables = sum(array.nbytes for level in model.levels for _, array in level.tables())
     source_bytes = model.size * np.dtype(metadata.source_dtype).itemsize
     return {
@@ -62,10 +62,10 @@ def _level(model: Model, number: int) -> dict[str, Any]:
     cells, zero_cells = cells_of(level)
     return {
         "level": number, "R": list(bounds.ranks), "C": list(bounds.clusters), "K": list(bounds.mixture),
-        "subdivision": bounds.scheme,
+        "bits": level.bits, "subdivision": bounds.scheme,
         "nodes": level.nodes, "nodes_that_carry_nothing": int((~level.shape.any(axis=(1, 2))).sum()),
         "clusters": cells, "clusters_that_carry_nothing": zero_cells,
-        "bytes": 2 * level.numbers() + sum(array.nbytes for _, array in level.tables()),
+        "bytes": level.number_bytes + sum(array.nbytes for _, array in level.tables()),
         "snr_db": quality.snr_db, "transformed_snr_db": transformed_snr(model)[number - 1],
         "rmse": quality.rmse, "max_abs_error": quality.max_abs_error,
     }
@@ -99,14 +99,14 @@ def as_text(report: dict[str, Any], verbose: bool) -> str:
     axes = ", ".join(f"{axis['name']} {axis['size']} ({axis['role']}{_coordinates(axis)})" for axis in report["axes"])
     domain = [report["transform"]["name"]] if any(level["transformed_snr_db"] for level in report["levels"]) else []
     levels = table(
-        ["level", "R", "C", "K", "subdivision", "nodes", "empty", "clusters", "empty", "SNR dB",
+        ["level", "R", "C", "K", "bits", "subdivision", "nodes", "empty", "clusters", "empty", "SNR dB",
          *(f"SNR of {name}" for name in domain), "RMSE", "max error", "size"],
-        [[str(level["level"]), *(",".join(map(str, level[key])) for key in "RCK"), level["subdivision"],
+        [[str(level["level"]), *(",".join(map(str, level[key])) for key in "RCK"), str(level["bits"]), level["subdivision"],
           str(level["nodes"]), str(level["nodes_that_carry_nothing"]),
           str(level["clusters"]), str(level["clusters_that_carry_nothing"]),
           decibels(level["snr_db"]), *(decibels_or_unknown(level["transformed_snr_db"]) for _ in domain),
           f"{level['rmse']:.4g}", f"{level['max_abs_error']:.4g}",
-          format_bytes(level["bytes"])] for level in report["levels"]], "  ", left=[1, 2, 3, 4])
+          format_bytes(level["bytes"])] for level in report["levels"]], "  ", left=[1, 2, 3, 5])
     parts = report["bytes"]
     transform = report["transform"]["name"] + "".join(
         f", {key} {value:g}" for key, value in report["transform"].items() if key != "name")

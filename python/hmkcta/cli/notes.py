@@ -19,6 +19,8 @@ PARTS = 64
 COMPARED = 1 << 12
 #: Few values make the SNR, where it is beyond so many dB, if all values are so many times as large as most of them.
 LOUD, FEW = 20.0, 3.0
+#: What a number takes, by its bits.
+BYTES = {8: "a byte", 16: "two bytes"}
 #: An offset counts as one beyond so many deviations, and hides the values where the error is this share of one.
 OFFSET, HIDDEN = 3.0, 0.5
 
@@ -33,7 +35,7 @@ def notes(model: Model, array: NDArray[Any], *, planned: bool = True) -> list[st
     """
     found: list[str] = []
     if sum(size > 1 for size in array.shape) == 1:
-        found.append("one axis has nothing to share: every number takes two bytes. "
+        found.append(f"one axis has nothing to share: every number takes {BYTES[model.levels[-1].bits]}. "
                      "Next: make windows of a signal, array.reshape(-1, 256)")
     elif model.nbytes >= array.nbytes:
         why = _why_large(model, array, planned)
@@ -50,11 +52,11 @@ def notes(model: Model, array: NDArray[Any], *, planned: bool = True) -> list[st
 
 def _why_large(model: Model, array: NDArray[Any], planned: bool) -> str:
     """What takes the bytes of a model that is no smaller than its source, and what to do."""
-    numbers = sum(2 * level.numbers() for level in model.levels)
+    numbers = sum(level.number_bytes for level in model.levels)
     if 2 * numbers < array.nbytes:
         return "header and tables alone take some KiB. Next: compress more data as one array"
     fewer = ("give the plan smaller R or K, or a goal in its place" if planned else
-             "ask for less --snr, or leave noise as it is: it takes two bytes a number")
+             f"ask for less --snr, or leave noise as it is: it takes {BYTES[model.levels[-1].bits]} a number")
     return f"{numbers} are for cores and bases. Next: {fewer}"
 
 

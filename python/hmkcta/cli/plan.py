@@ -11,7 +11,7 @@ import click
 import numpy as np
 
 from ..axes import format_organisation, mode_sizes
-from ..encode import choose_plan
+from ..encode import choose_plan, of_bits
 from ..executors import thread_count
 from ..filesize import predicted_bytes
 from ..fit import EFFORTS
@@ -64,7 +64,7 @@ def given_plan(text: str, source: Source, goal: Goal) -> Plan:
     """The plan of --plan, as `compress` reads it."""
     organisation, scheme = source.organisation(goal.settings["organisation"]), goal.settings["scheme"]
     plan = parse_plan(text, organisation, "most" if scheme == "auto" else scheme)
-    plan = replace(plan, snr=goal.snr, size=goal.size)
+    plan = replace(plan, levels=of_bits(plan.levels, goal.settings["bits"]), snr=goal.snr, size=goal.size)
     check_plan(plan, mode_sizes(source.axes, organisation))
     return plan
 
