@@ -67,15 +67,16 @@ def test_every_flipped_bit_is_reported(small: bytes) -> None:
     assert verdict(data) is None
 
 
+@pytest.mark.parametrize("whole", [MERGED, MIXED], ids=["merged", "mixed"])
 @pytest.mark.parametrize("width", [1, 4, 16])
-def test_sliding_damage_is_reported(width: int) -> None:
+def test_sliding_damage_is_reported(width: int, whole: bytes) -> None:
     rng = np.random.default_rng(width)
-    for begin in range(0, len(MERGED) - width + 1, 41):
-        window = MERGED[begin:begin + width]
+    for begin in range(0, len(whole) - width + 1, 41):
+        window = whole[begin:begin + width]
         for new in (bytes(width), b"\xff" * width, rng.bytes(width), window[::-1]):
             if new == window:
                 continue
-            damaged = MERGED[:begin] + new + MERGED[begin + width:]
+            damaged = whole[:begin] + new + whole[begin + width:]
             assert verdict(damaged) is not None, (begin, new)
 
 

@@ -143,7 +143,7 @@ def _infos(levels: Sequence[PackedLevel], coords: Mapping[str, NDArray[Any]]) ->
 def _check_bytes(arrays: Mapping[str, NDArray[Any]], levels: Sequence[PackedLevel]) -> None:
     """The bytes of a level must stand for the very numbers that it holds."""
     for level, packed in enumerate(levels, 1):
-        for name, numbers in replace(packed, bits=16).coefficients() if packed.bits == 8 else ():
+        for name, numbers in packed.wide() if packed.bits == 8 else ():
             table = CORE_NUMBERS if name == "core" else BASIS_NUMBERS
             differ = widened(arrays[prefix(level) + name], table) != numbers
             if not differ.any():
