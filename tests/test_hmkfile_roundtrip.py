@@ -18,7 +18,19 @@ from safetensors import safe_open
 from safetensors.numpy import load as safetensors_load
 
 from hmkcta.axes import Axis
-from hmkcta.hmkfile import INLINE_COORDS, encode, encoded_size, load, loads, save
+from hmkcta.hmkfile import (
+    INLINE_COORDS,
+    coords_info,
+    coords_name,
+    encode,
+    encoded_size,
+    file_size,
+    level_schema,
+    load,
+    loads,
+    prefix,
+    save,
+)
 from hmkcta.hmkfile.metadata import to_json
 from hmkcta.hmkfile.schema import arrays_of
 from hmkcta.packed import LevelQuality, Metadata, PackedLevel
@@ -158,6 +170,21 @@ def test_order_on_disk(make: Callable[[], Model]) -> None:
     for entry in header.values():
         item = (entry["data_offsets"][1] - entry["data_offsets"][0]) // max(prod(entry["shape"]), 1)
         assert item == 0 or (8 + length + entry["data_offsets"][0]) % item == 0
+
+
+@pytest.mark.parametrize("make", [small_model, merged_model, eight_model, mixed_model])
+def test_the_schema_of_a_level_tells_types_and_size(make: Callable[[], Model]) -> None:
+    metadata, levels = make()
+    data = encoded((metadata, levels))
+    _, header = header_of(data)
+    infos = {name: coords_info(axis) for axis in metadata.axes if (name := coords_name(axis)) is not None}
+    for number, level in enumerate(levels, 1):
+        schema = level_schema(level.order, metadata.undecomposed, level.nodes, level.child is None, level.bits)
+        infos |= {(name := prefix(number) + part): info._replace(shape=tuple(header[name]["shape"]))
+                  for part, info in schema}
+    assert {name: info.dtype for name, info in infos.items()} == {
+        name: entry["dtype"] for name, entry in header.items() if name != "__metadata__"}
+    assert file_size(metadata, infos) == len(data)
 
 
 def payload(data: bytes) -> int:
