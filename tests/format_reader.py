@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import re
 import struct
 import zlib
 from collections.abc import Sequence
@@ -17,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 #: struct's letter and bytes of one number.
-TYPES = {"F16": ("e", 2), "F32": ("f", 4), "F64": ("d", 8), "U16": ("H", 2), "U32": ("I", 4)}
+TYPES = {"I8": ("b", 1), "F16": ("e", 2), "F32": ("f", 4), "F64": ("d", 8), "U16": ("H", 2), "U32": ("I", 4)}
 
 
 def flat(index: Sequence[int], sizes: Sequence[int]) -> int:
@@ -26,6 +27,14 @@ def flat(index: Sequence[int], sizes: Sequence[int]) -> int:
     for i, size in zip(index, sizes, strict=True):
         number = number * size + i
     return number
+
+
+def of_bytes(name: str, stored: Sequence[int]) -> tuple[float, ...]:
+    """Section 3, bytes: the numbers that those of a core or a basis stand for."""
+    if "/basis/" in name:
+        return tuple(q / 128 for q in stored)
+    assert name.endswith("/core")
+    return tuple(struct.unpack("<e", struct.pack("<e", q * abs(q) / 16129))[0] for q in stored)
 
 
 class Reader:
@@ -48,12 +57,24 @@ class Reader:
             assert self.metadata["arrays"].pop(name) == {
                 "dtype": entry["dtype"], "shape": entry["shape"], "crc32": zlib.crc32(raw),
             }  # fmt: skip
-            self.arrays[name], end = struct.unpack(f"<{count}{letter}", raw), last
+            numbers, end = struct.unpack(f"<{count}{letter}", raw), last
+            self.arrays[name] = of_bytes(name, numbers) if entry["dtype"] == "I8" else numbers
         assert not self.metadata["arrays"]
+        self._check_types(header)
         assert start + end == len(data)
         self.sizes = {axis["name"]: axis["size"] for axis in self.metadata["axes"]}
         self.modes: list[list[str]] = self.metadata["organisation"]
         self.undecomposed: list[int] = self.metadata["undecomposed"]
+
+    def _check_types(self, header: dict[str, Any]) -> None:
+        """Section 3, types: one for the numbers of a level, and after I8 no other."""
+        level_types = [
+            {entry["dtype"] for name, entry in header.items() if re.match(rf"level/{level}/(core$|basis/)", name)}
+            for level, _ in enumerate(self.metadata["levels"], 1)
+        ]
+        allowed = {"1.0": [{"F16"}], "1.1": [{"F16"}, {"I8"}]}[self.metadata["version"]]
+        assert all(types in allowed for types in level_types)
+        assert level_types == sorted(level_types, key=allowed.index)
 
     def value(self, index: Sequence[int], levels: int) -> float:
         """Section 4: one element, by its index in the source array, up to a level."""

@@ -79,6 +79,7 @@ class Kind:
     undecomposed: tuple[int, ...] = ()
     transform: str = "identity"
     levels: int = 3
+    eight_from: int | None = None  # level from which numbers are stored in eight bits
 
     def model(self, seed: int = 0) -> Model:
         """A random model of this kind, with nodes of different shapes, empty nodes and leaves above the last level."""
@@ -86,7 +87,7 @@ class Kind:
         organisation = self.organisation or tuple((axis.name,) for axis in axes)
         metadata, levels = random_model(
             np.random.default_rng(seed), mode_sizes(axes, organisation), self.levels, self.undecomposed, axes=axes,
-            organisation=organisation, shapes=Shapes(zero=0.1, leaf=0.2))
+            organisation=organisation, shapes=Shapes(zero=0.1, leaf=0.2), eight_from=self.eight_from)
         scaled = {} if self.transform in ("identity", "sqrt") else {"scale": 0.25}
         return Model(replace(metadata, transform={"name": self.transform, **scaled}), levels)
 
@@ -110,6 +111,7 @@ KINDS = (
     Kind("log1p", (6, 5, 4), transform="log1p"),
     Kind("asinh", (6, 5, 4), transform="asinh"),
     Kind("sqrt", (6, 5, 4), transform="sqrt"),
+    Kind("eight-bits", (5, 4, 6, 3), eight_from=2),
 )
 
 

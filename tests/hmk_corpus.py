@@ -17,7 +17,7 @@ TESTS = Path(__file__).parent
 CORPUS = TESTS / "corpus"
 FIXTURES = TESTS / "fixtures"
 
-_ITEM_SIZES = {"F16": 2, "F32": 4, "F64": 8, "U16": 2, "U32": 4}
+_ITEM_SIZES = {"I8": 1, "F16": 2, "F32": 4, "F64": 8, "U16": 2, "U32": 4}
 _U32_MAX = 2**32 - 1
 
 

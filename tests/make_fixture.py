@@ -1,7 +1,8 @@
 """Write the committed fixtures of the current format version; files that are there are never written again.
 
 Run as ``python tests/make_fixture.py`` after a new version is released. Later code must decode them to the values
-that were written down beside them, so they are evidence only as long as nobody regenerates them.
+that were written down beside them, so they are evidence only as long as nobody regenerates them. Those of version 1.0
+were made of `small_model` and `merged_model`.
 """
 
 from __future__ import annotations
@@ -42,6 +43,24 @@ def merged_model() -> tuple[Metadata, tuple[PackedLevel, ...]]:
     return replace(metadata, kind="svbrdf", source_dtype="float16"), levels
 
 
+def eight_model() -> tuple[Metadata, tuple[PackedLevel, ...]]:
+    """Two modes, one of them undecomposed, two levels, all numbers in eight bits."""
+    axes = (Axis("x", 5, "space", np.array([0.0, 0.5, 1.0, 2.5, 3.0]), "mm"), Axis("t", 3, "time"))
+    metadata, levels = random_model(np.random.default_rng(342), (5, 3), 2, (1,), axes=axes,
+                                    organisation=(("x",), ("t",)), eight_from=1,
+                                    shapes=Shapes(max_rank=2, zero=0.3, leaf=0.0))
+    return replace(metadata, kind="volume", seed=8), levels
+
+
+def mixed_model() -> tuple[Metadata, tuple[PackedLevel, ...]]:
+    """Four axes in three modes, one of them undecomposed, three levels, numbers in eight bits from level 2 on."""
+    axes = (Axis("light", 8, "light"), Axis("texel", 7, "space"), Axis("frame", 2, "time"), Axis("rgb", 3, "channel"))
+    organisation = (("light", "rgb"), ("texel",), ("frame",))
+    metadata, levels = random_model(np.random.default_rng(306), mode_sizes(axes, organisation), 3, (2,), axes=axes,
+                                    organisation=organisation, eight_from=2, shapes=Shapes(2, 2, 2, 4, 0.15, 0.25))
+    return replace(metadata, kind="svbrdf"), levels
+
+
 def expectations(metadata: Metadata, levels: tuple[PackedLevel, ...]) -> dict[str, Any]:
     """What a reader of any language must find: some elements up to each level, by section 4 of the specification."""
     sizes = mode_sizes(metadata.axes, metadata.organisation)
@@ -58,7 +77,7 @@ def write_fixtures(folder: Path) -> None:
     Raises:
         HmkctaError: ``output-exists``, as a fixture once written stays as it is.
     """
-    for name, model in (("small", small_model()), ("merged", merged_model())):
+    for name, model in (("eight", eight_model()), ("mixed", mixed_model())):
         path = folder / f"v{VERSION}-{name}.hmk"
         save(path, *model)
         path.with_suffix(".json").write_text(json.dumps(expectations(*model)) + "\n", encoding="utf-8")

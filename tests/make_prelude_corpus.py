@@ -50,6 +50,8 @@ CASES: tuple[tuple[Any, ...], ...] = (
     ("v1.0-merged.hmk", Options(picks=(3, 2, 2, 3), channels=3, contracted=(2,)), (0, 1, 2), 6),
     ("v1.0-merged.hmk", Options(picks=(3, 1, 1, 3), channels=3, contracted=(0, 1)), None),
     ("v1.0-merged.hmk", Options(picks=(3, 2, 2, 3), channels=3, contracted=(0,)), (0, 1, 2), 4),
+    ("v1.1-eight.hmk", Options(picks=(2, 2)), None),
+    ("v1.1-mixed.hmk", Options(picks=(3, 2, 2, 3), channels=3), None),
 )
 #: Options, and the modes that are taken to be undecomposed, of a single cell with other ranks than its file's.
 SINGLE: tuple[tuple[Options, tuple[int, ...]], ...] = (

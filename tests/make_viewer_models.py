@@ -14,8 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hmkcta import Axis, Model, compress, synthetic
+from hmkcta.narrow import BASIS_NUMBERS, CORE_NUMBERS, narrowed, widened
+from hmkcta.packed import F16, PackedLevel
 from hmkcta.render import Camera, Compare, Light, Look, Renderer, Scene, Surface, Viewpoint
 from hmkcta.render.layout import value_range
 
@@ -101,6 +104,29 @@ def volume() -> tuple[Model, Any]:
     return _compressed(synthetic.volume(size=12, frames=3), "R=2,5,5,5 / R=2,2,2,2 C=1,2,2,2 K=1,2,2,2")
 
 
+def volume_in_bytes() -> tuple[Model, Any]:
+    """The volume with its core and basis numbers in a byte each."""
+    model, values = volume()
+    return Model(model.metadata, [in_bytes(level) for level in model.levels]), values
+
+
+def in_bytes(level: PackedLevel) -> PackedLevel:
+    """A level of the nearest numbers that bytes stand for; the largest of each core is 1."""
+    core, scale = level.core.astype(np.float32), level.core_scale.copy()
+    for s in range(level.nodes):
+        cells = slice(int(level.cell_offset[s]), int(level.cell_offset[s + 1]))
+        cores = core[level.core_offset[s] : level.core_offset[s + 1]].reshape(scale[cells].size, -1)
+        largest = np.abs(cores).max(axis=1, initial=1e-30)
+        cores /= largest[:, None]
+        scale[cells] *= largest
+    basis = tuple(None if each is None else _nearest(each, BASIS_NUMBERS) for each in level.basis)
+    return replace(level, core=_nearest(core, CORE_NUMBERS), core_scale=scale, basis=basis, bits=8)
+
+
+def _nearest(values: NDArray[Any], numbers: F16) -> F16:
+    return widened(narrowed(values, numbers), numbers)
+
+
 def stack() -> tuple[Model, Any]:
     """Axes of no known role, with negative values, behind a value transform."""
     rng = np.random.default_rng(3)
@@ -125,7 +151,8 @@ def series() -> tuple[Model, Any]:
 
 
 MAKERS = {"material": material, "ageing": ageing, "merged": merged, "grids": grids,
-          "lightfield": light_field, "volume": volume, "stack": stack, "bare": bare, "series": series}
+          "lightfield": light_field, "volume": volume, "bytes": volume_in_bytes, "stack": stack, "bare": bare,
+          "series": series}
 
 
 def patch(path: Path) -> None:
@@ -162,6 +189,8 @@ def _cases() -> list[Case]:
              {"Focus": "1.5", "Aperture": "1", "Frame": "1.5"}),
         Case("lightfield-level-1", "lightfield", Scene(level=1), low),
         Case("volume", "volume", Scene()),
+        Case("volume-bytes", "bytes", Scene()),
+        Case("volume-bytes-level-1", "bytes", Scene(level=1), low),
         Case("volume-turned", "volume", Scene(camera=Camera(azimuth=50, elevation=33), time=2),
              {"Frame": "2"}, (-50, 20)),
         Case("volume-iso", "volume", Scene(volume=Look("iso", "viridis", iso=0.4), level=1),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import prod
 from typing import Any, TypeVar
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmkcta.axes import Axis, Organisation, name_axes, separate
+from hmkcta.narrow import BASIS_NUMBERS, CORE_NUMBERS, widened
 from hmkcta.packed import F16, U16, U32, LevelBounds, LevelQuality, Metadata, PackedLevel
 
 Sizes = tuple[int, ...]
@@ -48,10 +49,12 @@ class Node:
 
 def random_model(rng: np.random.Generator, sizes: Sequence[int], levels: int = 2, undecomposed: Sequence[int] = (), *,
                  shapes: Shapes = Shapes(), axes: tuple[Axis, ...] | None = None,
-                 organisation: Organisation | None = None) -> tuple[Metadata, tuple[PackedLevel, ...]]:
+                 organisation: Organisation | None = None, eight_from: int | None = None
+                 ) -> tuple[Metadata, tuple[PackedLevel, ...]]:
     """A random model of a tensor with these mode sizes; every choice the format leaves open is drawn from `rng`.
 
     The quality in the metadata is made up. With `axes` and `organisation` modes can be merged axes, of these sizes.
+    Core and basis numbers of the levels from `eight_from` on are stored in eight bits.
     """
     axes = axes if axes is not None else name_axes(sizes)
     packed: list[PackedLevel] = []
@@ -61,10 +64,21 @@ def random_model(rng: np.random.Generator, sizes: Sequence[int], levels: int = 2
                  for owned in rows]
         packed.append(_pack(nodes, len(sizes), undecomposed, last=level == levels))
         rows = [child for node in nodes for child in node.children]
+    if eight_from is not None:
+        packed[eight_from - 1:] = [_in_bytes(rng, level) for level in packed[eight_from - 1:]]
     quality = tuple(LevelQuality(float(snr), float(1 / snr), float(2 / snr)) for snr in 10.0 + 8.0 * np.arange(levels))
     metadata = Metadata("float32", axes, organisation or separate(axes), tuple(map(bounds_of, packed)),
                         tuple(undecomposed), quality=quality, source={"sha256": "0" * 64}, writer="random_models")
     return metadata, tuple(packed)
+
+
+def _in_bytes(rng: np.random.Generator, level: PackedLevel) -> PackedLevel:
+    """The level with core and basis numbers that bytes stand for, each byte as likely as any."""
+    def drawn(array: F16, numbers: F16) -> F16:
+        return widened(rng.integers(-128, 128, array.size, np.int8), numbers)
+
+    basis = tuple(None if array is None else drawn(array, BASIS_NUMBERS) for array in level.basis)
+    return replace(level, core=drawn(level.core, CORE_NUMBERS), basis=basis, bits=8)
 
 
 def bounds_of(level: PackedLevel) -> LevelBounds:

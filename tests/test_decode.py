@@ -163,7 +163,9 @@ def test_blocks_of_any_rows_equal_the_elements(seed: int, data: st.DataObject) -
     rng = np.random.default_rng(seed)
     sizes = tuple(data.draw(st.lists(st.integers(1, 9), min_size=1, max_size=4)))
     undecomposed = [n for n in range(len(sizes)) if rng.random() < 0.2]
-    _, levels = random_model(rng, sizes, data.draw(st.integers(1, 3)), undecomposed)
+    depth = data.draw(st.integers(1, 3))
+    eight_from = data.draw(st.none() | st.integers(1, depth))
+    _, levels = random_model(rng, sizes, depth, undecomposed, eight_from=eight_from)
     rows = [np.array(data.draw(st.lists(st.integers(0, size - 1), max_size=6)), np.int16) for size in sizes]
     coords = np.stack([axis.reshape(-1) for axis in np.meshgrid(*rows, indexing="ij")], axis=1)
     expected = decode_elements(levels, sizes, coords, dtype=np.float64).reshape([len(index) for index in rows])

@@ -11,6 +11,9 @@ import pytest
 import hmkcta
 from format_reader import Reader
 from hmkcta.hmkfile.metadata import TRANSFORMS
+from hmkcta.model import Model
+from literal_decode import element
+from random_models import Shapes, random_model
 
 SHAPE, AXES = (5, 4, 9, 8, 3), ("light", "view", "y", "x", "rgb")
 FORMAT = Path(__file__).parent.parent / "docs" / "format.md"
@@ -44,6 +47,22 @@ def test_a_reader_by_the_text_alone_agrees(options: dict[str, Any], tmp_path: Pa
         decoded = np.asarray(model.at_level(level))
         for index in rng.integers(0, SHAPE, (30, 5)).tolist():
             assert reader.value(index, level) == pytest.approx(float(decoded[tuple(index)]), abs=1e-5)
+
+
+@pytest.mark.parametrize("eight_from", [1, 2, 3])
+def test_a_reader_by_the_text_alone_agrees_on_bytes(eight_from: int, tmp_path: Path) -> None:
+    sizes, rng = (5, 4, 6), np.random.default_rng(eight_from)
+    model = Model(*random_model(rng, sizes, 3, (1,), shapes=Shapes(leaf=0.0, zero=0.0), eight_from=eight_from))
+    model.save(tmp_path / "a.hmk")
+    reader, opened = Reader(tmp_path / "a.hmk"), hmkcta.open(tmp_path / "a.hmk")
+    assert reader.metadata["version"] == "1.1"
+    for level in range(1, 4):
+        decoded = np.asarray(opened.at_level(level))
+        assert np.abs(decoded).max() > 0.1
+        for index in np.ndindex(*sizes):
+            value = reader.value(index, level)
+            assert value == pytest.approx(element(model.levels, index, level), abs=1e-9)
+            assert value == pytest.approx(float(decoded[index]), abs=1e-4)
 
 
 def test_the_text_says_how_every_transform_is_undone() -> None:

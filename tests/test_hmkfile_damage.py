@@ -20,6 +20,8 @@ from literal_decode import element
 
 SMALL = (FIXTURES / "v1.0-small.hmk").read_bytes()
 MERGED = (FIXTURES / "v1.0-merged.hmk").read_bytes()
+EIGHT = (FIXTURES / "v1.1-eight.hmk").read_bytes()
+MIXED = (FIXTURES / "v1.1-mixed.hmk").read_bytes()
 PYTHON = Path(__file__).parent.parent / "python"
 
 
@@ -32,7 +34,8 @@ def verdict(data: bytes | bytearray) -> HmkctaError | None:
     return None
 
 
-@pytest.mark.parametrize(("data", "step"), [(SMALL, 1), (MERGED, 7)], ids=["small", "merged"])
+@pytest.mark.parametrize(("data", "step"), [(SMALL, 1), (EIGHT, 1), (MERGED, 7), (MIXED, 7)],
+                         ids=["small", "eight", "merged", "mixed"])
 def test_every_truncation_is_insufficient_data(data: bytes, step: int) -> None:
     for size in range(0, len(data), step):
         error = verdict(data[:size])
@@ -49,9 +52,10 @@ def test_truncated_and_empty_files(tmp_path: Path) -> None:
         assert caught.value.kind is Kind.INSUFFICIENT_DATA
 
 
-def test_every_flipped_bit_is_reported() -> None:
-    assert 4096 <= len(SMALL) <= 8192
-    data = bytearray(SMALL)
+@pytest.mark.parametrize("small", [SMALL, EIGHT], ids=["small", "eight"])
+def test_every_flipped_bit_is_reported(small: bytes) -> None:
+    assert 4096 <= len(small) <= 8192
+    data = bytearray(small)
     unnoticed: list[tuple[int, int]] = []
     for position in range(len(data)):
         for bit in range(8):
@@ -63,15 +67,16 @@ def test_every_flipped_bit_is_reported() -> None:
     assert verdict(data) is None
 
 
+@pytest.mark.parametrize("whole", [MERGED, MIXED], ids=["merged", "mixed"])
 @pytest.mark.parametrize("width", [1, 4, 16])
-def test_sliding_damage_is_reported(width: int) -> None:
+def test_sliding_damage_is_reported(width: int, whole: bytes) -> None:
     rng = np.random.default_rng(width)
-    for begin in range(0, len(MERGED) - width + 1, 41):
-        window = MERGED[begin:begin + width]
+    for begin in range(0, len(whole) - width + 1, 41):
+        window = whole[begin:begin + width]
         for new in (bytes(width), b"\xff" * width, rng.bytes(width), window[::-1]):
             if new == window:
                 continue
-            damaged = MERGED[:begin] + new + MERGED[begin + width:]
+            damaged = whole[:begin] + new + whole[begin + width:]
             assert verdict(damaged) is not None, (begin, new)
 
 
@@ -82,19 +87,20 @@ def test_extra_byte_is_reported() -> None:
         assert error.reason == "trailing-bytes"
 
 
+@pytest.mark.parametrize(("base", "sizes"), [(MERGED, (72, 6, 2)), (MIXED, (24, 7, 2))], ids=["merged", "mixed"])
 @pytest.mark.parametrize("seed", range(3))
-def test_forged_files_are_refused_or_decode(seed: int) -> None:
+def test_forged_files_are_refused_or_decode(seed: int, base: bytes, sizes: tuple[int, ...]) -> None:
     """With checksums made anew, whatever the reader takes must decode everywhere to finite numbers."""
     rng = np.random.default_rng(seed)
-    parts = Parts.split(MERGED)
-    sizes = (72, 6, 2)
+    parts = Parts.split(base)
     for _ in range(120):
         forged = Parts(parts.header, parts.text, dict(parts.arrays))
         for name in rng.choice([name for name in parts.arrays if name.startswith("level")], int(rng.integers(1, 3))):
             dtype, shape, data = forged.arrays[name]
             numbers = np.frombuffer(data, NUMPY_TYPES[dtype]).copy()
             at = int(rng.integers(numbers.size))
-            numbers[at] = rng.choice([0, 1, 2, numbers[at] + 1, numbers[int(rng.integers(numbers.size))]])
+            other = int(rng.integers(numbers.size))
+            numbers[at] = rng.choice([0, 1, 2, (numbers[at:at + 1] + numbers.dtype.type(1))[0], numbers[other]])
             forged.arrays[name] = (dtype, shape, numbers.tobytes())
             forged.record(name)
         try:

@@ -14,14 +14,17 @@ import pytest
 from hmk_corpus import FIXTURES
 from hmkcta.axes import mode_sizes
 from hmkcta.errors import HmkctaError
-from hmkcta.hmkfile import load
+from hmkcta.hmkfile import VERSION, encode, load
+from hmkcta.packed import Metadata, PackedLevel
 from literal_decode import element
-from make_fixture import write_fixtures
+from make_fixture import eight_model, mixed_model, write_fixtures
 
 #: SHA-256 of every committed fixture: a fixture that changes is no evidence any more.
 DIGESTS = {
     "v1.0-merged.hmk": "33f8c3adaf1f4db36abf82b8d01b72814f4bfd7a0340271bd06f2ad132dd3fd9",
     "v1.0-small.hmk": "d69c92e8e0f00e017123e3b499e2df2e28ade57a25853e8db7b25f2e4e4a2d56",
+    "v1.1-eight.hmk": "805998aebb4956ab83967db51ad6aafe336158f1bfb2276e2c69a1d2de25cca6",
+    "v1.1-mixed.hmk": "36f0ef600a09e11d39c3a0a6cbc4ae7b3f07187674c000f521fcd13b2c695825",
 }
 
 
@@ -40,6 +43,20 @@ def test_fixture_decodes_to_its_expectations(name: str) -> None:
     assert [level.numbers() for level in levels] == expected["numbers"]
     found = [[element(levels, index, upto) for upto in range(1, len(levels) + 1)] for index in expected["indices"]]
     np.testing.assert_allclose(found, expected["values"], rtol=1e-12, atol=1e-13)
+
+
+@pytest.mark.parametrize(("name", "bits"), [("v1.0-merged", [16] * 3), ("v1.1-eight", [8, 8]),
+                                            ("v1.1-mixed", [16, 8, 8])])
+def test_fixtures_of_bytes_have_them(name: str, bits: list[int]) -> None:
+    _, levels = load(FIXTURES / f"{name}.hmk")
+    assert [level.bits for level in levels] == bits
+    assert all(level.core.dtype == np.float16 and not level.core.flags.writeable for level in levels)
+
+
+@pytest.mark.parametrize("model", [eight_model(), mixed_model()], ids=["eight", "mixed"])
+def test_fixtures_of_the_newest_version_are_written_as_they_are(model: tuple[Metadata, tuple[PackedLevel, ...]]
+                                                                ) -> None:
+    assert b"".join(encode(*model)) in [path.read_bytes() for path in FIXTURES.glob(f"v{VERSION}-*.hmk")]
 
 
 def test_merged_fixture_has_every_kind_of_node() -> None:
@@ -61,4 +78,4 @@ def test_generator_refuses_to_overwrite(tmp_path: Path) -> None:
     with pytest.raises(HmkctaError) as caught:
         write_fixtures(tmp_path)
     assert caught.value.reason == "output-exists"
-    assert sorted(os.listdir(tmp_path)) == sorted(path.name for path in FIXTURES.glob("v1.0-*"))
+    assert sorted(os.listdir(tmp_path)) == sorted(path.name for path in FIXTURES.glob(f"v{VERSION}-*"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import fields, replace
 from math import inf, prod
 from pathlib import Path
@@ -17,11 +18,23 @@ from safetensors import safe_open
 from safetensors.numpy import load as safetensors_load
 
 from hmkcta.axes import Axis
-from hmkcta.hmkfile import INLINE_COORDS, encode, encoded_size, load, loads, save
+from hmkcta.hmkfile import (
+    INLINE_COORDS,
+    coords_info,
+    coords_name,
+    encode,
+    encoded_size,
+    file_size,
+    level_schema,
+    load,
+    loads,
+    prefix,
+    save,
+)
 from hmkcta.hmkfile.metadata import to_json
 from hmkcta.hmkfile.schema import arrays_of
 from hmkcta.packed import LevelQuality, Metadata, PackedLevel
-from make_fixture import merged_model, small_model
+from make_fixture import eight_model, merged_model, mixed_model, small_model
 from random_models import Shapes, random_model
 
 Model = tuple[Metadata, tuple[PackedLevel, ...]]
@@ -35,7 +48,9 @@ def models(draw: st.DrawFn) -> Model:
     shapes = draw(st.builds(Shapes, st.integers(1, 3), st.integers(1, 3), st.integers(1, 3), st.just(8),
                             st.sampled_from([0.0, 0.3]), st.sampled_from([0.0, 0.3])))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    return random_model(rng, sizes, draw(st.integers(1, 3)), undecomposed, shapes=shapes)
+    levels = draw(st.integers(1, 3))
+    eight_from = draw(st.none() | st.integers(1, levels))
+    return random_model(rng, sizes, levels, undecomposed, shapes=shapes, eight_from=eight_from)
 
 
 def encoded(model: Model) -> bytes:
@@ -61,8 +76,8 @@ def assert_equal(found: Any, expected: Any) -> None:
     if isinstance(expected, tuple):
         for one, other in zip(found, cast("tuple[Any, ...]", expected), strict=True):
             assert_equal(one, other)
-    elif expected is None:
-        assert found is None
+    elif expected is None or isinstance(expected, int):
+        assert found == expected
     else:
         assert (found.dtype, found.shape) == (expected.dtype, expected.shape)
         assert found.tobytes() == expected.tobytes()
@@ -112,6 +127,15 @@ def test_loaded_arrays_are_read_only(tmp_path: Path) -> None:
         levels[0].core[0] = 0
 
 
+def test_safetensors_opens_bytes() -> None:
+    _, levels = model = mixed_model()
+    found: dict[str, NDArray[Any]] = safetensors_load(encoded(model))
+    assert {name: array.dtype for name, array in found.items() if name.endswith("/core")} == {
+        "level/1/core": np.float16, "level/2/core": np.int8, "level/3/core": np.int8}
+    for name, array in arrays_of(levels, {}).items():
+        assert_equal(found[name], array)
+
+
 def test_safetensors_opens_it(tmp_path: Path) -> None:
     metadata, levels = merged_model()
     save(tmp_path / "a.hmk", metadata, levels)
@@ -132,19 +156,61 @@ def header_of(data: bytes) -> tuple[int, dict[str, Any]]:
     return length, json.loads(data[8:8 + length])
 
 
-def test_order_on_disk() -> None:
-    data = encoded(merged_model())
+@pytest.mark.parametrize("make", [merged_model, eight_model, mixed_model])
+def test_order_on_disk(make: Callable[[], Model]) -> None:
+    data = encoded(make())
     length, header = header_of(data)
     del header["__metadata__"]
     names = list(header)
     kinds = ["tables 4" if header[name]["dtype"] in ("U32", "F32") else header[name]["dtype"] for name in names]
-    assert kinds == sorted(kinds, key=["tables 4", "U16", "F16"].index)
-    numbers = [name for name in names if header[name]["dtype"] == "F16"]
+    assert kinds == sorted(kinds, key=["tables 4", "U16", "F16", "I8"].index)
+    numbers = [name for name in names if header[name]["dtype"] in ("F16", "I8")]
     assert [name.split("/")[1] for name in numbers] == sorted(name.split("/")[1] for name in numbers)
     assert length % 8 == 0
     for entry in header.values():
         item = (entry["data_offsets"][1] - entry["data_offsets"][0]) // max(prod(entry["shape"]), 1)
         assert item == 0 or (8 + length + entry["data_offsets"][0]) % item == 0
+
+
+@pytest.mark.parametrize("make", [small_model, merged_model, eight_model, mixed_model])
+def test_the_schema_of_a_level_tells_types_and_size(make: Callable[[], Model]) -> None:
+    metadata, levels = make()
+    data = encoded((metadata, levels))
+    _, header = header_of(data)
+    infos = {name: coords_info(axis) for axis in metadata.axes if (name := coords_name(axis)) is not None}
+    for number, level in enumerate(levels, 1):
+        schema = level_schema(level.order, metadata.undecomposed, level.nodes, level.child is None, level.bits)
+        infos |= {(name := prefix(number) + part): info._replace(shape=tuple(header[name]["shape"]))
+                  for part, info in schema}
+    assert {name: info.dtype for name, info in infos.items()} == {
+        name: entry["dtype"] for name, entry in header.items() if name != "__metadata__"}
+    assert file_size(metadata, infos) == len(data)
+
+
+def payload(data: bytes) -> int:
+    """Bytes of a file's arrays."""
+    return len(data) - 8 - header_of(data)[0]
+
+
+@pytest.mark.parametrize(("eight_from", "version"), [(None, "1.0"), (1, "1.1"), (2, "1.1")])
+def test_the_version_is_the_oldest_that_has_what_is_needed(eight_from: int | None, version: str) -> None:
+    plain = random_model(np.random.default_rng(0), (4, 5), 2)
+    model = random_model(np.random.default_rng(0), (4, 5), 2, eight_from=eight_from)
+    data = encoded(model)
+    assert json.loads(header_of(data)[1]["__metadata__"]["hmkcta"])["version"] == version
+    saved = sum(level.numbers() for level in model[1] if level.bits == 8)
+    assert payload(encoded(plain)) - payload(data) == saved
+
+
+def test_bytes_are_the_nearest_numbers() -> None:
+    level = random_model(np.random.default_rng(1), (9, 8), 1, shapes=Shapes(3, 1, 3, 9), eight_from=1)[1][0]
+    stored = dict(level.coefficients())
+    assert {array.dtype for array in stored.values()} == {np.dtype(np.int8)}
+    for (name, bytes_), exact in zip(stored.items(), (level.core, *level.basis), strict=True):
+        assert exact is not None
+        q = bytes_.astype(np.float64)
+        expected = q * np.abs(q) / 127**2 if name == "core" else q / 128
+        np.testing.assert_array_equal(exact, expected.astype(np.float16))
 
 
 def test_exact_reconstruction_is_null() -> None:

@@ -18,7 +18,7 @@ from hmkcta.axes import Axis
 from hmkcta.errors import HmkctaError, Kind
 from hmkcta.hmkfile import Limits, encode, load, save
 from hmkcta.packed import LevelQuality, Metadata, PackedLevel
-from make_fixture import merged_model, small_model
+from make_fixture import eight_model, merged_model, small_model
 
 TESTS = Path(__file__).parent
 
@@ -134,6 +134,12 @@ def with_level(index: int, **arrays: Any) -> tuple[Metadata, tuple[PackedLevel, 
     return metadata, tuple(replace(level, **arrays) if n == index else level for n, level in enumerate(levels))
 
 
+def with_eight(index: int, **changes: Any) -> tuple[Metadata, tuple[PackedLevel, ...]]:
+    """The model in bytes with one level changed."""
+    metadata, levels = eight_model()
+    return metadata, tuple(replace(level, **changes) if n == index else level for n, level in enumerate(levels))
+
+
 def with_metadata(**values: Any) -> tuple[Metadata, tuple[PackedLevel, ...]]:
     """The small model with some metadata replaced."""
     metadata, levels = small_model()
@@ -151,6 +157,11 @@ INVALID: dict[str, tuple[Callable[[], tuple[Metadata, tuple[PackedLevel, ...]]],
     "core too short": (lambda: with_level(0, core=np.zeros(17, np.float16)), "offset-end"),
     "core of two dimensions": (lambda: with_level(0, core=np.zeros((3, 6), np.float16)), "array-shape"),
     "core is infinite": (lambda: with_level(0, core=np.full(18, np.inf, np.float16)), "not-finite"),
+    "core is bytes": (lambda: with_level(0, core=np.zeros(18, np.int8)), "array-dtype"),
+    "core in bytes is float32": (lambda: with_eight(0, core=np.zeros(18, np.float32)), "array-dtype"),
+    "core in bytes is infinite": (lambda: with_eight(1, core=np.full(15, np.inf, np.float16)), "not-finite"),
+    "core in bytes is none of them": (lambda: with_eight(0, core=np.full(18, 0.3, np.float16)), "array-dtype"),
+    "float16 after bytes": (lambda: with_eight(1, bits=16), "array-dtype"),
     "child missing": (lambda: with_level(0, child=None), "array-missing"),
     "child at the last level": (lambda: with_level(1, child=np.zeros(4, np.uint32)), "array-unexpected"),
     "level missing": (lambda: without_last(*small_model()), "array-missing"),

@@ -49,7 +49,9 @@ def models(draw: st.DrawFn) -> tuple[tuple[int, ...], Levels]:
     shapes = Shapes(draw(st.integers(1, 4)), draw(st.integers(1, 3)), draw(st.integers(1, 9 if order < 4 else 4)),
                     draw(st.sampled_from([1, 4, 12, 30])))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    return sizes, random_model(rng, sizes, draw(st.integers(1, 3)), undecomposed, shapes=shapes)[1]
+    depth = draw(st.integers(1, 3))
+    eight_from = draw(st.none() | st.integers(1, depth))
+    return sizes, random_model(rng, sizes, depth, undecomposed, shapes=shapes, eight_from=eight_from)[1]
 
 
 def some_model(name: str) -> tuple[tuple[int, ...], Levels]:

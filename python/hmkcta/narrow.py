@@ -17,8 +17,9 @@ I8 = NDArray[np.int8]
 
 #: Bits of a number that a level may store.
 BITS = (16, 8)
-#: The largest byte that is written.
+#: The largest byte that is made of a number, but for the number of byte -128.
 LARGEST = 127
+_LEAST = -128
 
 _BYTES = np.arange(256, dtype=np.uint8).view(np.int8).astype(np.float64)
 #: The number of each byte, by its bits: of a basis, and of a core before its factor.
@@ -40,10 +41,13 @@ def widened(stored: I8, numbers: F16) -> F16:
 def narrowed(values: NDArray[Any], numbers: F16) -> I8:
     """For every value the byte whose number is nearest; those of `LARGEST` for all beyond it.
 
+    Only the very number of byte -128, which other writers may use, becomes that byte.
+
     >>> narrowed(np.array([-2.0, -0.2, 0.0, 0.003, 1.0]), CORE_NUMBERS).tolist()
     [-127, -57, 0, 7, 127]
     """
     ascending = numbers[: LARGEST + 1].astype(np.float64)
     between = (ascending[1:] + ascending[:-1]) / 2
     sizes = np.searchsorted(between, np.abs(np.asarray(values, np.float64)), side="right").astype(np.int8)
-    return np.where(np.signbit(values), -sizes, sizes).astype(np.int8)
+    least = np.asarray(values) == numbers[-_LEAST]
+    return np.where(least, _LEAST, np.where(np.signbit(values), -sizes, sizes)).astype(np.int8)

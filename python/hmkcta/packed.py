@@ -81,13 +81,16 @@ class PackedLevel:
             )
             yield from ((f"{name}/{n}", array) for name, array in per_mode if array is not None)
 
+    def wide(self) -> Iterator[tuple[str, F16]]:
+        """Names (without ``level/<l>/``) and arrays of the core and basis numbers, as decoders take them."""
+        yield "core", self.core
+        yield from ((f"basis/{n}", basis) for n, basis in enumerate(self.basis) if basis is not None)
+
     def coefficients(self) -> Iterator[tuple[str, F16 | I8]]:
-        """Names (without ``level/<l>/``) and arrays of the core and basis numbers, as the file has them."""
-        eight = self.bits == 8
-        yield "core", narrowed(self.core, CORE_NUMBERS) if eight else self.core
-        for n, basis in enumerate(self.basis):
-            if basis is not None:
-                yield f"basis/{n}", narrowed(basis, BASIS_NUMBERS) if eight else basis
+        """The same as the file has them: of eight bits the bytes."""
+        for name, array in self.wide():
+            numbers = CORE_NUMBERS if name == "core" else BASIS_NUMBERS
+            yield name, narrowed(array, numbers) if self.bits == 8 else array
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import { join } from "node:path";
 import { crc32 } from "node:zlib";
 
 const TESTS = join(import.meta.dirname, "..", "..", "tests");
-const ITEM_SIZES: Record<string, number> = { F16: 2, F32: 4, F64: 8, U16: 2, U32: 4 };
+const ITEM_SIZES: Record<string, number> = { I8: 1, F16: 2, F32: 4, F64: 8, U16: 2, U32: 4 };
 
 interface Edit {
   op: string;

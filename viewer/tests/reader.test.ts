@@ -4,6 +4,8 @@ import { readFileSync } from "node:fs";
 import { join } from "node:path";
 import { describe, expect, it } from "vitest";
 import { DEFAULT_LIMITS } from "../src/reader/limits";
+import { halfBits, halfValues } from "../src/reader/half";
+import { BASIS_NUMBERS, CORE_NUMBERS } from "../src/reader/narrow";
 import { Reading, loads } from "../src/reader/read";
 import { asProblem } from "../src/problem";
 import { HmkError, REASONS } from "../src/reader/reasons";
@@ -51,8 +53,8 @@ it("has the reasons of the specification", () => {
     new Set([...REASONS].map(([code, { kind, sentence }]) => String([code, kind, sentence]))));
 });
 
-describe("damage", () => {
-  const small = bytes("v1.0-small.hmk");
+describe.each(["v1.0-small.hmk", "v1.1-eight.hmk"])("damage of %s", (name) => {
+  const small = bytes(name);
 
   it("reports every truncation as such", () => {
     for (let size = 0; size < small.length; size += 1) {
@@ -76,8 +78,8 @@ describe("damage", () => {
   }, 120_000);
 });
 
-describe("reading in parts", () => {
-  const file = bytes("v1.0-merged.hmk");
+describe.each(["v1.0-merged.hmk", "v1.1-eight.hmk", "v1.1-mixed.hmk"])("reading in parts: %s", (name) => {
+  const file = bytes(name);
   const length = Number(new DataView(file.buffer).getBigUint64(0, true));
 
   /** The file as it is after its first `end` bytes have come: zeros behind them. */
@@ -97,11 +99,49 @@ describe("reading in parts", () => {
     expect(reading.levelEnd(reading.metadata.levels.length)).toBe(file.length);
   });
 
+  it("has in each level the numbers of the whole file", () => {
+    const reading = new Reading(file.subarray(8, 8 + length), file.length);
+    const memory = arrived(reading.tablesEnd);
+    reading.readTables(memory);
+    loads(file).levels.forEach((level, l) => {
+      const { core } = reading.levels[l]!; // what a decoder has at hand from the first
+      expect(core).not.toEqual(level.core);
+      memory.set(file.subarray(0, reading.levelEnd(l + 1)));
+      reading.readLevel(l + 1, memory);
+      expect(reading.levels[l]).toEqual(level);
+      expect(core).toEqual(level.core);
+    });
+  });
+
   it("notices a level that is not there yet", () => {
     const reading = new Reading(file.subarray(8, 8 + length), file.length);
     reading.readTables(arrived(reading.tablesEnd));
     const error = verdict(() => reading.readLevel(1, arrived(reading.levelEnd(1) - 1)));
     expect(error?.reason).toBe("array-crc");
+  });
+});
+
+describe("bytes", () => {
+  const values = halfValues();
+
+  it.each<[string, Uint16Array, (byte: number) => number]>([
+    ["basis", BASIS_NUMBERS, (byte) => byte / 128],
+    ["core", CORE_NUMBERS, (byte) => (byte * Math.abs(byte)) / 16129],
+  ])("stand for the nearest half-precision numbers in a %s", (_, table, exact) => {
+    expect(table).toHaveLength(256);
+    for (let byte = -128; byte < 128; byte += 1) {
+      const bits = table[byte & 255]!;
+      const off = (pattern: number): number => Math.abs(values[pattern]! - exact(byte));
+      expect(bits & 0x8000, `sign of ${byte}`).toBe(byte < 0 ? 0x8000 : 0);
+      expect(off(bits), `byte ${byte}`).toBeLessThan(byte === 0 ? 1e-9 : Math.min(off(bits - 1), off(bits + 1)));
+    }
+  });
+
+  it("is the inverse of the value of a pattern, with ties to even", () => {
+    for (let bits = 0x0400; bits < 0x4000; bits += 1) {
+      expect(halfBits(values[bits]!)).toBe(bits);
+      expect(halfBits((values[bits]! + values[bits + 1]!) / 2)).toBe(bits + (bits & 1));
+    }
   });
 });
 

@@ -17,7 +17,7 @@ from .limits import Limits
 from .reasons import fault
 
 #: Bytes of one number of each type that a file may hold.
-ITEM_SIZES = {"F16": 2, "F32": 4, "F64": 8, "U16": 2, "U32": 4}
+ITEM_SIZES = {"I8": 1, "F16": 2, "F32": 4, "F64": 8, "U16": 2, "U32": 4}
 
 #: The two keys of the safetensors metadata.
 TEXT_KEY = "hmkcta"

@@ -22,9 +22,10 @@ from .fields import SAFE_INTEGER, Json, as_integer, as_list, as_map, as_number, 
 from .header import ITEM_SIZES, parse_shape
 from .limits import Limits, check_limit
 from .reasons import fault
-from .schema import TYPE_NAMES, ArrayInfo
+from .schema import NUMBER_TYPES, TYPE_NAMES, ArrayInfo, version_of
 
-VERSION = "1.0"
+#: The newest version that is read and written; a file without what is new in it has an older one.
+VERSION = list(NUMBER_TYPES)[-1]
 KINDS = ("svbrdf", "lightfield", "volume", "generic")
 SOURCE_DTYPES = ("bool", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64",
                  "float16", "float32", "float64")
@@ -56,6 +57,7 @@ class Parsed:
     """Metadata as parsed: coordinates that are arrays are still missing from the axes, `coords` names them."""
 
     metadata: Metadata
+    version: str
     arrays: dict[str, ArrayRecord]
     coords: dict[int, str]
 
@@ -100,7 +102,7 @@ def coords_info(axis: Axis) -> ArrayInfo:
 def to_json(metadata: Metadata, arrays: Mapping[str, ArrayRecord]) -> dict[str, Any]:
     """The JSON object of the metadata and of the records of a file's arrays."""
     return {
-        "version": VERSION, "source_dtype": metadata.source_dtype,
+        "version": version_of(record.dtype for record in arrays.values()), "source_dtype": metadata.source_dtype,
         "axes": [axis_to_json(axis) for axis in metadata.axes],
         "organisation": [list(mode) for mode in metadata.organisation],
         "levels": [{"C": _integers(level.clusters), "K": _integers(level.mixture), "R": _integers(level.ranks),
@@ -145,10 +147,10 @@ def from_json(value: Json, limits: Limits) -> Parsed:
     root = "hmkcta"
     check_sizes(value, root, limits)
     version = as_map(value, root).get("version")
-    if isinstance(version, str) and version != VERSION:
-        raise fault("version-unknown", f"{root}.version", repr(version), VERSION, "update hmkcta")
+    if isinstance(version, str) and version not in NUMBER_TYPES:
+        raise fault("version-unknown", f"{root}.version", repr(version), " or ".join(NUMBER_TYPES), "update hmkcta")
     fields = as_object(value, root, _FIELDS)
-    as_text(fields["version"], f"{root}.version")
+    version = as_text(fields["version"], f"{root}.version")
     axes, coords = _parse_axes(fields["axes"], f"{root}.axes", limits)
     organisation = _parse_organisation(fields["organisation"], f"{root}.organisation", axes, limits)
     sizes = mode_sizes(axes, organisation)
@@ -162,7 +164,7 @@ def from_json(value: Json, limits: Limits) -> Parsed:
         as_map(fields["source"], f"{root}.source"), as_text(fields["writer"], f"{root}.writer"),
         as_integer(fields["seed"], f"{root}.seed"),
     )
-    return Parsed(metadata, _parse_arrays(fields["arrays"], f"{root}.arrays"), coords)
+    return Parsed(metadata, version, _parse_arrays(fields["arrays"], f"{root}.arrays"), coords)
 
 
 def _parse_axes(value: Json, where: str, limits: Limits) -> tuple[tuple[Axis, ...], dict[int, str]]:

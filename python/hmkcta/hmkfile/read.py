@@ -31,7 +31,7 @@ Loaded: TypeAlias = tuple[Metadata, tuple[PackedLevel, ...]]
 
 
 def load(path: str | os.PathLike[str], *, verify: bool = True, limits: Limits = DEFAULT_LIMITS) -> Loaded:
-    """Read a file. Its arrays are read-only views of the memory-mapped file.
+    """Read a file. Its arrays are read-only views of the memory-mapped file; numbers of eight bits are widened.
 
     Args:
         path: a regular file.
@@ -67,7 +67,7 @@ def loads(data: bytes | bytearray | mmap.mmap, *, verify: bool = True, limits: L
     parsed = from_json(parse_json(header.text, TEXT_KEY, limits), limits)
     infos = {name: ArrayInfo(entry.dtype, entry.shape) for name, entry in header.entries.items()}
     _check_records(parsed.arrays, infos)
-    check_schema(parsed.metadata, parsed.coords, infos, limits)
+    check_schema(parsed.metadata, parsed.version, parsed.coords, infos, limits)
     check_order(list(infos), infos)
     if verify:
         _verify(view, header, parsed)

@@ -32,7 +32,7 @@ _CORRUPTION = {
     "array-size": "The byte range of an array is not its shape times its item size.",
     "array-gap": "The byte ranges of the arrays leave a gap or overlap.",
     "array-alignment": "An array does not start at a multiple of its item size.",
-    "array-order": "An F16 array stands before a table, or before the F16 arrays of a lower level.",
+    "array-order": "Core or basis numbers stand before a table, or before those of a lower level.",
     "trailing-bytes": "Bytes follow the last array.",
     "array-missing": "An array that must be there is absent.",
     "array-unexpected": "An array is there that must not be.",

@@ -5,20 +5,26 @@ The names are those of `docs/format.md`, section 3, with ``level/<l>/`` before t
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..axes import MOST_COORDS
+from ..narrow import BASIS_NUMBERS, CORE_NUMBERS, F16, widened
 from ..packed import Metadata, PackedLevel
 from .limits import Limits, check_limit
 from .reasons import fault
 
-NUMPY_TYPES = {"F16": "<f2", "F32": "<f4", "F64": "<f8", "U16": "<u2", "U32": "<u4"}
+NUMPY_TYPES = {"I8": "i1", "F16": "<f2", "F32": "<f4", "F64": "<f8", "U16": "<u2", "U32": "<u4"}
 TYPE_NAMES = {np.dtype(code): name for name, code in NUMPY_TYPES.items()}
 _RAGGED = -1  # a length that the tables decide
+
+#: The number types that core and basis numbers may have, by the version of the file; the newest version comes last.
+NUMBER_TYPES: Mapping[str, tuple[str, ...]] = {"1.0": ("F16",), "1.1": ("F16", "I8")}
+#: All of them: no table has one.
+NUMBERS = ("F16", "I8")
 
 
 class ArrayInfo(NamedTuple):
@@ -37,10 +43,21 @@ def prefix(level: int) -> str:
     return f"level/{level}/"
 
 
-def level_schema(order: int, undecomposed: Sequence[int], nodes: int, last: bool) -> Iterator[tuple[str, ArrayInfo]]:
+def version_of(dtypes: Iterable[str]) -> str:
+    """The oldest version that has these number types.
+
+    >>> version_of(["U32", "F16"]), version_of(["U32", "I8"])
+    ('1.0', '1.1')
+    """
+    needed = set(dtypes).intersection(NUMBERS)
+    return next(version for version, types in NUMBER_TYPES.items() if needed.issubset(types))
+
+
+def level_schema(order: int, undecomposed: Sequence[int], nodes: int, last: bool, bits: int = 16
+                 ) -> Iterator[tuple[str, ArrayInfo]]:
     """Names (without prefix) and infos of the arrays of a level with S = `nodes`; -1 for a ragged length.
 
-    Those of one number type come in the order of the file.
+    Core and basis numbers have so many `bits`. Arrays of one number type come in the order of the file.
 
     >>> sum(1 for _ in level_schema(4, (), 12, last=False)), sum(1 for _ in level_schema(4, (3,), 12, last=True))
     (34, 21)
@@ -49,34 +66,41 @@ def level_schema(order: int, undecomposed: Sequence[int], nodes: int, last: bool
     yield "shape", ArrayInfo("U32", (nodes, 3, order))
     if not last:
         yield "child", offsets
-    yield from (("core", ArrayInfo("F16", ragged)), ("core_offset", offsets))
+    numbers = ArrayInfo("I8" if bits == 8 else "F16", ragged)
+    yield from (("core", numbers), ("core_offset", offsets))
     yield from (("cell_offset", offsets), ("core_scale", ArrayInfo("F32", ragged)))
     for n in range(order):
         yield f"row_offset/{n}", offsets
         if n in undecomposed:
             continue
         yield from ((f"cluster/{n}", indices), (f"cluster_offset/{n}", offsets))
-        yield from ((f"basis/{n}", ArrayInfo("F16", ragged)), (f"basis_offset/{n}", offsets))
+        yield from ((f"basis/{n}", numbers), (f"basis_offset/{n}", offsets))
         if not last:
             yield from ((f"part/{n}", indices), (f"local/{n}", ArrayInfo("U32", ragged)))
 
 
-#: The number type of each array of a level, by its name without level and mode.
+#: The number type of each array of a level in memory, by its name without level and mode.
 LEVEL_TYPES = {name.split("/")[0]: info.dtype for name, info in level_schema(1, (), 0, last=False)}
 
 
-def check_schema(metadata: Metadata, coords: Mapping[int, str], arrays: Mapping[str, ArrayInfo], limits: Limits
-                 ) -> None:
-    """The arrays must be exactly those that the metadata calls for; `coords` names coordinate arrays by axis number."""
+def check_schema(metadata: Metadata, version: str, coords: Mapping[int, str], arrays: Mapping[str, ArrayInfo],
+                 limits: Limits) -> None:
+    """The arrays must be exactly those that the metadata calls for; `coords` names coordinate arrays by axis number.
+
+    Where the version has bytes, the type of a level's core is that of its bases; no F16 follows a level of bytes.
+    """
     expected: dict[str, ArrayInfo] = {}
-    order, depth, nodes = len(metadata.organisation), len(metadata.levels), 0
+    order, depth, nodes, bits = len(metadata.organisation), len(metadata.levels), 0, 16
     for level in range(1, depth + 1):
         name = prefix(level) + "shape"
         _require(name, arrays)
         count = arrays[name].shape[0] if arrays[name].shape else 0
         nodes += count
         check_limit("nodes-limit", name, nodes, limits.nodes)
-        schema = level_schema(order, metadata.undecomposed, count, level == depth)
+        core = arrays.get(prefix(level) + "core")
+        if core is not None and core.dtype == "I8" and "I8" in NUMBER_TYPES[version]:
+            bits = 8
+        schema = level_schema(order, metadata.undecomposed, count, level == depth, bits)
         expected.update((prefix(level) + part, info) for part, info in schema)
     for name, info in expected.items():
         _require(name, arrays)
@@ -113,7 +137,7 @@ def _check_info(name: str, found: ArrayInfo, dtypes: tuple[str, ...], shape: tup
 
 
 def arrays_of(levels: Sequence[PackedLevel], coords: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Names and arrays in the order of the file: 8-byte, 4-byte and 2-byte tables, coordinates first, then F16 arrays.
+    """Names and arrays in the order of the file: 8-byte, 4-byte and 2-byte tables, coordinates first, then numbers.
 
     Each kind goes level by level.
     """
@@ -128,12 +152,12 @@ def in_file_order(arrays: Mapping[str, ArrayInfo]) -> dict[str, ArrayInfo]:
 
 
 def _turn(dtype: np.dtype[Any]) -> int:
-    """Longer items first keeps every array aligned without padding; the numbers, F16, come last."""
-    return 0 if dtype.type is np.float16 else -dtype.itemsize
+    """Longer items first keeps every array aligned without padding; core and basis numbers come last."""
+    return 0 if TYPE_NAMES.get(dtype.newbyteorder("<")) in NUMBERS else -dtype.itemsize
 
 
 def level_of(arrays: Mapping[str, NDArray[Any]], level: int, order: int) -> PackedLevel:
-    """The packed level made of a file's arrays, which `check_schema` has let through."""
+    """The packed level made of a file's arrays, which `check_schema` has let through; bytes become their numbers."""
     def get(name: str) -> NDArray[Any]:
         return arrays[prefix(level) + name]
 
@@ -143,22 +167,32 @@ def level_of(arrays: Mapping[str, NDArray[Any]], level: int, order: int) -> Pack
     def modes(name: str) -> tuple[NDArray[Any] | None, ...]:
         return tuple(find(f"{name}/{n}") for n in range(order))
 
+    narrow = get("core").dtype == np.int8
+    core = _numbers(get("core"), CORE_NUMBERS) if narrow else get("core")
+    bases = tuple(_numbers(basis, BASIS_NUMBERS) if narrow and basis is not None else basis for basis in modes("basis"))
     return PackedLevel(
         shape=get("shape"), child=find("child"), row_offset=tuple(get(f"row_offset/{n}") for n in range(order)),
-        core=get("core"), core_offset=get("core_offset"), core_scale=get("core_scale"), cell_offset=get("cell_offset"),
-        cluster=modes("cluster"), cluster_offset=modes("cluster_offset"), basis=modes("basis"),
-        basis_offset=modes("basis_offset"), part=modes("part"), local=modes("local"),
+        core=core, core_offset=get("core_offset"), core_scale=get("core_scale"), cell_offset=get("cell_offset"),
+        cluster=modes("cluster"), cluster_offset=modes("cluster_offset"), basis=bases,
+        basis_offset=modes("basis_offset"), part=modes("part"), local=modes("local"), bits=8 if narrow else 16,
     )
 
 
+def _numbers(stored: NDArray[Any], numbers: F16) -> F16:
+    """What bytes stand for, as unchangeable as the views of the file that other arrays are."""
+    wide = widened(stored, numbers)
+    wide.setflags(write=False)
+    return wide
+
+
 def check_order(names: Sequence[str], infos: Mapping[str, ArrayInfo]) -> None:
-    """In file order, all tables come before the F16 arrays, which go level by level."""
+    """In file order, all tables come before core and basis numbers, which go level by level."""
     level = 0
     for name in names:
         if 0 in infos[name].shape:
             continue  # an empty array stands nowhere in particular
-        this = int(name.split("/")[1]) if infos[name].dtype == "F16" else 0
+        this = int(name.split("/")[1]) if infos[name].dtype in NUMBERS else 0
         if this < level:
-            raise fault("array-order", name, f"after an F16 array of level {level}",
-                        "tables first, then F16 arrays level by level")
+            raise fault("array-order", name, f"after core or basis numbers of level {level}",
+                        "tables first, then core and basis numbers level by level")
         level = max(level, this)

@@ -7,6 +7,7 @@ import os
 import zlib
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from math import prod
 from typing import Any, TypeAlias, cast
 
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import HmkctaError, Kind, invalid
+from ..narrow import BASIS_NUMBERS, CORE_NUMBERS, widened
 from ..packed import Metadata, PackedLevel
 from ..plan import SCHEMES
 from .header import ITEM_SIZES, TEXT_KEY, format_header, format_json
@@ -22,7 +24,7 @@ from .metadata import ArrayRecord, coords_array, coords_name, to_json
 from .publish import check_output, published
 from .read import loads
 from .reasons import fault
-from .schema import LEVEL_TYPES, NUMPY_TYPES, TYPE_NAMES, ArrayInfo, arrays_of, in_file_order
+from .schema import LEVEL_TYPES, NUMBERS, NUMPY_TYPES, TYPE_NAMES, ArrayInfo, arrays_of, in_file_order, prefix
 
 Piece: TypeAlias = bytes | memoryview
 
@@ -37,9 +39,10 @@ def encode(metadata: Metadata, levels: Sequence[PackedLevel]) -> list[Piece]:
         HmkctaError: `InvalidArgument` where the model holds something that has no place in a file at all.
     """
     with _as_invalid_argument():
-        coords = {name: coords_array(axis) for axis in metadata.axes if (name := coords_name(axis)) is not None}
+        coords = _coords(metadata)
+        infos = _infos(levels, coords)
         arrays = arrays_of(levels, coords)
-        infos = {name: _info(name, array) for name, array in arrays.items()}
+        _check_bytes(arrays, levels)
         pieces = [_bytes_of(array, infos[name].dtype) for name, array in arrays.items()]
         records = {name: ArrayRecord(*infos[name], zlib.crc32(piece))
                    for name, piece in zip(arrays, pieces, strict=True)}
@@ -53,8 +56,7 @@ def encode(metadata: Metadata, levels: Sequence[PackedLevel]) -> list[Piece]:
 def encoded_size(metadata: Metadata, levels: Sequence[PackedLevel]) -> int:
     """Exact number of bytes of the file that `save` writes; neither checksums nor quality change it."""
     with _as_invalid_argument():
-        coords = {name: coords_array(axis) for axis in metadata.axes if (name := coords_name(axis)) is not None}
-        return file_size(metadata, {name: _info(name, array) for name, array in arrays_of(levels, coords).items()})
+        return file_size(metadata, _infos(levels, _coords(metadata)))
 
 
 def file_size(metadata: Metadata, arrays: Mapping[str, ArrayInfo]) -> int:
@@ -122,6 +124,33 @@ def _metadata_text(metadata: Metadata, records: dict[str, ArrayRecord], *, wides
         return text
     except (TypeError, ValueError, RecursionError) as error:
         raise fault("field-type", TEXT_KEY, error, "strings, finite numbers, lists and objects") from error
+
+
+def _coords(metadata: Metadata) -> dict[str, NDArray[Any]]:
+    """The coordinates that are arrays."""
+    return {name: coords_array(axis) for axis in metadata.axes if (name := coords_name(axis)) is not None}
+
+
+def _infos(levels: Sequence[PackedLevel], coords: Mapping[str, NDArray[Any]]) -> dict[str, ArrayInfo]:
+    """Number types and shapes in the order of the file, for which no number is narrowed."""
+    wide = arrays_of([replace(packed, bits=16) for packed in levels], coords)
+    infos = {name: _info(name, array) for name, array in wide.items()}
+    narrow = tuple(prefix(level) for level, packed in enumerate(levels, 1) if packed.bits == 8)
+    return {name: info._replace(dtype="I8") if info.dtype in NUMBERS and name.startswith(narrow) else info
+            for name, info in infos.items()}
+
+
+def _check_bytes(arrays: Mapping[str, NDArray[Any]], levels: Sequence[PackedLevel]) -> None:
+    """The bytes of a level must stand for the very numbers that it holds."""
+    for level, packed in enumerate(levels, 1):
+        for name, numbers in packed.wide() if packed.bits == 8 else ():
+            table = CORE_NUMBERS if name == "core" else BASIS_NUMBERS
+            differ = widened(arrays[prefix(level) + name], table) != numbers
+            if not differ.any():
+                continue
+            found = numbers[differ][0]
+            raise fault("array-dtype" if np.isfinite(found) else "not-finite", prefix(level) + name, found,
+                        "numbers that a byte stands for")
 
 
 def _info(name: str, array: NDArray[Any]) -> ArrayInfo:

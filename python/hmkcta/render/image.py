@@ -66,7 +66,7 @@ def pack_image(levels: Sequence[PackedLevel]) -> Image:
     nodes = np.cumsum([0, *(level.nodes * record for level in levels)])
     rows = np.cumsum([nodes[-1], *(_row_words(level, n) for level in levels for n in range(level.order))])
     scales = np.cumsum([rows[-1], *(level.core_scale.size for level in levels)])
-    arrays = [[array for _, array in level.coefficients()] for level in levels]
+    arrays = [[array for _, array in level.wide()] for level in levels]
     halves = [[-(-array.size // 2) for array in level] for level in arrays]
     coefficients = np.cumsum([scales[-1], *(sum(level) for level in halves)])
     if coefficients[-1] >= _MOST_WORDS:

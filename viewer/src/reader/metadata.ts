@@ -6,7 +6,10 @@ import type { Json } from "./json";
 import { type Limits, checkLimit } from "./limits";
 import { fault } from "./reasons";
 
-const VERSION = "1.0";
+/** The number types that core and basis numbers may have, by the version of the file. */
+export const NUMBER_TYPES: Record<Version, readonly Dtype[]> = { "1.0": ["F16"], "1.1": ["F16", "I8"] };
+const VERSIONS = ["1.0", "1.1"] as const;
+export type Version = (typeof VERSIONS)[number];
 const KINDS = ["svbrdf", "lightfield", "volume", "generic"] as const;
 const ROLES = ["space", "view", "light", "time", "channel", "other"] as const;
 const SCHEMES = ["most", "least", "uniform"] as const;
@@ -80,6 +83,7 @@ export interface ArrayRecord {
 /** Metadata as parsed: `coords` names the coordinate arrays by axis number, which the axes still lack. */
 export interface Parsed {
   metadata: Metadata;
+  version: Version;
   records: Map<string, ArrayRecord>;
   coords: Map<number, string>;
 }
@@ -89,11 +93,11 @@ export function parseMetadata(value: Json, limits: Limits): Parsed {
   const root = "hmkcta";
   checkSizes(value, root, limits);
   const version = asMap(value, root).get("version");
-  if (typeof version === "string" && version !== VERSION) {
-    throw fault("version-unknown", `${root}.version`, version, VERSION, "use a viewer that is as new as the file");
+  if (typeof version === "string" && !VERSIONS.some((known) => known === version)) {
+    throw fault("version-unknown", `${root}.version`, version, VERSIONS.join(" or "), "use a viewer that is as new as the file");
   }
   const fields = asObject(value, root, FIELDS);
-  asText(fields.version, `${root}.version`);
+  const known = asOneOf(fields.version, `${root}.version`, VERSIONS);
   const { axes, coords } = parseAxes(fields.axes, `${root}.axes`, limits);
   const organisation = parseOrganisation(fields.organisation, `${root}.organisation`, axes, limits);
   const size = new Map(axes.map((axis) => [axis.name, axis.size]));
@@ -109,7 +113,7 @@ export function parseMetadata(value: Json, limits: Limits): Parsed {
     writer: (asMap(fields.source, `${root}.source`), asText(fields.writer, `${root}.writer`)),
   };
   asInteger(fields.seed, `${root}.seed`);
-  return { metadata, records: parseRecords(fields.arrays, `${root}.arrays`), coords };
+  return { metadata, version: known, records: parseRecords(fields.arrays, `${root}.arrays`), coords };
 }
 
 function parseAxes(value: Json, where: string, limits: Limits): { axes: Axis[]; coords: Map<number, string> } {

@@ -3,7 +3,8 @@
 /**
  * The arrays of one level with S nodes of a tensor with N modes; null where the format leaves an array out.
  *
- * Lists are indexed by mode. Half-precision numbers are kept as their 16-bit patterns, as they go to the GPU.
+ * Lists are indexed by mode. Half-precision numbers are kept as their 16-bit patterns, as they go to the GPU; those that
+ * the file has in a byte each are kept so too (`narrow.ts`).
  */
 export interface PackedLevel {
   nodes: number;

@@ -2,8 +2,8 @@
  * Read a file: nothing is believed before it is checked, and no damage goes unnoticed.
  *
  * `Reading` takes the file in the order of its bytes, so that level 1 can be shown while the rest is on its way:
- * header, tables, then the F16 arrays level by level. `loads` does the same with a whole file at hand, in the order
- * of checks that `docs/format.md`, section 8, fixes for all readers.
+ * header, tables, then core and basis numbers level by level. `loads` does the same with a whole file at hand, in the
+ * order of checks that `docs/format.md`, section 8, fixes for all readers.
  */
 
 import { checkReach, checkTables, largestFinite, levelReach } from "./check";
@@ -14,7 +14,9 @@ import { DEFAULT_LIMITS, type Limits } from "./limits";
 import { type Coords, type Metadata, type Parsed, parseMetadata } from "./metadata";
 import type { PackedLevel } from "./packed";
 import { fault } from "./reasons";
-import { type TypedArray, checkOrder, checkRecords, checkSchema, levelOf, viewOf } from "./schema";
+import {
+  type TypedArray, checkOrder, checkRecords, checkSchema, isNumbers, levelOf, viewOf, widenLevel,
+} from "./schema";
 import type { Geometry } from "./tables";
 
 export interface Model {
@@ -22,7 +24,7 @@ export interface Model {
   levels: PackedLevel[];
 }
 
-/** Read a whole file that is in memory; its arrays become views of `bytes`. */
+/** Read a whole file that is in memory; its arrays become views of `bytes`, but for numbers that are widened. */
 export function loads(bytes: Uint8Array<ArrayBuffer>, limits: Limits = DEFAULT_LIMITS): Model {
   const length = headerLength(bytes, bytes.length, limits);
   const reading = new Reading(bytes.subarray(LENGTH_BYTES, LENGTH_BYTES + length), bytes.length, limits);
@@ -55,12 +57,12 @@ export class Reading {
 
   /** Bytes from the start of the file after which all tables are there. */
   get tablesEnd(): number {
-    return this.endOf((_, entry) => entry.dtype !== "F16");
+    return this.endOf((_, entry) => !isNumbers(entry));
   }
 
   /** Bytes from the start of the file after which a level and all before it are there. */
   levelEnd(level: number): number {
-    return this.endOf((name, entry) => entry.dtype !== "F16" || Number(name.split("/")[1]) <= level);
+    return this.endOf((name, entry) => !isNumbers(entry) || Number(name.split("/")[1]) <= level);
   }
 
   private endOf(wanted: (name: string, entry: Entry) => boolean): number {
@@ -91,12 +93,9 @@ export class Reading {
   /** Check all tables; `file` is the memory of the whole file, filled at least up to `tablesEnd`. */
   readTables(file: Uint8Array<ArrayBuffer>, verify = true): void {
     if (verify) {
-      this.verify(file, this.names((_, entry) => entry.dtype !== "F16"));
+      this.verify(file, this.names((_, entry) => !isNumbers(entry)));
     }
-    const array = (name: string): TypedArray | null => {
-      const entry = this.header.entries.get(name);
-      return entry === undefined ? null : viewOf(file, this.header.dataStart, entry);
-    };
+    const array = this.arraysIn(file);
     for (const [n, name] of this.parsed.coords) {
       const values = array(name) as Coords["values"];
       largestFinite(values, name);
@@ -107,14 +106,22 @@ export class Reading {
     this.geometries = checkTables(this.metadata, this.levels);
   }
 
-  /** Check the F16 arrays of a level, in order from level 1; its bytes must be there. */
+  /** Check the core and basis numbers of a level, in order from level 1; its bytes must be there. */
   readLevel(level: number, file: Uint8Array<ArrayBuffer>, verify = true): void {
     if (verify) {
-      this.verify(file, this.names((name, entry) => entry.dtype === "F16" && name.startsWith(`level/${level}/`)));
+      this.verify(file, this.names((name, entry) => isNumbers(entry) && name.startsWith(`level/${level}/`)));
     }
     const geometry = this.geometries[level - 1]!;
+    widenLevel(geometry.packed, this.arraysIn(file), level);
     this.reach += levelReach(geometry);
     checkReach(this.reach, geometry);
+  }
+
+  private arraysIn(file: Uint8Array<ArrayBuffer>): (name: string) => TypedArray | null {
+    return (name) => {
+      const entry = this.header.entries.get(name);
+      return entry === undefined ? null : viewOf(file, this.header.dataStart, entry);
+    };
   }
 
   private names(wanted: (name: string, entry: Entry) => boolean): string[] {

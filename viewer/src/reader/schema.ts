@@ -2,31 +2,39 @@
 
 import type { Dtype, Entry } from "./header";
 import { type Limits, checkLimit } from "./limits";
-import { type ArrayRecord, MAX_COORD_DIMENSIONS, type Parsed } from "./metadata";
+import { type ArrayRecord, MAX_COORD_DIMENSIONS, NUMBER_TYPES, type Parsed } from "./metadata";
+import { BASIS_NUMBERS, CORE_NUMBERS, widen } from "./narrow";
 import type { PackedLevel } from "./packed";
 import { fault } from "./reasons";
 
 const RAGGED = -1;
 
 type Info = { dtype: Dtype; shape: number[] };
-export type TypedArray = Float32Array | Float64Array | Uint16Array | Uint32Array;
+export type TypedArray = Float32Array | Float64Array | Int8Array | Uint16Array | Uint32Array;
+
+/** Whether an array holds core or basis numbers: no table is of these types. */
+export function isNumbers(entry: Entry): boolean {
+  return entry.dtype === "F16" || entry.dtype === "I8";
+}
 
 /** Names (without prefix) and infos of the arrays of a level with S = `nodes`; -1 for a ragged length. */
-function levelSchema(order: number, undecomposed: number[], nodes: number, last: boolean): [string, Info][] {
+function levelSchema(
+  order: number, undecomposed: number[], nodes: number, last: boolean, numbers: Dtype,
+): [string, Info][] {
   const offsets: Info = { dtype: "U32", shape: [nodes + 1] };
   const ragged = (dtype: Dtype): Info => ({ dtype, shape: [RAGGED] });
   const result: [string, Info][] = [["shape", { dtype: "U32", shape: [nodes, 3, order] }]];
   if (!last) {
     result.push(["child", offsets]);
   }
-  result.push(["core", ragged("F16")], ["core_offset", offsets], ["core_scale", ragged("F32")], ["cell_offset", offsets]);
+  result.push(["core", ragged(numbers)], ["core_offset", offsets], ["core_scale", ragged("F32")], ["cell_offset", offsets]);
   for (let n = 0; n < order; n += 1) {
     result.push([`row_offset/${n}`, offsets]);
     if (undecomposed.includes(n)) {
       continue;
     }
     result.push([`cluster/${n}`, ragged("U16")], [`cluster_offset/${n}`, offsets]);
-    result.push([`basis/${n}`, ragged("F16")], [`basis_offset/${n}`, offsets]);
+    result.push([`basis/${n}`, ragged(numbers)], [`basis_offset/${n}`, offsets]);
     if (!last) {
       result.push([`part/${n}`, ragged("U16")], [`local/${n}`, ragged("U32")]);
     }
@@ -55,18 +63,27 @@ export function checkRecords(records: Map<string, ArrayRecord>, entries: Map<str
   }
 }
 
-/** The arrays must be exactly those that the metadata calls for. */
+/**
+ * The arrays must be exactly those that the metadata calls for.
+ *
+ * Where the version has bytes, the type of a level's core is that of its bases; no F16 follows a level of bytes.
+ */
 export function checkSchema(parsed: Parsed, entries: Map<string, Entry>, limits: Limits): void {
-  const { metadata, coords } = parsed;
+  const { metadata, coords, version } = parsed;
+  const { modeSizes, undecomposed } = metadata;
   const expected = new Map<string, Info>();
   const depth = metadata.levels.length;
   let nodes = 0;
+  let numbers: Dtype = "F16";
   for (let level = 1; level <= depth; level += 1) {
     const name = `level/${level}/shape`;
     const count = required(name, entries).shape[0] ?? 0;
     nodes += count;
     checkLimit("nodes-limit", name, nodes, limits.nodes);
-    for (const [part, info] of levelSchema(metadata.modeSizes.length, metadata.undecomposed, count, level === depth)) {
+    if (entries.get(`level/${level}/core`)?.dtype === "I8" && NUMBER_TYPES[version].includes("I8")) {
+      numbers = "I8";
+    }
+    for (const [part, info] of levelSchema(modeSizes.length, undecomposed, count, level === depth, numbers)) {
       expected.set(`level/${level}/${part}`, info);
     }
   }
@@ -109,17 +126,17 @@ function checkInfo(name: string, found: Info, dtypes: Dtype[], shape: number[]):
   }
 }
 
-/** In file order, all tables come before the F16 arrays, which go level by level. */
+/** In file order, all tables come before core and basis numbers, which go level by level. */
 export function checkOrder(entries: Map<string, Entry>): void {
   let level = 0;
   for (const [name, entry] of entries) {
     if (entry.shape.includes(0)) {
       continue; // an empty array stands nowhere in particular
     }
-    const its = entry.dtype === "F16" ? Number(name.split("/")[1]) : 0;
+    const its = isNumbers(entry) ? Number(name.split("/")[1]) : 0;
     if (its < level) {
-      throw fault("array-order", name, `after an F16 array of level ${level}`,
-        "tables first, then F16 arrays level by level");
+      throw fault("array-order", name, `after core or basis numbers of level ${level}`,
+        "tables first, then core and basis numbers level by level");
     }
     level = Math.max(level, its);
   }
@@ -127,7 +144,9 @@ export function checkOrder(entries: Map<string, Entry>): void {
 
 /** The array of an entry, as a view of the file's bytes. */
 export function viewOf(file: Uint8Array<ArrayBuffer>, dataStart: number, entry: Entry): TypedArray {
-  const types = { F16: Uint16Array, F32: Float32Array, F64: Float64Array, U16: Uint16Array, U32: Uint32Array };
+  const types = {
+    I8: Int8Array, F16: Uint16Array, F32: Float32Array, F64: Float64Array, U16: Uint16Array, U32: Uint32Array,
+  };
   const type = types[entry.dtype];
   if (entry.begin === entry.end) {
     return new type(0);
@@ -136,7 +155,11 @@ export function viewOf(file: Uint8Array<ArrayBuffer>, dataStart: number, entry: 
     (entry.end - entry.begin) / type.BYTES_PER_ELEMENT);
 }
 
-/** The packed level made of a file's arrays, which `checkSchema` has let through. */
+/**
+ * The packed level made of a file's arrays, which `checkSchema` has let through.
+ *
+ * Where its core and basis numbers are bytes, there is room for what they stand for, which `widenLevel` fills.
+ */
 export function levelOf(array: (name: string) => TypedArray | null, level: number, order: number): PackedLevel {
   const find = <Type extends TypedArray>(name: string): Type | null => array(`level/${level}/${name}`) as Type | null;
   const get = <Type extends TypedArray>(name: string): Type => {
@@ -146,14 +169,32 @@ export function levelOf(array: (name: string) => TypedArray | null, level: numbe
     }
     return found;
   };
+  const numbers = (stored: Uint16Array | Int8Array): Uint16Array =>
+    (stored instanceof Int8Array ? new Uint16Array(stored.length) : stored);
+  const bases = (n: number): Uint16Array | null => {
+    const stored = find<Uint16Array | Int8Array>(`basis/${n}`);
+    return stored === null ? null : numbers(stored);
+  };
   const modes = Array.from({ length: order }, (_, n) => n);
   const coreOffset = get<Uint32Array>("core_offset");
   return {
     order, coreOffset, nodes: coreOffset.length - 1,
     shape: get("shape"), child: find("child"), rowOffset: modes.map((n) => get(`row_offset/${n}`)),
-    core: get("core"), coreScale: get("core_scale"), cellOffset: get("cell_offset"),
+    core: numbers(get("core")), coreScale: get("core_scale"), cellOffset: get("cell_offset"),
     cluster: modes.map((n) => find(`cluster/${n}`)), clusterOffset: modes.map((n) => find(`cluster_offset/${n}`)),
-    basis: modes.map((n) => find(`basis/${n}`)), basisOffset: modes.map((n) => find(`basis_offset/${n}`)),
+    basis: modes.map(bases), basisOffset: modes.map((n) => find(`basis_offset/${n}`)),
     part: modes.map((n) => find(`part/${n}`)), local: modes.map((n) => find(`local/${n}`)),
   };
+}
+
+/** Fill a level of bytes with the numbers that they stand for. */
+export function widenLevel(packed: PackedLevel, array: (name: string) => TypedArray | null, level: number): void {
+  const fill = (name: string, numbers: Uint16Array, into: Uint16Array | null): void => {
+    const stored = array(`level/${level}/${name}`);
+    if (stored instanceof Int8Array && into !== null) {
+      widen(stored, numbers, into);
+    }
+  };
+  fill("core", CORE_NUMBERS, packed.core);
+  packed.basis.forEach((basis, n) => fill(`basis/${n}`, BASIS_NUMBERS, basis));
 }
