@@ -41,7 +41,7 @@ goal_options = together(
                  help="Of values: log1p[:scale], asinh[:scale], sqrt."),
     nan_option,
     click.option("--bits", type=click.Choice(["8", "16"]), metavar="N",
-                 help="Of each stored number, 8 or 16 (as suits the goal; 16 for a --plan that says nothing)."),
+                 help="Of a stored number: 8 or 16 (as suits the goal)."),
     click.option("--seed", type=Count(0), default=0, metavar="N", help="One seed makes one file (0)."),
     click.option("--threads", type=Count(1), metavar="N", help="Threads (all cores, never more)."),
     memory_option,

@@ -101,8 +101,8 @@ def as_text(report: dict[str, Any], verbose: bool) -> str:
     levels = table(
         ["level", "R", "C", "K", "bits", "subdivision", "nodes", "empty", "clusters", "empty", "SNR dB",
          *(f"SNR of {name}" for name in domain), "RMSE", "max error", "size"],
-        [[str(level["level"]), *(",".join(map(str, level[key])) for key in "RCK"), str(level["bits"]), level["subdivision"],
-          str(level["nodes"]), str(level["nodes_that_carry_nothing"]),
+        [[str(level["level"]), *(",".join(map(str, level[key])) for key in "RCK"), str(level["bits"]),
+          level["subdivision"], str(level["nodes"]), str(level["nodes_that_carry_nothing"]),
           str(level["clusters"]), str(level["clusters_that_carry_nothing"]),
           decibels(level["snr_db"]), *(decibels_or_unknown(level["transformed_snr_db"]) for _ in domain),
           f"{level['rmse']:.4g}", f"{level['max_abs_error']:.4g}",
