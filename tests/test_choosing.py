@@ -212,7 +212,7 @@ def judged(monkeypatch: pytest.MonkeyPatch, array: NDArray[np.floating], **goal:
         return worths(trial, *what)
 
     monkeypatch.setattr(Trial, "worths", counted)
-    choose_plan(array, **goal)  # pyright: ignore[reportArgumentType]
+    choose_plan(array, bits=16, **goal)  # pyright: ignore[reportArgumentType]
     return seen
 
 

@@ -49,7 +49,7 @@ WITHIN = {
         ("caps", "cut"),
         ("trial",),
         ("judging",),
-        ("climbing", "clustered"),
+        ("climbing", "clustered", "number_bits"),
         ("tuning",),
     ),
     "decode": (("scattered",), ("cells",), ("dense",)),

@@ -8,7 +8,7 @@ the end local PCA (`clustered.py`). For an SNR they are judged as for a size: by
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import product
@@ -30,6 +30,7 @@ from .caps import Room, capped, check_room, room_of
 from .climbing import SURELY_WORSE, WORTHWHILE, climbed
 from .clustered import with_clusters
 from .judging import CARES, Choice, Ranked, Search, worth_of
+from .number_bits import of_bits
 from .organisations import merges, organisations
 from .trial import OUT_OF_REACH, VERBATIM, trial_of
 
@@ -52,9 +53,6 @@ OTHER = 2.5
 ROUNDED = 12.0
 #: Within so many dB of float16's own error plans for a size are alike: then by the bytes that they take to so many dB.
 ALIKE, EXACT = 1.0, 100.0
-#: Up to so many dB bytes leave next to nothing more than float16 numbers, and from so many on too much. Between them
-#: both are looked at; where bytes end a race with more than so much, they are left to fits.
-BYTES_DO, BYTES_HARDLY_DO, BYTES_FALL_SHORT = 38.0, 42.0, 52.0
 #: For a size so many candidates that are judged so near the best are fitted, too, of arrays of so many elements.
 NEAR, BESIDE, FITTED = 2, 0.5, 1 << 24
 #: Further plans for an SNR; where all are short of it by so many dB, the bytes to judge by are found anew.
@@ -92,7 +90,7 @@ def tune(
     held = not is_streamed(elements, workset_limit(memory))
     search = Search(trial, trial, plain, run.threads, care, together, care.matrices // 2 if held else 0)
     look = partial(_searched, progress=run.progress, narrow=snr is not None)
-    search, worth, best = _of_bits(search, look, bits, organisation is not None)
+    search, worth, best = of_bits(search, look, bits, organisation is not None)
     if trial.ceiling is None and worth > -10 * log10(VERBATIM) - ALIKE:
         search = search.anew(replace(search.goal, ceiling=EXACT))
         worth, best = look(search, organisation is not None, inf)
@@ -114,23 +112,6 @@ def tune(
         spare = [] if source.value_transform.name == "identity" else [found, *search.rivals]
     plans = [plan_of(source, each, snr, size, decode_cost) for each in (best, *spare)]
     return _held(plans, source, room_of(elements, memory))  # anew, as what is free varies
-
-
-def _of_bits(
-    search: Search, look: Callable[[Search, bool, float], tuple[float, Candidate]], bits: int | None, fixed: bool
-) -> tuple[Search, float, Candidate]:
-    """The best candidate whose numbers have so many bits, of a fixed organisation or any.
-
-    None: eight bits, or where what these leave tells, sixteen, which are looked at with the organisation of the best.
-    """
-    ceiling = inf if search.goal.ceiling is None else search.goal.ceiling
-    first = bits or (16 if BYTES_FALL_SHORT < ceiling < inf else 8)
-    narrow = search.anew(replace(search.goal, bits=first))
-    found = narrow, *look(narrow, fixed, BYTES_HARDLY_DO if bits is None and first == 8 else inf)
-    if bits is not None or first == 16 or min(found[1], ceiling) < BYTES_DO:
-        return found
-    wide = replace(search.anew(replace(search.goal, bits=16)), plain=found[2].organisation)
-    return max(found, (wide, *look(wide, True, inf)), key=lambda each: each[1])
 
 
 def _searched(
