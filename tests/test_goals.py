@@ -44,10 +44,10 @@ def measured(model: Model, name: str) -> float:
 # SNR
 
 GOALS: list[tuple[str, float, str, float]] = [
-    ("material", 22.0, "identity", OVERSHOOT),
-    ("material", 25.0, "log1p", OVERSHOOT),
+    ("material", 22.0, "identity", STEP),
+    ("material", 25.0, "log1p", 3 * STEP),  # a rank more of four, in a file of 8 KB
     ("volume", 25.0, "identity", STEP),
-    ("volume", 30.0, "log1p", OVERSHOOT),
+    ("volume", 30.0, "log1p", STEP),
     ("light_field", 30.0, "identity", STEP),
     ("volume", 32.0, "identity", STEP),
     ("light_field", 28.0, "sqrt", STEP),
@@ -310,7 +310,7 @@ def test_where_a_plan_misses_its_snr_another_is_tried(monkeypatch: pytest.Monkey
 
     monkeypatch.setattr("hmkcta.rivals.follow", weak)
     with pytest.warns(UserWarning, match=r"a plan chosen for 40 dB came to 2\d\.\d+: another is tried, R="):
-        model = fitted("material", snr=40.0)
+        model = fitted("material", snr=40.0, bits=16)
     assert model.snr >= 40
     assert [len(plan.levels) for plan in followed] == [1, 2]
 

@@ -107,9 +107,9 @@ def test_no_fit_is_wasted_where_ranks_are_large_steps(monkeypatch: pytest.Monkey
 
 def test_small_arrays_choose_among_numbers_of_blocks() -> None:
     """With the blocks that look best on their own, 28 dB take 24,044 bytes and come out as 28.57 dB."""
-    plan = choose_plan(dataset().values, axes=dataset().axes, snr=28.0, threads=1)
+    plan = choose_plan(dataset().values, axes=dataset().axes, snr=28.0, bits=16, threads=1)
     assert plan.levels[0].fewest
-    model = fitted(snr=28.0)
+    model = fitted(snr=28.0, bits=16)
     assert 28 <= model.snr <= 28.3
     assert model.nbytes < 23_000
 
@@ -120,8 +120,8 @@ def test_far_beyond_its_goal_a_plan_is_tried_with_other_blocks(
 ) -> None:
     monkeypatch.setattr("hmkcta.encode.SMALL", 0)
     monkeypatch.setattr("hmkcta.finer.USED", 1.0)
-    plain = fitted(plan=choose_plan(dataset().values, axes=dataset().axes, threads=1, **goal))
-    model = fitted(**goal)
+    plain = fitted(plan=choose_plan(dataset().values, axes=dataset().axes, threads=1, bits=16, **goal))
+    model = fitted(bits=16, **goal)
     if "snr" in goal:
         assert plain.snr > 28.5
         assert 28 <= model.snr <= 28.3

@@ -1,0 +1,243 @@
+"""Levels whose numbers have eight bits: what is stored, what it costs, and when a chosen plan has them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hmkcta
+from cli_tools import report, run, smooth
+from hmkcta import HmkctaError, Model, choose_plan, compress, parse_plan
+from hmkcta.cells import Cells, round_cores
+from hmkcta.filesize import planned_bytes
+from hmkcta.follow import Task, follow
+from hmkcta.narrow import BASIS_NUMBERS, CORE_NUMBERS, narrowed, widened
+from hmkcta.plan import Plan, parse_level
+from hmkcta.source import prepare
+from hmkcta.synthetic import Dataset, volume
+from random_models import random_model
+from test_kernels import random_cells
+
+#: Plans of every structure; `{}` stands for the bits.
+PLANS = (
+    "R=4,5,5,5{}",
+    "R=*,5,5,5{}",
+    "R=2,3,3,3 C=2,2,2,2{}",
+    "R=2,3,3,3 C=1,2,2,2 K=1,2,2,2{}",
+    "R=1 grid=y:2,x:2 / R=2,3,3,3{}",
+    "R=3,4,4,4{} / R=2,2,2,2 C=1,2,2,2 K=1,2,2,2{}",
+)
+NAMES = ("time", "z", "y", "x")
+
+
+@cache
+def jet() -> Dataset:
+    return volume((12, 20, 20), frames=8)
+
+
+def fitted(**options: Any) -> Model:
+    return compress(jet().values, axes=jet().axes, threads=1, **options)
+
+
+def measured(model: Model) -> float:
+    values = jet().values.astype(np.float64)
+    error = np.square(values - np.asarray(model, np.float64)).sum()
+    return float(10 * np.log10(np.square(values).sum() / error))
+
+
+@pytest.mark.parametrize("numbers", [BASIS_NUMBERS, CORE_NUMBERS], ids=["basis", "core"])
+def test_a_number_becomes_the_byte_that_is_nearest(numbers: Any) -> None:
+    every = np.arange(-128, 128).astype(np.int8)
+    wide = widened(every, numbers)
+    assert (np.diff(wide.astype(np.float64)) > 0).all()
+    assert (narrowed(wide, numbers) == every).all()
+    values = np.random.default_rng(0).uniform(-1, 1, 2000)
+    written = wide[1:].astype(np.float64)
+    left = np.abs(values - widened(narrowed(values, numbers), numbers))
+    assert left == pytest.approx(np.abs(values[:, None] - written).min(axis=1), abs=1e-12)
+
+
+@pytest.mark.parametrize("text", ["R=2,3,2", "R=2,*,3", "R=2,2,2 C=2,1,3", "R=2,2,2 C=3,2,2 K=2,1,2"])
+def test_rounding_twice_is_rounding_once(text: str) -> None:
+    """Numbers that are read back from a journal, or packed, are those that the residual was made with."""
+    cells = random_cells((9, 8, 7), parse_level(f"{text} bits=8", (("z",), ("y",), ("x",))), seed=1)
+    once = cells.rounded()
+    twice = once.rounded()
+    for first, second in zip((*once.bases, once.cores), (*twice.bases, twice.cores), strict=True):
+        assert first.tobytes() == second.tobytes()
+    stored, scale = round_cores(once.cores, 8)
+    assert (stored.astype(np.float32) * scale.reshape(-1, 1, 1, 1) == once.cores).all()
+    assert np.isin(stored, CORE_NUMBERS).all()
+    assert all(np.isin(basis.astype(np.float16), BASIS_NUMBERS).all() for basis in once.bases)
+    assert _error(cells, once) < 0.03 * _norm(cells)
+
+
+def _norm(cells: Cells) -> float:
+    return float(np.linalg.norm(_dense(cells)))
+
+
+def _error(cells: Cells, other: Cells) -> float:
+    return float(np.linalg.norm(_dense(cells) - _dense(other)))
+
+
+def _dense(cells: Cells) -> Any:
+    from hmkcta.backends import reference
+
+    tensor = np.zeros(cells.sizes, np.float32)
+    reference.accumulate(cells, tensor, 1.0)
+    return tensor
+
+
+@pytest.mark.parametrize("text", PLANS)
+def test_a_plan_of_bytes_takes_a_byte_a_number_and_loses_little(text: str, tmp_path: Path) -> None:
+    wide, narrow = (fitted(plan=text.replace("{}", bits)) for bits in ("", " bits=8"))
+    levels = [level for level in narrow.levels if level.bits == 8]
+    assert levels
+    fewer = sum(level.numbers() for level in levels)
+    assert wide.nbytes - fewer - 64 <= narrow.nbytes <= wide.nbytes - fewer  # the header has shorter words
+    assert narrow.snr > wide.snr - 0.25
+    assert narrow.snr == pytest.approx(measured(narrow), abs=1e-3)
+    path = tmp_path / "jet.hmk"
+    narrow.save(path)
+    assert path.stat().st_size == narrow.nbytes
+    model = hmkcta.open(path)
+    assert [level.bits for level in model.plan.levels] == [level.bits for level in narrow.plan.levels]
+    assert (np.asarray(model) == np.asarray(narrow)).all()
+
+
+@pytest.mark.parametrize("text", PLANS)
+def test_the_bytes_of_a_plan_are_known_before(text: str) -> None:
+    source = prepare(jet().values, jet().axes, None, None)
+    plan = parse_plan(text.replace("{}", " bits=8"), source.organisation(None))
+    assert planned_bytes(plan, source) == fitted(plan=plan).nbytes
+
+
+def test_a_second_level_of_bytes_takes_up_what_the_first_rounds_off() -> None:
+    """At the edge of what bytes keep of one level, two levels of the same ranks end far beyond."""
+    tensor = smooth(12, 20, 20, 20)
+    one, two = (compress(tensor, text, threads=1) for text in ("R=4 bits=8", "R=4 bits=8 / R=4 bits=8"))
+    assert one.snr < 48
+    assert two.snr > one.snr + 8
+
+
+def test_back_fitting_of_bytes_gains() -> None:
+    """Columns are orthonormal again before sweeps that need them to be."""
+    plan = "R=3,4,4,4 bits=8 / R=2,2,2,2 C=1,2,2,2 K=1,2,2,2 bits=8"
+    assert fitted(plan=plan).snr > fitted(plan=plan, quality="fast").snr + 0.2
+
+
+@pytest.mark.parametrize("text", ["R=2,3,3,3 C=1,2,2,2 K=1,2,2,2 bits=8", "R=1 grid=y:2,x:2 / R=2,3,3,3 bits=8"])
+def test_streamed_levels_of_bytes_are_as_good(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    inside = fitted(plan=text)
+
+    def little(*_: object) -> int:
+        return jet().values.size // 2
+
+    monkeypatch.setattr("hmkcta.follow.memory_limit", little)
+    outside = fitted(plan=text)
+    assert outside.snr > inside.snr - 0.3
+    assert outside.snr == pytest.approx(measured(outside), abs=1e-3)
+
+
+# Plans that are chosen
+
+
+def test_a_size_buys_more_where_numbers_are_bytes() -> None:
+    wide, chosen = fitted(size=20_000, bits=16), fitted(size=20_000)
+    assert chosen.levels[-1].bits == 8
+    assert chosen.snr > wide.snr + 2
+    assert chosen.nbytes <= 20_000
+
+
+def test_an_snr_takes_fewer_bytes() -> None:
+    wide, chosen = fitted(snr=25.0, bits=16), fitted(snr=25.0)
+    assert chosen.levels[-1].bits == 8
+    assert chosen.snr >= 25
+    assert chosen.nbytes < 0.75 * wide.nbytes
+
+
+def test_where_bytes_leave_too_much_numbers_have_two() -> None:
+    """Of a smooth tensor that many ranks do not exhaust."""
+    tensor = smooth(16, 24, 24, 24)
+    chosen = compress(tensor, snr=58.0, threads=1)
+    assert [level.bits for level in chosen.levels] == [16]
+    assert chosen.snr >= 58
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+def test_bits_that_are_asked_for_are_kept(bits: int, tmp_path: Path) -> None:
+    for goal in ({"snr": 20.0}, {"size": 15_000}):
+        assert fitted(bits=bits, quality="fast", **goal).levels[-1].bits == bits
+    plan = choose_plan(jet().values, axes=jet().axes, size=15_000, bits=bits, threads=1)
+    assert plan.levels[-1].bits == bits
+    model = fitted(plan="R=2 / R=2 C=1,2,1,1", bits=bits)
+    assert [level.bits for level in model.levels] == [bits, bits]
+    model.save(tmp_path / "jet.hmk")
+    header = json.JSONDecoder().raw_decode((tmp_path / "jet.hmk").read_bytes()[8:].decode("latin-1"))[0]
+    assert json.loads(header["__metadata__"]["hmkcta"])["version"] == {8: "1.1", 16: "1.0"}[bits]
+
+
+def test_what_misses_its_snr_in_bytes_is_tried_with_two(monkeypatch: pytest.MonkeyPatch) -> None:
+    followed: list[Plan] = []
+
+    def weak(task: Task) -> Model:
+        followed.append(task.plan)
+        return follow(replace(task, plan=replace(task.plan, snr=15.0)) if task.plan.levels[-1].bits == 8 else task)
+
+    monkeypatch.setattr("hmkcta.rivals.follow", weak)
+    with pytest.warns(UserWarning, match="another is tried"):
+        model = fitted(snr=25.0, quality="fast")
+    assert model.snr >= 25
+    assert [plan.levels[-1].bits for plan in followed[:2]] == [8, 16]
+
+
+# What is refused
+
+
+@pytest.mark.parametrize("bits", [7, 0, 32, "8", 8.5])
+def test_bits_are_eight_or_sixteen(bits: Any) -> None:
+    with pytest.raises(HmkctaError, match="bits"):
+        fitted(plan="R=2", bits=bits)
+
+
+@pytest.mark.parametrize(("plan", "reason"), [("R=2 bits=12", "bits"), ("R=2 bits=x", "plan-number"),
+                                              ("R=2 bits=8 / R=2", "bits-ascend")])
+def test_plans_of_other_bits_are_refused(plan: str, reason: str) -> None:
+    with pytest.raises(HmkctaError) as refusal:
+        fitted(plan=plan)
+    assert refusal.value.reason == reason
+
+
+def test_random_files_of_bytes_decode_as_their_numbers_say(tmp_path: Path) -> None:
+    """A file of bytes, and the same model in float16 numbers, are the same values."""
+    metadata, levels = random_model(np.random.default_rng(5), (7, 6, 5), 2, (), eight_from=1)
+    wide = Model(metadata, tuple(replace(level, bits=16) for level in levels))
+    Model(metadata, levels).save(tmp_path / "bytes.hmk")
+    assert (np.asarray(hmkcta.open(tmp_path / "bytes.hmk")) == np.asarray(wide)).all()
+
+
+# Command line
+
+
+def test_the_command_line_asks_for_bits_and_shows_them(tmp_path: Path) -> None:
+    source = tmp_path / "jet.npy"
+    np.save(source, jet().values)
+    sizes: dict[int, int] = {}
+    for bits in (8, 16):
+        output = tmp_path / f"{bits}.hmk"
+        run("compress", source, "-o", output, "--axes", ",".join(NAMES), "--plan", "R=4", "--bits", bits, "--quiet")
+        told = report("info", output)
+        assert [level["bits"] for level in told["levels"]] == [bits]
+        assert told["bytes"]["file"] == output.stat().st_size
+        sizes[bits] = output.stat().st_size
+    assert sizes[8] < sizes[16]
+    planned = report("plan", source, "--axes", ",".join(NAMES), "--size", "15KB", "--bits", "8", "--quality", "fast")
+    assert planned["plan"].endswith("bits=8")
+    assert "--bits" not in planned["command"]  # the plan says it
+    run("compress", source, "-o", tmp_path / "x.hmk", "--bits", "9", code=2)
