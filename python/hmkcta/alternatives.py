@@ -11,6 +11,7 @@ from dataclasses import replace
 
 from .axes import Organisation
 from .finer import is_coarse
+from .narrow import BITS
 from .plan import MOST_RANKS, LevelSpec, Plan
 
 #: From this SNR in dB on, the error of the numbers themselves, by their bits, is not small beside what a level leaves.
@@ -25,7 +26,7 @@ def alternatives(plan: Plan, plain: Organisation, snr: float, nbytes: int) -> It
     >>> from hmkcta import parse_plan
     >>> plain = (("y",), ("x",))
     >>> [str(each) for each in alternatives(parse_plan("R=1,1 grid=x:3 / R<=8,8", plain), plain, 40.0, 1000)]
-    ['R=1,1 C=1,3 / R<=8,8']
+    ['R=1,1 C=1,3 / R<=8,8', 'R=1,1 grid=x:3 / R<=8,8 bits=8']
     >>> [str(each) for each in alternatives(parse_plan("R<=8,*", plain), plain, 66.0, 1000)]
     ['R=1,* / R<=8,*', 'R=1,1 / R<=160,160']
     """
@@ -33,7 +34,7 @@ def alternatives(plan: Plan, plain: Organisation, snr: float, nbytes: int) -> It
     if len(others) == 1 and others[0].own and first.grid and first.cells > 1:
         yield replace(plan, levels=(_of_data(first, first.clusters), *others))
     if EITHER[0] < snr < EITHER[1]:
-        yield with_bits(plan, 24 - plan.levels[-1].bits)
+        yield with_bits(plan, sum(BITS) - plan.levels[-1].bits)
     if others or not first.own or all(rank is None for rank in first.ranks):
         return
     if snr > ROUNDED[first.bits]:
