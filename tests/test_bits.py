@@ -145,6 +145,15 @@ def test_streamed_levels_of_bytes_are_as_good(text: str, monkeypatch: pytest.Mon
     assert outside.snr == pytest.approx(measured(outside), abs=1e-3)
 
 
+def test_a_level_in_which_nothing_is_left_has_no_more_bits_than_the_one_above(tmp_path: Path) -> None:
+    tensor = np.zeros((8, 8, 8), np.float32)
+    tensor[0, 0, 0] = 127 / 128
+    for plan in ("R=1 bits=8 / R=1 bits=8", "R=1 C=2,1,1 bits=8 / R=1 bits=8"):
+        model = compress(tensor, plan, threads=1)
+        model.save(tmp_path / "one.hmk", overwrite=True)
+        assert (np.asarray(hmkcta.open(tmp_path / "one.hmk")) == tensor).all()
+
+
 # Plans that are chosen
 
 
@@ -241,3 +250,5 @@ def test_the_command_line_asks_for_bits_and_shows_them(tmp_path: Path) -> None:
     assert planned["plan"].endswith("bits=8")
     assert "--bits" not in planned["command"]  # the plan says it
     run("compress", source, "-o", tmp_path / "x.hmk", "--bits", "9", code=2)
+    missed = run("compress", source, "-o", tmp_path / "x.hmk", "--snr", "80", "--bits", "8", "--quality", "fast", code=7)
+    assert "--bits 16" in missed.stderr

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from .cells import round_cores
 from .hierarchy import Node
+from .narrow import BITS
 from .packed import LevelBounds, PackedLevel
 from .pieces import places_of
 
@@ -20,7 +21,12 @@ def pack_levels(
     levels: Sequence[Sequence[Node]], undecomposed: Sequence[int], unit: float = 1.0
 ) -> tuple[PackedLevel, ...]:
     """Every level's nodes in order, as stored; `undecomposed`: mode numbers, `unit`: what cores are multiples of."""
-    return tuple(_pack(nodes, undecomposed, unit, last=nodes is levels[-1]) for nodes in levels)
+    packed, bits = list[PackedLevel](), BITS[0]
+    for nodes in levels:
+        # A level in which nothing is stored has those of the level above, as no more may follow.
+        bits = next((node.cells.spec.bits for node in nodes if node.cells is not None), bits)
+        packed.append(_pack(nodes, undecomposed, unit, bits, last=nodes is levels[-1]))
+    return tuple(packed)
 
 
 def bounds(level: PackedLevel, scheme: str) -> LevelBounds:
@@ -30,14 +36,13 @@ def bounds(level: PackedLevel, scheme: str) -> LevelBounds:
     return LevelBounds(clusters, mixture, ranks, scheme)
 
 
-def _pack(nodes: Sequence[Node], undecomposed: Sequence[int], unit: float, *, last: bool) -> PackedLevel:
+def _pack(nodes: Sequence[Node], undecomposed: Sequence[int], unit: float, bits: int, *, last: bool) -> PackedLevel:
     order = len(nodes[0].rows) if nodes else 0
     stored = [n not in undecomposed for n in range(order)]
     shape = np.zeros((len(nodes), 3, order), np.uint32)
     for s, node in enumerate(nodes):
         if node.cells is not None:
             shape[s] = node.cells.spec.clusters, node.cells.spec.mixture, node.cells.ranks
-    bits = next((node.cells.spec.bits for node in nodes if node.cells is not None), 16)
     rounded = [None if node.cells is None else round_cores(node.cells.cores, bits) for node in nodes]
     core, core_offset = _ragged([np.zeros(0) if r is None else r[0] for r in rounded], np.float16)
     scale, cell_offset = _ragged([np.zeros(0) if r is None else r[1] for r in rounded], np.float32)

@@ -88,7 +88,7 @@ def compress_command(source: str, output: str, plan: str | None, device: str, re
     for sentence in [] if quiet else said:
         click.echo(f"hmkcta: {sentence}.", err=True)
     if missed is not None:
-        better = advice(model, plan)
+        better = advice(model, plan, goal)
         click.echo(f"hmkcta: {missed} {output} is written, and is the best found. Next: {better}.", err=True)
         click.get_current_context().exit(Exit.TARGET_MISSED)
 
@@ -150,11 +150,11 @@ def unused(model: Model, goal: Goal, plan: str | None) -> list[str]:
             "if what reads the file may take longer for an element"]
 
 
-def advice(model: Model, plan: str | None) -> str:
+def advice(model: Model, plan: str | None, goal: Goal) -> str:
     """What may reach the goal that was missed."""
     levels = len(model.levels)
-    if plan is not None and model.levels[-1].bits == 8:
-        return "write numbers of two bytes, --bits 16, or add ranks or a level"
+    if model.levels[-1].bits == 8 and (plan is not None or goal.settings["bits"] == 8):
+        return "allow numbers of two bytes, --bits 16" + ("" if plan is None else ", or add ranks or a level")
     if model.snr > FLOAT16_SNR * levels:
         return f'write a level more, for what float16 numbers leave: --plan "{" / ".join(["R=.."] * (levels + 1))}"'
     return "allow a higher --decode-cost, or try --quality thorough" if plan is None else "add ranks or a level"
