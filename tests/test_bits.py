@@ -250,5 +250,6 @@ def test_the_command_line_asks_for_bits_and_shows_them(tmp_path: Path) -> None:
     assert planned["plan"].endswith("bits=8")
     assert "--bits" not in planned["command"]  # the plan says it
     run("compress", source, "-o", tmp_path / "x.hmk", "--bits", "9", code=2)
-    missed = run("compress", source, "-o", tmp_path / "x.hmk", "--snr", "80", "--bits", "8", "--quality", "fast", code=7)
+    goal = ("--snr", "80", "--bits", "8", "--quality", "fast")
+    missed = run("compress", source, "-o", tmp_path / "x.hmk", *goal, code=7)
     assert "--bits 16" in missed.stderr
