@@ -48,15 +48,7 @@ class Cut:
     @cached_property
     def core(self) -> F32:
         """Their truncated HOSVD cores, no mode shorter than its entry of `limits`."""
-        return self.core_of(self.limits)
-
-    def core_of(self, limits: Sequence[int | None]) -> F32:
-        """The same with other limits; None: all rows of the mode."""
-        return cores(self.batch, limits, self.precision, self.enough, self._begun)
-
-    @cached_property
-    def _begun(self) -> dict[tuple[int, int | None], F32]:
-        return {}
+        return cores(self.batch, self.limits, self.precision, self.enough)
 
     @cached_property
     def growth(self) -> Growth | None:

@@ -21,8 +21,11 @@ Look = Callable[[Search, bool, float], tuple[float, Candidate]]
 def of_bits(search: Search, look: Look, bits: int | None, fixed: bool) -> tuple[Search, float, Candidate]:
     """The best candidate whose numbers have so many bits, of a fixed organisation or any.
 
-    None: eight bits, or where what these leave tells, sixteen, which are looked at with the organisation of the best.
+    None: eight bits, or where what these leave tells, sixteen, which are looked at with the organisation of the best;
+    sixteen where memory sets bounds, as the ranks that bytes afford take more of it to look at.
     """
+    if search.goal.memory is not None:
+        bits = bits or 16
     ceiling = inf if search.goal.ceiling is None else search.goal.ceiling
     first = bits or (16 if BYTES_FALL_SHORT < ceiling < inf else 8)
     enough = BYTES_HARDLY_DO if bits is None and first == 8 else inf

@@ -50,40 +50,25 @@ def _ladder(limit: int, growth: float) -> Ladder:
     return tuple(ranks)
 
 
-def cores(
-    batch: F32,
-    limits: Sequence[int | None],
-    dtype: Any = np.float32,
-    enough: float = 0.0,
-    begun: dict[tuple[int, int | None], F32] | None = None,
-) -> F32:
+def cores(batch: F32, limits: Sequence[int | None], dtype: Any = np.float32, enough: float = 0.0) -> F32:
     """Blocks `[B, I_1, .., I_N]` rotated into their leading singular vectors: `[B, R_1, .., R_N]`; None: not rotated.
 
     Gram matrices are formed in `dtype`. Ranks of a single block may end where they leave a share of its energy that is
-    small `enough`. What was `begun` with the same blocks, to other limits, is the blocks with one mode rotated, which
-    takes the longest: by the mode and its limit.
+    small `enough`.
     """
     order = batch.ndim - 1
     sizes = batch.shape[1:]
     first = min(range(order), key=lambda n: (limits[n] or sizes[n]) / sizes[n])
     turn = [(first + k) % order for k in range(order)]
+    core = _turned(batch, first)
     beyond = enough * float(energies(batch).sum()) if len(batch) == 1 else 0.0
-    begun, key = {} if begun is None else begun, (first, limits[first])
-    if key not in begun:
-        begun[key] = _turned_on(_turned(batch, first), limits[first], order - 1, dtype, beyond)
-    core = begun[key]
-    for at, n in enumerate(turn[1:], start=1):
-        core = _turned_on(core, limits[n], order - 1 - at, dtype, beyond)
+    for at, n in enumerate(turn):
+        limit, rest = limits[n], core.shape[2:]
+        unfolded = core.reshape(len(core), core.shape[1], -1)  # the turn brings each mode to the front
+        still = prod(rest[: order - 1 - at])  # columns as they come; those of rotated modes are no sample
+        rotated = unfolded.swapaxes(1, 2) if limit is None else _rotated(unfolded, limit, still, dtype, beyond)
+        core = np.ascontiguousarray(rotated).reshape(len(core), *rest, rotated.shape[2])
     return core.transpose(0, *(1 + turn.index(n) for n in range(order)))
-
-
-def _turned_on(core: F32, limit: int | None, unrotated: int, dtype: Any, beyond: float) -> F32:
-    """The mode in front rotated, and brought behind all others, the first of which are `unrotated`."""
-    rest = core.shape[2:]
-    unfolded = core.reshape(len(core), core.shape[1], -1)
-    still = prod(rest[:unrotated])  # columns as they come; those of rotated modes are no sample
-    rotated = unfolded.swapaxes(1, 2) if limit is None else _rotated(unfolded, limit, still, dtype, beyond)
-    return np.ascontiguousarray(rotated).reshape(len(core), *rest, rotated.shape[2])
 
 
 def _turned(batch: F32, first: int) -> F32:

@@ -36,7 +36,7 @@ OUT_OF_REACH = 1000.0
 #: Elements looked at together where all are, and of a source that is held in memory.
 SLAB, HELD = 1 << 20, 1 << 23
 #: Elements of samples that are kept for the next candidates, where memory sets no bounds.
-KEPT = 1 << 25
+KEPT = 1 << 21
 #: Modes up to this length are left undecomposed on trial if their rank takes this share of their rows.
 LONGEST_UNDECOMPOSED, NEARLY_FULL = 128, 0.2
 #: Of modes that are better left undecomposed, so many are tried in pairs.
@@ -183,7 +183,7 @@ class Trial:
         return self._cut_of(organisation, grid, self._blocks(grid, sample))
 
     def _blocks(self, grid: tuple[int, ...], sample: int) -> Blocks:
-        kept = KEPT if self.memory is None else self.room / 8
+        kept = KEPT if self.memory is None else 0
         return self.samples.of(grid, sample, self.room, kept)
 
     def _cut_of(self, organisation: Organisation, grid: tuple[int, ...], blocks: Blocks) -> Cut:
@@ -260,7 +260,7 @@ class Trial:
         if len(flags) == 2 or all(not flag or rows == limit for flag, rows, limit in had):
             return cut.core
         limits = [None if flag else limit for flag, limit in zip(flags, cut.limits, strict=True)]
-        return cut.core_of(limits)
+        return cores(cut.batch, limits, self._precision, self._enough)
 
     def _worth(
         self, spend: Callable[..., tuple[float, float]], cut: Cut, share: float, candidate: Candidate, least: float
