@@ -6,12 +6,9 @@ from collections.abc import Iterator, Sequence
 from itertools import product
 from math import isinf, prod
 
-import numpy as np
-
 from ._version import __version__
 from .axes import Axis, Organisation, mode_sizes
 from .hmkfile import ArrayInfo, coords_info, coords_name, file_size, level_schema, prefix
-from .memberships import uniform_blocks
 from .packed import LevelBounds, LevelQuality, Metadata
 from .plan import LevelSpec, Plan
 from .source import Source
@@ -139,7 +136,8 @@ def block_sizes(size: int, blocks: int) -> list[int]:
     >>> block_sizes(8, 3)
     [3, 3, 2]
     """
-    return [int(count) for count in np.bincount(uniform_blocks(size, blocks), minlength=blocks)]
+    short, longer = divmod(size, blocks)
+    return [short + 1] * longer + [short] * (blocks - longer)
 
 
 def _grid_blocks(level: LevelSpec, axes: Sequence[Axis], organisation: Organisation) -> list[Parts]:

@@ -27,22 +27,24 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
     """The model of the task's plan; where it misses its SNR, of the first further plan that does not, or the best.
 
     Further are the same plan with a level more, for what float16 or the ranks of one leave, and then the `others`;
-    `missed` is told of every plan that missed. For a size the others are rivals, of which the best is kept. It is
-    compared with its `alternatives`, where that takes no more than seconds, with more and fewer clusters of the data,
-    and beyond what float16 keeps of one level with plans of two. Where ranks are such large steps that a model lies far
-    beyond its goal, the same plan with a `finer` choice of blocks is tried, and for an SNR the first of the others.
+    `missed` is told of every plan that missed. For a size, and where that takes no more than seconds, the others are
+    rivals, of which the best is kept. It is then compared with its `alternatives`, with more and fewer clusters of the
+    data, and beyond what float16 keeps of one level with plans of two. Where ranks are such large steps that a model
+    lies far beyond its goal, the same plan with a `finer` choice of blocks is tried, and for an SNR the first of the
+    others.
     """
     # Of values that are transformed the trial knows the errors' size, not where they will be large.
-    doubtful = task.plan.size is not None or task.source.value_transform.name != "identity"
+    doubtful = task.plan.size is not None or task.source.value_transform.name != "identity" or _is_worth(task)
     given = task
-    task, model = _best([(task, follow(task)), *_further(task, others if doubtful else ())])
+    rivals = [plan for plan in others if task.plan.size is not None or not _is_verbatim(plan)] if doubtful else []
+    task, model = _best([(task, follow(task)), *_further(task, rivals)])
     if _is_worth(task):
         near = alternatives(task.plan, task.source.organisation(None), model.snr, model.nbytes)
         task, model = _best([(task, model), *_further(task, (plan for plan in near if _may_be(task, plan)))])
         if (task.plan.snr or model.snr) > NEARLY:
             task, model = _best([(task, model), *_further(given, _in_two(given, others))])
         task, model = _with_other_clusters(task, model)
-    best = model
+    best, others = model, [plan for plan in others if plan not in rivals]
     if is_coarse(task.plan, model.snr, model.nbytes):
         task, model = _nearer(task, model, others)
         return _with_other_clusters(task, model)[1] if model is not best and _is_worth(task) else model
@@ -74,10 +76,11 @@ def _is_worth(task: Task) -> bool:
 
 
 def _best(followed: Sequence[tuple[Task, Model]]) -> tuple[Task, Model]:
-    """For a size the model of the highest SNR; for an SNR the smallest that reaches it, or the first if none does."""
-    if (snr := followed[0][0].plan.snr) is None:
-        return max(followed, key=lambda each: each[1].snr)
-    return min((each for each in followed if each[1].snr >= snr), key=lambda each: each[1].nbytes, default=followed[0])
+    """For a size the model of the highest SNR; for an SNR the smallest that reaches it, or the nearest if none does."""
+    snr, nearest = followed[0][0].plan.snr, max(followed, key=lambda each: each[1].snr)
+    if snr is None:
+        return nearest
+    return min((each for each in followed if each[1].snr >= snr), key=lambda each: each[1].nbytes, default=nearest)
 
 
 def _unless_verbatim(task: Task, best: Model, others: Sequence[Plan]) -> Model:

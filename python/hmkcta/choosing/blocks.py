@@ -21,7 +21,7 @@ F64 = NDArray[np.float64]
 
 #: Fewer blocks than these would be chance, and are thinned where they hold more elements than asked for; more tell no
 #: more. Where this share of them is asked for, all are looked at.
-FEWEST, MOST, NEARLY_ALL = 8, 256, 0.7
+FEWEST, MOST, NEARLY_ALL = 8, 96, 0.7
 #: A block is looked at in proportion to this power of its detail, by that of the mean one, and to a constant besides.
 POWER, FLOOR = 0.5, 0.25
 #: Blocks are thinned where they hold so many times the elements asked for.

@@ -73,11 +73,13 @@ def growth_of(batch: F32, core: F32, halved: F32, edges: Sequence[int], dtype: A
 
 def _left(batch: F32, core: F32) -> tuple[F64, ...]:
     """Of each mode the logarithm of the share of error that each rank leaves."""
-    energy = float(energies(batch).sum())
-    table, found = np.square(core), list[F64]()
-    for n in range(1, core.ndim):
-        own = table.reshape(prod(core.shape[:n]), core.shape[n], -1).sum(axis=2).sum(axis=0, dtype=np.float64)
+    energy, kept = float(energies(batch).sum()), np.zeros(core.shape[1:])
+    for block in core:
+        kept += np.square(block, dtype=np.float64)
+    found = list[F64]()
+    for n in range(kept.ndim):
+        own: F64 = kept.sum(axis=tuple(m for m in range(kept.ndim) if m != n))
         # Of a mode with all ranks the core holds everything but what other modes leave.
-        total = float(own.sum()) if core.shape[n] == batch.shape[n] else energy
+        total = float(own.sum()) if kept.shape[n] == batch.shape[1 + n] else energy
         found.append(np.log(np.maximum((total - np.cumsum(own)) / max(energy, 1e-300), LEAST)))
     return tuple(found)

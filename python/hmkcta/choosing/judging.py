@@ -45,7 +45,7 @@ class Care:
 
 CARES = {
     EFFORTS["fast"]: Care(1 << 15, 3, (1 << 18,), 1, 0, 1 << 20, 0.0, 4, 0),
-    EFFORTS["medium"]: Care(1 << 15, 6, (1 << 17, 1 << 20), 5, 4, 1 << 23, 0.3, 16, 1 << 20),
+    EFFORTS["medium"]: Care(1 << 15, 6, (1 << 17,), 4, 2, 1 << 21, 0.3, 4, 1 << 20),
     EFFORTS["thorough"]: Care(1 << 16, 12, (1 << 18, 1 << 21), 8, 6, 1 << 23, 1.0, 1000, 1 << 23),
 }
 
@@ -59,7 +59,8 @@ Judged = tuple[Organisation, tuple[int, ...], int, int]
 class Search:
     """Everything judged so far, each at the sample and the bytes it was judged on; `plain` merges least.
 
-    `rivals` are judged so near the best, and in so different a way, that only fits tell which is better.
+    `rivals` are judged so near the best, and in so different a way, that only fits tell which is better; blocks were
+    `settled` by so many bytes.
     """
 
     goal: Trial
@@ -70,6 +71,7 @@ class Search:
     together: int
     clustered: int
     highest: float = -inf
+    settled: int = 0
     rivals: list[Candidate] = field(default_factory=list[Candidate])
     losses: dict[tuple[Organisation, tuple[int, ...], int, bool], float] = field(
         default_factory=dict[tuple[Organisation, tuple[int, ...], int, bool], float]

@@ -34,13 +34,15 @@ Kinds = tuple[tuple[int, ...], ...]
 #: Worse than any number of bytes, in octaves.
 OUT_OF_REACH = 1000.0
 #: Elements looked at together where all are, and of a source that is held in memory.
-SLAB, HELD = 1 << 20, 1 << 23
+SLAB, HELD = 1 << 20, 1 << 24
 #: Elements of samples that are kept for the next candidates, where memory sets no bounds.
 KEPT = 1 << 21
 #: Modes up to this length are left undecomposed on trial if their rank takes this share of their rows.
 LONGEST_UNDECOMPOSED, NEARLY_FULL = 128, 0.2
 #: Of modes that are better left undecomposed, so many are tried in pairs.
 TOGETHER = 3
+#: A block takes no more than so many times its share of the bytes.
+MOST_OF_ONE = 4
 #: Highest rank looked at, of matrices and of tensors.
 HIGHEST = (MOST_RANKS_ALONE, 64)
 #: What float16 leaves, as a share of the energy, at the most; errors below it are not told apart, unless a goal asks.
@@ -164,7 +166,7 @@ class Trial:
         axes, clusters = self.source.axes, clusters_of(self.source.axes, way, cut.organisation)
         parts = organised(split(cut.blocks.values, way), axes, cut.organisation)
         edges = tuple(-(-edge // count) for edge, count in zip(cut.edges, clusters, strict=True))
-        limits = self._limits(parts.shape[1:], edges)
+        limits = self._limits(parts.shape[1:], edges, prod(cut.clusters) * prod(clusters))
         chosen = [None if flag else limit for flag, limit in zip(flags, limits, strict=True)]
         core = cores(parts, chosen, self._precision)
         steps, meant = _steps(chosen, caps, len(parts), cut.growth_of(parts, core, way, edges))
@@ -194,16 +196,20 @@ class Trial:
         sizes = mode_sizes(axes, organisation)
         rows = dict(zip((axis.name for axis in axes), blocks.edges, strict=True))
         edges = tuple(prod(rows[name] for name in mode) for mode in organisation)
-        limits = self._limits(batch.shape[1:], edges)
+        limits = self._limits(batch.shape[1:], edges, prod(grid))
         return Cut(axes, organisation, grid, blocks, batch, energies(batch), limits, edges, sizes, clusters,
                     self._precision, self._enough)
 
-    def _limits(self, have: Sequence[int], edges: Sequence[int]) -> tuple[int, ...]:
-        """Highest rank of each mode: what there is, what the bytes can store, what may be decoded."""
-        elements = prod(float(rows) for rows in have)
+    def _limits(self, have: Sequence[int], edges: Sequence[int], blocks: int) -> tuple[int, ...]:
+        """Highest rank of each mode of so many blocks: what there is, what the bytes can store, what may be decoded.
+
+        A matrix has as many numbers of each row and of each column.
+        """
+        elements, numbers = prod(float(rows) for rows in have), 8 * self.size / self.bits
         most = min(self.decode_cost, HIGHEST[len(have) > 2])
+        own = sum(edges) / min(1.0, MOST_OF_ONE / blocks) if len(have) == 2 else 0
         return tuple(
-            int(max(1, min(rows, elements // rows, most, 8 * self.size // (self.bits * edge) + 1)))
+            int(max(1, min(rows, elements // rows, most, numbers // max(edge, own) + 1)))
             for rows, edge in zip(have, edges, strict=True)
         )
 

@@ -24,7 +24,7 @@ _RAGGED = -1  # a length that the tables decide
 #: The number types that core and basis numbers may have, by the version of the file; the newest version comes last.
 NUMBER_TYPES: Mapping[str, tuple[str, ...]] = {"1.0": ("F16",), "1.1": ("F16", "I8")}
 #: All of them: no table has one.
-NUMBERS = ("F16", "I8")
+NUMBERS = tuple(dict.fromkeys(name for names in NUMBER_TYPES.values() for name in names))
 
 
 class ArrayInfo(NamedTuple):
@@ -148,12 +148,15 @@ def arrays_of(levels: Sequence[PackedLevel], coords: Mapping[str, NDArray[Any]])
 
 def in_file_order(arrays: Mapping[str, ArrayInfo]) -> dict[str, ArrayInfo]:
     """The order of `arrays_of`, for arrays of which only type and shape are known, level by level."""
-    return dict(sorted(arrays.items(), key=lambda item: _turn(np.dtype(NUMPY_TYPES[item[1].dtype]))))
+    return dict(sorted(arrays.items(), key=lambda item: _TURNS[item[1].dtype]))
 
 
 def _turn(dtype: np.dtype[Any]) -> int:
     """Longer items first keeps every array aligned without padding; core and basis numbers come last."""
     return 0 if TYPE_NAMES.get(dtype.newbyteorder("<")) in NUMBERS else -dtype.itemsize
+
+
+_TURNS = {name: _turn(np.dtype(dtype)) for name, dtype in NUMPY_TYPES.items()}
 
 
 def level_of(arrays: Mapping[str, NDArray[Any]], level: int, order: int) -> PackedLevel:

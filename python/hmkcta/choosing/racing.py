@@ -1,0 +1,155 @@
+"""Which organisations of the axes, with which blocks, are worth a closer look: a survey of all, and races of the best.
+
+Of each organisation grids that cut axes into twice or half as many blocks are tried, on samples of the data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from itertools import product
+from math import inf
+
+from ..axes import Organisation
+from ..grids import allowed, changed, few_grids, uncut_grids
+from ..progress import Progress
+from .candidates import Candidate
+from .climbing import SURELY_WORSE, WORTHWHILE
+from .judging import Choice, Ranked, Search, worth_of
+from .organisations import merges, organisations
+
+#: Up to so many axes all organisations are tried; of more, the best so many are merged further.
+FEW_AXES, BEAM = 5, 3
+#: Of more organisations than these those are gone on with that lie no further behind the best with one grid.
+MANY, HOPELESS = 20, 4.0
+#: A survey's grids go on that lie no further behind the best of their organisation.
+ASIDE = 1.0
+#: With other modes undecomposed an organisation may lie so far behind its best, in so many ways.
+OTHERWISE, KINDS = 1.5, 2
+#: How far behind is left, and which loss along an axis is final, in a race; and where bytes for an SNR come from a
+#: survey alone.
+TRUSTED, DOUBTED = (1.2, 0.7), (inf, SURELY_WORSE)
+
+
+def finalists(search: Search, fixed: bool, progress: Progress, *, narrow: bool) -> Ranked:
+    """Organisations by a survey over few grids, then what races of the best of them end with, on samples that grow."""
+    shape, care = search.trial.source.shape, search.care
+    grids = few_grids(shape)
+    choices = [] if fixed else _surveyed(search, grids, progress, narrow=narrow)
+    choices += product([search.plain], [*grids, *uncut_grids(shape)])
+    found = list[tuple[float, Candidate]]()
+    if narrow:
+        search.narrow(search.best(choices, care.survey), care.compare[0])
+    for sample in care.compare:
+        margins = DOUBTED if narrow and not found else TRUSTED
+        judged = search.best(choices, sample, partial(progress, "blocks"))
+        racing = racing_of(judged + search.every(choices, sample))
+        choices = [*product([search.plain], grids), *((each.organisation, each.grid) for _, each in racing)]
+        racing = near(racing, margins[0])[: care.organisations]
+        ended = near(_raced(search, racing, sample, margins, progress), margins[0])[: care.finalists]
+        choices += [(each.organisation, each.grid) for _, each in ended]
+        found = ended + found
+        if narrow:
+            search.narrow(ended, sample)
+    return found
+
+
+def near(ranked: Ranked, far: float) -> Ranked:
+    """Those that are not `far` behind the best, which comes first."""
+    return [item for item in ranked if item[0] > ranked[0][0] - far]
+
+
+def _surveyed(
+    search: Search, grids: Sequence[tuple[int, ...]], progress: Progress, *, narrow: bool
+) -> list[Choice]:
+    """The best organisations of all, by some grids: each uncut, and with the grids that did best for it."""
+    if narrow:
+        search.narrow(search.best([(search.plain, grid) for grid in grids], search.care.survey), search.care.survey)
+    every, cut = _merged(search, grids, progress), grids[1:] or grids
+    hopeful = every if len(every) <= MANY else _hopeful(search, every, cut[len(cut) // 2])
+    judged = search.best(list(product(hopeful, cut)), search.care.survey, partial(progress, "organisation"))
+    worth = _by_organisation(hopeful, judged)
+    # A survey thins large blocks and so misjudges high ranks: the best of every number of modes stays in the race.
+    ranked = sorted(hopeful, key=lambda modes: -worth[modes])
+    firsts = {len(modes): modes for modes in reversed(ranked)}
+    choices = list[Choice]()
+    for modes in dict.fromkeys([*ranked[: search.care.organisations], *firsts.values()]):
+        own = [(reached, each) for reached, each in judged if each.organisation == modes]
+        choices += [(modes, grids[0]), *((modes, each.grid) for reached, each in own if reached > worth[modes] - ASIDE)]
+    return choices
+
+
+def _hopeful(search: Search, every: Sequence[Organisation], grid: tuple[int, ...]) -> list[Organisation]:
+    """The organisations that do not lie hopelessly behind with one grid; and the best of every number of modes."""
+    judged = sorted(search.best([(modes, grid) for modes in every], search.care.survey), key=worth_of, reverse=True)
+    firsts = {len(each.organisation): each.organisation for _, each in reversed(judged)}
+    ahead = (each.organisation for worth, each in judged if worth > judged[0][0] - HOPELESS)
+    return list(dict.fromkeys([*ahead, *firsts.values()]))
+
+
+def racing_of(judged: Ranked) -> Ranked:
+    """The best of every organisation, and of it with other modes undecomposed if near: that likes other blocks."""
+    kinds = dict[Organisation, dict[tuple[int, ...], tuple[float, Candidate]]]()
+    for worth, each in sorted(judged, key=worth_of, reverse=True):
+        own = kinds.setdefault(each.organisation, {})
+        if not own or (len(own) < KINDS and worth > next(iter(own.values()))[0] - OTHERWISE):
+            own.setdefault(each.undecomposed, (worth, each))
+    return sorted((item for own in kinds.values() for item in own.values()), key=worth_of, reverse=True)
+
+
+def _raced(search: Search, racing: Ranked, sample: int, margins: tuple[float, float], progress: Progress) -> Ranked:
+    """The organisations' grids cut twice or half as often along each axis in turn, while that helps; the best first.
+
+    In every round fewer go on.
+    """
+    ended, (far, worse) = list[tuple[float, Candidate]](), margins
+    while racing:
+        before = racing
+        for n in range(len(search.trial.source.shape)):
+            racing = _stepped(search, racing, n, sample, worse)
+        gained = [now[0] > then[0] + WORTHWHILE for now, then in zip(racing, before, strict=True)]
+        best = max(map(worth_of, racing))
+        ended += [now for now, on in zip(racing, gained, strict=True) if not on]
+        racing = sorted((now for now, on in zip(racing, gained, strict=True) if on), key=worth_of, reverse=True)
+        fewer = min((len(before) + 1) // 2, sum(worth > best - far for worth, _ in racing))
+        ended, racing = ended + racing[fewer:], racing[:fewer]
+        progress("blocks", len(ended) / (len(ended) + len(racing)))
+    return list(dict.fromkeys(sorted(ended, key=worth_of, reverse=True)))
+
+
+def _stepped(search: Search, racing: Ranked, n: int, sample: int, worse: float) -> Ranked:
+    """Each candidate, or what is better with twice or half as many blocks along axis n."""
+    tried: list[tuple[int, bool, Choice]] = []
+    for (number, (_, each)), more in product(enumerate(racing), (True, False)):
+        count = 2 * each.grid[n] if more else each.grid[n] // 2
+        lost = search.losses.get((each.organisation, each.undecomposed, n, more), 0.0)
+        if lost < worse and allowed(count, n, each.grid, search.trial.source.shape):
+            tried.append((number, more, (each.organisation, changed(each.grid, n, count))))
+    found = list(racing)
+    for (number, more, _), item in zip(tried, search.best([choice for *_, choice in tried], sample), strict=True):
+        way = (item[1].organisation, racing[number][1].undecomposed, n, more)
+        search.losses[way] = max(search.losses.get(way, 0.0), racing[number][0] - item[0])
+        found[number] = max(found[number], item, key=worth_of)
+    return found
+
+
+def _merged(search: Search, few: Sequence[tuple[int, ...]], progress: Progress) -> list[Organisation]:
+    """All organisations of few axes; of many, those that come of merging the best two modes again and again."""
+    axes = search.trial.source.axes
+    if sum(axis.size > 1 for axis in axes) <= FEW_AXES:
+        return list(organisations(axes))
+    found = best = [search.plain]
+    for modes in range(len(search.plain), 2, -1):
+        new = list(dict.fromkeys(merged for organisation in best for merged in merges(organisation, axes)))
+        judged = search.best(list(product(new, few)), search.care.survey)
+        worth = _by_organisation(new, judged)
+        best = sorted(new, key=lambda each: -worth[each])[:BEAM]
+        found = found + new
+        progress("organisation", (len(search.plain) - modes + 1) / len(search.plain))
+    return found
+
+
+def _by_organisation(left: Sequence[Organisation], judged: Ranked) -> dict[Organisation, float]:
+    """What each organisation is worth with the best grid; `judged` has all grids of one after those of another."""
+    grids = len(judged) // max(1, len(left))
+    return {modes: max(map(worth_of, judged[n * grids : (n + 1) * grids])) for n, modes in enumerate(left)}
