@@ -16,10 +16,11 @@ from hmkcta.allocation import allocate, choices_of, pareto, ration, spectrum
 from hmkcta.axes import Organisation
 from hmkcta.choosing.candidates import Candidate
 from hmkcta.choosing.growth import growth_of
-from hmkcta.choosing.judging import Search
+from hmkcta.choosing.judging import CARES, Search
+from hmkcta.choosing.racing import racing_of
 from hmkcta.choosing.spectra import cores
 from hmkcta.choosing.trial import Trial, trial_of
-from hmkcta.choosing.tuning import CARES, _near_best, _racing  # pyright: ignore[reportPrivateUsage]
+from hmkcta.choosing.tuning import _near_best  # pyright: ignore[reportPrivateUsage]
 from hmkcta.fit import EFFORTS
 from hmkcta.grids import allowed, few_grids, uncut_grids
 from hmkcta.source import prepare
@@ -350,25 +351,31 @@ def test_a_race_begins_with_modes_undecomposed_in_other_ways() -> None:
     for number, grid in enumerate(grids):
         found = [(worth, kinds[3 * number + n]) for n, worth in enumerate((30.0 - number, 29.2 + number / 2, 28.9))]
         search.seen[plain, grid, 4608, 4000] = found
-    racing = _racing(search.every(list(product([plain], grids)), 4608))
+    racing = racing_of(search.every(list(product([plain], grids)), 4608))
     assert [(worth, each.grid, each.undecomposed) for worth, each in racing] == [
         (30.0, (1, 1, 1), (0,)),
         (29.7, (1, 2, 2), ()),
     ]
 
 
-@pytest.mark.parametrize(("effort", "behind", "found"), [
-    ("medium", 0.4, [(1, 2, 2), (1, 3, 2)]), ("medium", 0.6, [(1, 2, 2)]), ("fast", 0.4, [])])
+@pytest.mark.parametrize(("effort", "size", "behind", "found"), [
+    ("medium", 4000, 0.4, [(1, 2, 2), (1, 3, 2)]),
+    ("medium", 4000, 1.6, [(1, 2, 2)]),
+    ("medium", 300, 1.4, [(1, 2, 2), (1, 3, 4), (1, 3, 2)]),
+    ("fast", 4000, 0.4, []),
+])
 def test_what_is_judged_next_to_the_best_is_fitted_too(
-    effort: str, behind: float, found: list[tuple[int, ...]]
+    effort: str, size: int, behind: float, found: list[tuple[int, ...]]
 ) -> None:
-    """Of what was judged on the largest sample, with the cuts of the best left out."""
+    """Of what was judged on the largest sample, with the cuts of the best left out; the more, the fewer the bytes."""
     plain = (("axis0",), ("axis1",), ("axis2",))
-    trial = trial_of(prepare(noise(8, 24, 24), None, "identity", None), 4000, None, 4096, 0)
-    search = Search(trial, trial, plain, 1, CARES[EFFORTS[effort]], 1 << 20, 0)
-    judged = {(1, 1, 1): 30.0, (1, 2, 2): 29.9, (1, 3, 2): 30.0 - behind, (1, 3, 3): 29.0}
+    trial = trial_of(prepare(noise(8, 24, 24), None, "identity", None), size, None, 4096, 0)
+    search = Search(trial, trial, plain, 1, CARES[EFFORTS[effort]], 1 << 20, 0, settled=size)
+    judged = {(1, 1, 1): 30.0, (1, 2, 2): 29.9, (1, 3, 2): 30.0 - behind, (1, 3, 3): 28.0}
+    if size < 4000:
+        judged[1, 3, 4] = 29.0
     for grid, worth in judged.items():
-        search.seen[plain, grid, 4608, 4000] = [(worth, Candidate(plain, grid))]
-    search.seen[plain, (1, 4, 4), 1000, 4000] = [(35.0, Candidate(plain, (1, 4, 4)))]
+        search.seen[plain, grid, 4608, size] = [(worth, Candidate(plain, grid)), (worth - 0.1, Candidate(plain, grid, (0,)))]
+    search.seen[plain, (1, 4, 4), 1000, size] = [(35.0, Candidate(plain, (1, 4, 4)))]
     best = Candidate(plain, (1, 1, 1), cuts=(1, 1, 2))
     assert [each.grid for each in _near_best(search, best)] == found

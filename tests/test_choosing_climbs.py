@@ -62,4 +62,4 @@ def _search(monkeypatch: pytest.MonkeyPatch, blocks: dict[tuple[int, ...], float
     monkeypatch.setattr(Trial, "worths", worths)
     array = np.random.default_rng(0).random((48, 48, 16))
     trial = trial_of(prepare(array, None, "identity", None), 4000, None, 4096, 0)
-    return Search(trial, trial, PLAIN, 1, CARES[EFFORTS["medium"]], 1 << 20, 0)
+    return Search(trial, trial, PLAIN, 1, CARES[EFFORTS["thorough"]], 1 << 20, 0)

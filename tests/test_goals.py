@@ -310,7 +310,7 @@ def test_where_a_plan_misses_its_snr_another_is_tried(monkeypatch: pytest.Monkey
 
     monkeypatch.setattr("hmkcta.rivals.follow", weak)
     with pytest.warns(UserWarning, match=r"a plan chosen for 40 dB came to 2\d\.\d+: another is tried, R="):
-        model = fitted("material", snr=40.0, bits=16)
+        model = fitted("material", snr=40.0, bits=16, quality="fast")
     assert model.snr >= 40
     assert [len(plan.levels) for plan in followed] == [1, 2]
 

@@ -50,6 +50,7 @@ WITHIN = {
         ("trial",),
         ("judging",),
         ("climbing", "clustered", "number_bits"),
+        ("racing",),
         ("tuning",),
     ),
     "decode": (("scattered",), ("cells",), ("dense",)),

@@ -18,7 +18,7 @@ F64 = NDArray[np.float64]
 Ladder = tuple[int, ...]
 
 #: Most choices of ranks of a block, and by how much a rank at most grows from one that is looked at to the next.
-FEW_CHOICES, CHOICES = 1_000, 8_000
+FEW_CHOICES, CHOICES = 2_500, 10_000
 GROWTH = (1.0, 1.08, 1.12, 1.16, 1.2, 1.25, 1.3, 1.35, 1.42, 1.5, 1.6, 1.8, 2.2)
 #: Squares summed in float32.
 TERMS = 1024
