@@ -375,7 +375,8 @@ def test_what_is_judged_next_to_the_best_is_fitted_too(
     if size < 4000:
         judged[1, 3, 4] = 29.0
     for grid, worth in judged.items():
-        search.seen[plain, grid, 4608, size] = [(worth, Candidate(plain, grid)), (worth - 0.1, Candidate(plain, grid, (0,)))]
+        alike = (worth - 0.1, Candidate(plain, grid, (0,)))
+        search.seen[plain, grid, 4608, size] = [(worth, Candidate(plain, grid)), alike]
     search.seen[plain, (1, 4, 4), 1000, size] = [(35.0, Candidate(plain, (1, 4, 4)))]
     best = Candidate(plain, (1, 1, 1), cuts=(1, 1, 2))
     assert [each.grid for each in _near_best(search, best)] == found

@@ -25,7 +25,8 @@ def of_bits(search: Search, look: Look, bits: int | None, fixed: bool) -> tuple[
     """The best candidate whose numbers have so many bits, of a fixed organisation or any.
 
     None: eight bits, or where what these leave tells, sixteen, which are looked at with the organisation of the best
-    unless bytes hide which that is; sixteen where memory sets bounds, as the ranks that bytes afford take more of it to look at.
+    unless bytes hide which that is; sixteen where memory sets bounds, as the ranks that bytes afford take more of it
+    to look at.
     """
     if search.goal.memory is not None:
         bits = bits or 16
