@@ -28,7 +28,7 @@ ASIDE = 1.0
 OTHERWISE, KINDS = 1.5, 2
 #: How far behind is left, and which loss along an axis is final, in a race; and where bytes for an SNR come from a
 #: survey alone.
-TRUSTED, DOUBTED = (1.2, 0.7), (inf, SURELY_WORSE)
+TRUSTED, DOUBTED = (2.0, 1.5), (inf, SURELY_WORSE)
 
 
 def finalists(search: Search, fixed: bool, progress: Progress, *, narrow: bool) -> Ranked:
@@ -44,10 +44,9 @@ def finalists(search: Search, fixed: bool, progress: Progress, *, narrow: bool) 
         margins = DOUBTED if narrow and not found else TRUSTED
         judged = search.best(choices, sample, partial(progress, "blocks"))
         racing = racing_of(judged + search.every(choices, sample))
-        choices = [*product([search.plain], grids), *((each.organisation, each.grid) for _, each in racing)]
         racing = near(racing, margins[0])[: care.organisations]
         ended = near(_raced(search, racing, sample, margins, progress), margins[0])[: care.finalists]
-        choices += [(each.organisation, each.grid) for _, each in ended]
+        choices = [*product([search.plain], grids), *((each.organisation, each.grid) for _, each in racing + ended)]
         found = ended + found
         if narrow:
             search.narrow(ended, sample)

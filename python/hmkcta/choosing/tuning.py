@@ -49,7 +49,7 @@ ROUNDED = 12.0
 ALIKE, EXACT = 1.0, 100.0
 #: Candidates that are judged so near the best are fitted, too, of arrays of up to so many elements: the more, the fewer
 #: bits an element is to take, as fits of low ranks take less time; no fewer and no more than these.
-BESIDE, FITTED, AT_ONE_BIT, NEAR = 1.5, 1 << 24, 2.2, (2, 8)
+BESIDE, FITTED, AT_ONE_BIT, NEAR = 1.5, 1 << 24, 2.5, (2, 8)
 #: Further plans for an SNR; where all are short of it by so many dB, the bytes to judge by are found anew.
 SPARE, SHORT = 2, 0.5
 
