@@ -120,7 +120,7 @@ def test_far_beyond_its_goal_a_plan_is_tried_with_other_blocks(
 ) -> None:
     monkeypatch.setattr("hmkcta.encode.SMALL", 0)
     monkeypatch.setattr("hmkcta.finer.USED", 1.0)
-    goal |= {"bits": 16, "quality": "fast"}  # which compares no rivals
+    goal = goal | {"bits": 16, "quality": "fast"}  # which compares no rivals
     plain = fitted(plan=choose_plan(dataset().values, axes=dataset().axes, threads=1, **goal), quality="fast")
     model = fitted(**goal)
     if "snr" in goal:

@@ -9,6 +9,7 @@ from math import isinf, prod
 from ._version import __version__
 from .axes import Axis, Organisation, mode_sizes
 from .hmkfile import ArrayInfo, coords_info, coords_name, file_size, level_schema, prefix
+from .memberships import block_sizes
 from .packed import LevelBounds, LevelQuality, Metadata
 from .plan import LevelSpec, Plan
 from .source import Source
@@ -128,16 +129,6 @@ def _level_arrays(
         lengths[f"part/{n}"] = lengths[f"local/{n}"] = others * sum(sizes)
     for name, info in level_schema(order, undecomposed_in(plan), nodes, last, level.bits):
         yield name, ArrayInfo(info.dtype, tuple(lengths[name] if size < 0 else size for size in info.shape))
-
-
-def block_sizes(size: int, blocks: int) -> list[int]:
-    """Rows of each of so many equal blocks.
-
-    >>> block_sizes(8, 3)
-    [3, 3, 2]
-    """
-    short, longer = divmod(size, blocks)
-    return [short + 1] * longer + [short] * (blocks - longer)
 
 
 def _grid_blocks(level: LevelSpec, axes: Sequence[Axis], organisation: Organisation) -> list[Parts]:

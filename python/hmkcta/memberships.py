@@ -40,14 +40,23 @@ CANDIDATES: tuple[tuple[float, float | None], ...] = (
 SOME_DIMENSIONS = (3, 8)
 
 
+def block_sizes(size: int, blocks: int) -> list[int]:
+    """Rows of each of so many equal blocks.
+
+    >>> block_sizes(8, 3)
+    [3, 3, 2]
+    """
+    short, longer = divmod(size, blocks)
+    return [short + 1] * longer + [short] * (blocks - longer)
+
+
 def uniform_blocks(size: int, clusters: int) -> NDArray[np.intp]:
     """Block number of each row, the first blocks longer by one (paper, footnote 1).
 
     >>> np.bincount(uniform_blocks(10, 4)).tolist()
     [3, 3, 2, 2]
     """
-    short, longer = divmod(size, clusters)
-    return np.repeat(np.arange(clusters), [short + (c < longer) for c in range(clusters)])
+    return np.repeat(np.arange(clusters), block_sizes(size, clusters))
 
 
 def sampled_rows(tensor: NDArray[Any], n: int) -> NDArray[Any]:
