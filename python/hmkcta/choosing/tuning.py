@@ -150,17 +150,17 @@ def _found(search: Search, ended: Ranked, progress: Progress, *, narrow: bool) -
     return with_clusters(search, max(judged, key=worth_of))
 
 
+def _last_judged(search: Search, size: int) -> Ranked:
+    """What was judged by so many bytes on the largest sample, the best first."""
+    most = max(key[2] for key in search.seen if key[3] == size)
+    judged = [item for key, found in search.seen.items() if key[2:] == (most, size) for item in found]
+    return sorted(judged, key=worth_of, reverse=True)
+
+
 def _kinds(search: Search) -> Ranked:
     """The best candidate of every kind, of those judged by the goal's bytes on the largest sample."""
-    most = max(sample for *_, sample, size in search.seen if size == search.trial.size)
-    judged = [
-        item
-        for (*_, sample, size), found in search.seen.items()
-        if (sample, size) == (most, search.trial.size)
-        for item in found
-    ]
     kinds = dict[tuple[Organisation, tuple[int, ...], bool], tuple[float, Candidate]]()
-    for worth, each in sorted(judged, key=worth_of, reverse=True):
+    for worth, each in _last_judged(search, search.trial.size):
         kinds.setdefault((each.organisation, each.undecomposed, each.carried), (worth, each))
     return list(kinds.values())
 
@@ -183,10 +183,8 @@ def _near_best(search: Search, best: Candidate) -> list[Candidate]:
     """
     if not search.settled or prod(search.goal.source.shape) > FITTED or search.care == CARES[EFFORTS["fast"]]:
         return []
-    most = max(sample for *_, sample, size in search.seen if size == search.settled)
-    judged = [item for key, found in search.seen.items() if key[2:] == (most, search.settled) for item in found]
     apart = dict[tuple[Organisation, tuple[int, ...], bool], tuple[float, Candidate]]()
-    for worth, each in sorted(judged, key=worth_of, reverse=True):
+    for worth, each in _last_judged(search, search.settled):
         apart.setdefault((each.organisation, each.grid, each.carried), (worth, each))
     ahead = [each for _, each in near(list(apart.values()), BESIDE)]
     bits_each = 8 * search.settled / prod(search.goal.source.shape)
