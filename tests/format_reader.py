@@ -18,7 +18,9 @@ from pathlib import Path
 from typing import Any
 
 #: struct's letter and bytes of one number.
-TYPES = {"I8": ("b", 1), "F16": ("e", 2), "F32": ("f", 4), "F64": ("d", 8), "U16": ("H", 2), "U32": ("I", 4)}
+TYPES = {
+    "I8": ("b", 1), "U8": ("B", 1), "F16": ("e", 2), "F32": ("f", 4), "F64": ("d", 8), "U16": ("H", 2), "U32": ("I", 4),
+}  # fmt: skip
 
 
 def flat(index: Sequence[int], sizes: Sequence[int]) -> int:
@@ -54,9 +56,9 @@ class Reader:
             begin, last = entry["data_offsets"]
             raw, count = data[start + begin : start + last], prod(entry["shape"])
             assert (begin, last - begin, (start + begin) % size) == (end, count * size, 0)
-            assert self.metadata["arrays"].pop(name) == {
-                "dtype": entry["dtype"], "shape": entry["shape"], "crc32": zlib.crc32(raw),
-            }  # fmt: skip
+            record = {"dtype": entry["dtype"], "shape": entry["shape"], "crc32": zlib.crc32(raw)}
+            short = self.metadata["version"] == "1.2"
+            assert self.metadata["arrays"].pop(name) == (record["crc32"] if short else record)
             numbers, end = struct.unpack(f"<{count}{letter}", raw), last
             self.arrays[name] = of_bytes(name, numbers) if entry["dtype"] == "I8" else numbers
         assert not self.metadata["arrays"]
@@ -65,6 +67,8 @@ class Reader:
         self.sizes = {axis["name"]: axis["size"] for axis in self.metadata["axes"]}
         self.modes: list[list[str]] = self.metadata["organisation"]
         self.undecomposed: list[int] = self.metadata["undecomposed"]
+        if self.metadata["version"] == "1.2":
+            self._complete([prod(self.sizes[a] for a in mode) for mode in self.modes])
 
     def _check_types(self, header: dict[str, Any]) -> None:
         """Section 3, types: one for the numbers of a level, and after I8 no other."""
@@ -72,9 +76,59 @@ class Reader:
             {entry["dtype"] for name, entry in header.items() if re.match(rf"level/{level}/(core$|basis/)", name)}
             for level, _ in enumerate(self.metadata["levels"], 1)
         ]
-        allowed = {"1.0": [{"F16"}], "1.1": [{"F16"}, {"I8"}]}[self.metadata["version"]]
+        allowed = {"1.0": [{"F16"}]}.get(self.metadata["version"], [{"F16"}, {"I8"}])
         assert all(types in allowed for types in level_types)
         assert level_types == sorted(level_types, key=allowed.index)
+
+    def _complete(self, sizes: Sequence[int]) -> None:
+        """Section 3, short tables: level by level what is not stored."""
+        owned = [[size] for size in sizes]  # rows of each node, mode by mode
+        for level, _ in enumerate(self.metadata["levels"], 1):
+            nodes = [Node(self, level, s) for s in range(len(owned[0]))]
+            for node in nodes:
+                node.rows = [counts[node.s] for counts in owned]
+            owned = [self._complete_mode(level, nodes, n) for n in range(len(sizes))]
+            self._sums(level, "core", [prod(node.clusters) * prod(node.ranks) for node in nodes])
+            self._sums(level, "cell", [prod(node.clusters) for node in nodes])
+
+    def _sums(self, level: int, name: str, counts: Sequence[int], mode: str = "") -> None:
+        sums = tuple(sum(counts[:s]) for s in range(len(counts) + 1))
+        self.arrays[f"level/{level}/{name}_offset{mode}"] = sums
+
+    def _complete_mode(self, level: int, nodes: Sequence[Node], n: int) -> list[int]:
+        """The arrays of a mode; how many rows the nodes of the next level own."""
+        self._sums(level, "row", [node.rows[n] for node in nodes], f"/{n}")
+        child = self.arrays.get(f"level/{level}/child", (0,) * (len(nodes) + 1))
+        inner = [node for node in nodes if child[node.s] < child[node.s + 1]]
+        if n in self.undecomposed:
+            return [node.rows[n] for node in inner for _ in range(prod(node.clusters))]
+        others = [prod(node.clusters[:n] + node.clusters[n + 1 :]) for node in nodes]
+        entries = [node.rows[n] * node.mixture[n] for node in nodes]
+        self._sums(level, "cluster", entries, f"/{n}")
+        bases = [e * o * node.ranks[n] for e, o, node in zip(entries, others, nodes, strict=True)]
+        self._sums(level, "basis", bases, f"/{n}")
+        cluster, part, local = (f"level/{level}/{name}/{n}" for name in ("cluster", "part", "local"))
+        self.arrays.setdefault(cluster, (0,) * sum(entries))
+        if level == len(self.metadata["levels"]):
+            return []
+        if part not in self.arrays:
+            whole, first = list[int](), self.arrays[f"level/{level}/cluster_offset/{n}"]
+            for node in nodes:
+                own = self.arrays[cluster][first[node.s] : first[node.s + 1]]
+                whole += own if node in inner else (0,) * node.rows[n]
+            self.arrays[part] = tuple(whole)
+        first = self.arrays[f"level/{level}/row_offset/{n}"]
+        if local not in self.arrays:
+            places = list[int]()
+            for node in nodes:
+                own = self.arrays[part][first[node.s] : first[node.s + 1]]
+                places += [own[:i].count(p) if node in inner else 0 for i, p in enumerate(own)]
+            self.arrays[local] = tuple(places)
+        return [
+            self.arrays[part][first[node.s] : first[node.s + 1]].count(choice[n])
+            for node in inner
+            for choice in product(*map(range, node.clusters))
+        ]
 
     def value(self, index: Sequence[int], levels: int) -> float:
         """Section 4: one element, by its index in the source array, up to a level."""
@@ -116,6 +170,7 @@ class Node:
     def __init__(self, file: Reader, level: int, s: int) -> None:
         self.file, self.level, self.s, order = file, level, s, len(file.modes)
         shape = self.array("shape")[3 * order * s : 3 * order * (s + 1)]
+        self.rows: list[int] = []  # of short tables, where no offsets tell
         self.clusters, self.mixture, self.ranks = (shape[order * i : order * (i + 1)] for i in range(3))
 
     def array(self, name: str) -> tuple[Any, ...]:

@@ -9,6 +9,7 @@ import hashlib
 import json
 import zlib
 from dataclasses import dataclass, field
+from itertools import takewhile
 from math import prod
 from pathlib import Path
 from typing import Any, cast
@@ -17,7 +18,7 @@ TESTS = Path(__file__).parent
 CORPUS = TESTS / "corpus"
 FIXTURES = TESTS / "fixtures"
 
-_ITEM_SIZES = {"I8": 1, "F16": 2, "F32": 4, "F64": 8, "U16": 2, "U32": 4}
+_ITEM_SIZES = {"I8": 1, "U8": 1, "F16": 2, "F32": 4, "F64": 8, "U16": 2, "U32": 4}
 _U32_MAX = 2**32 - 1
 
 
@@ -106,23 +107,31 @@ class Parts:
         for name, (dtype, shape, data) in self.arrays.items():
             header[name] = {"dtype": dtype, "shape": shape, "data_offsets": [begin, begin + len(data)]}
             begin += len(data)
-        return frame(compact(header), b"".join(data for _, _, data in self.arrays.values()))
+        return frame(compact(header), b"".join(data for _, _, data in self.arrays.values()), lead=self.lead)
+
+    @property
+    def lead(self) -> int:
+        """Bytes of the U8 arrays at the beginning."""
+        first = takewhile(lambda array: array[0] == "U8", self.arrays.values())
+        return sum(len(data) for _, _, data in first)
 
     def record(self, name: str) -> None:
         """Make the metadata's record of an array anew, or remove it with the array."""
         metadata = json.loads(self.text)
         if name in self.arrays:
             dtype, shape, data = self.arrays[name]
-            metadata["arrays"][name] = {"dtype": dtype, "shape": shape, "crc32": zlib.crc32(data)}
+            crc = zlib.crc32(data)
+            short = metadata["version"] == "1.2"
+            metadata["arrays"][name] = crc if short else {"dtype": dtype, "shape": shape, "crc32": crc}
         else:
             del metadata["arrays"][name]
         self.text = compact(metadata)
 
 
-def frame(header: str, body: bytes, pad: int | None = None) -> bytes:
-    """Length, header text, padding (to 8 bytes unless given) and body."""
+def frame(header: str, body: bytes, pad: int | None = None, lead: int = 0) -> bytes:
+    """Length, header text, padding (unless given up to where `lead` bytes more end at a multiple of 8) and body."""
     raw = header.encode("utf-8", "surrogatepass")
-    raw += b" " * (-len(raw) % 8 if pad is None else pad)
+    raw += b" " * (-(len(raw) + lead) % 8 if pad is None else pad)
     return len(raw).to_bytes(8, "little") + raw + body
 
 
@@ -151,9 +160,10 @@ def replace_once(text: str, edit: dict[str, Any]) -> str:
 def _edit_header(parts: Parts, op: str, edit: dict[str, Any]) -> bytes:
     if op == "header":
         set_path(parts.header, edit)
-        return frame(compact(parts.header), parts.data)
+        return frame(compact(parts.header), parts.data, lead=parts.lead)
     text = compact(parts.header)
-    return frame(replace_once(text, edit) if op == "header-text" else text, parts.data, edit.get("pad"))
+    text = replace_once(text, edit) if op == "header-text" else text
+    return frame(text, parts.data, edit.get("pad"), parts.lead)
 
 
 def _edit_metadata(parts: Parts, op: str, edit: dict[str, Any]) -> None:
@@ -188,7 +198,7 @@ def _edit_array(parts: Parts, op: str, edit: dict[str, Any]) -> None:
 
 
 def pack(values: list[int], dtype: str) -> bytes:
-    """Whole numbers as little-endian U16 or U32."""
-    assert dtype in ("U16", "U32")
+    """Whole numbers as little-endian U8, U16 or U32."""
+    assert dtype in ("U8", "U16", "U32")
     assert all(0 <= value <= _U32_MAX for value in values)
     return b"".join(value.to_bytes(_ITEM_SIZES[dtype], "little") for value in values)

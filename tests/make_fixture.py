@@ -2,7 +2,7 @@
 
 Run as ``python tests/make_fixture.py`` after a new version is released. Later code must decode them to the values
 that were written down beside them, so they are evidence only as long as nobody regenerates them. Those of version 1.0
-were made of `small_model` and `merged_model`.
+were made of `small_model` and `merged_model`, those of 1.1 of `eight_model` and `mixed_model`.
 """
 
 from __future__ import annotations
@@ -61,6 +61,17 @@ def mixed_model() -> tuple[Metadata, tuple[PackedLevel, ...]]:
     return replace(metadata, kind="svbrdf"), levels
 
 
+def lone_model() -> tuple[Metadata, tuple[PackedLevel, ...]]:
+    """Three modes, one of them undecomposed, three levels of bytes, each row in one cluster, all in order.
+
+    So parts and positions are left out, and clusters where there is one.
+    """
+    axes = (Axis("y", 9, "space"), Axis("x", 7, "space"), Axis("t", 2, "time"))
+    metadata, levels = random_model(np.random.default_rng(10), (9, 7, 2), 3, (2,), axes=axes, eight_from=1,
+                                    shapes=Shapes(3, 1, 3, zero=0.2, leaf=0.2, tidy=True))
+    return replace(metadata, kind="volume", seed=12), levels
+
+
 def expectations(metadata: Metadata, levels: tuple[PackedLevel, ...]) -> dict[str, Any]:
     """What a reader of any language must find: some elements up to each level, by section 4 of the specification."""
     sizes = mode_sizes(metadata.axes, metadata.organisation)
@@ -72,12 +83,12 @@ def expectations(metadata: Metadata, levels: tuple[PackedLevel, ...]) -> dict[st
 
 
 def write_fixtures(folder: Path) -> None:
-    """Write both fixtures with their expectations.
+    """Write the fixtures with their expectations.
 
     Raises:
         HmkctaError: ``output-exists``, as a fixture once written stays as it is.
     """
-    for name, model in (("eight", eight_model()), ("mixed", mixed_model())):
+    for name, model in (("eight", eight_model()), ("mixed", mixed_model()), ("lone", lone_model())):
         path = folder / f"v{VERSION}-{name}.hmk"
         save(path, *model)
         path.with_suffix(".json").write_text(json.dumps(expectations(*model)) + "\n", encoding="utf-8")

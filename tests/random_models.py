@@ -28,6 +28,7 @@ class Shapes:
     max_cells: int = 12  # PC of a node, which bounds the number of its children
     zero: float = 0.15  # chance that a node below level 1 has shape zero
     leaf: float = 0.15  # chance that a node above the last level has no children
+    tidy: bool = False  # rows go where their first cluster is, and keep their order
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,13 +110,16 @@ def _random_node(rng: np.random.Generator, rows: Sizes, undecomposed: Sequence[i
         return rng.integers(clusters[n], size=rows[n]).astype(np.uint16) if inner else np.zeros(rows[n], np.uint16)
 
     part = decomposed(parts)
-    keep = not inner or prod(clusters) == 1
+    keep = shapes.tidy or not inner or prod(clusters) == 1
+    cluster = decomposed(subsets) if shapes.tidy else ()
+    if shapes.tidy and inner:
+        part = tuple(None if c is None else c[:, 0] for c in cluster)
     local = tuple(None if p is None else _random_places(rng, p, keep, inner) for p in part)
     core = rng.normal(size=(prod(clusters), *ranks)).astype(np.float16)
     scale = rng.uniform(0.25, 2.0, prod(clusters)).astype(np.float32)
     children = _child_rows(rows, clusters, part) if inner else ()
-    return Node(rows, clusters, mixture, ranks, core, scale, decomposed(subsets), decomposed(basis), part, local,
-                children)
+    return Node(rows, clusters, mixture, ranks, core, scale, cluster or decomposed(subsets), decomposed(basis), part,
+                local, children)
 
 
 def _random_shape(rng: np.random.Generator, rows: Sizes, undecomposed: Sequence[int], shapes: Shapes

@@ -50,12 +50,13 @@ def test_a_reader_by_the_text_alone_agrees(options: dict[str, Any], tmp_path: Pa
 
 
 @pytest.mark.parametrize("eight_from", [1, 2, 3])
-def test_a_reader_by_the_text_alone_agrees_on_bytes(eight_from: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize("shapes", [Shapes(leaf=0.0, zero=0.0), Shapes(3, 1, 3, zero=0.1, leaf=0.1, tidy=True)])
+def test_a_reader_by_the_text_alone_agrees_on_bytes(eight_from: int, shapes: Shapes, tmp_path: Path) -> None:
     sizes, rng = (5, 4, 6), np.random.default_rng(eight_from)
-    model = Model(*random_model(rng, sizes, 3, (1,), shapes=Shapes(leaf=0.0, zero=0.0), eight_from=eight_from))
+    model = Model(*random_model(rng, sizes, 3, (1,), shapes=shapes, eight_from=eight_from))
     model.save(tmp_path / "a.hmk")
     reader, opened = Reader(tmp_path / "a.hmk"), hmkcta.open(tmp_path / "a.hmk")
-    assert reader.metadata["version"] == "1.1"
+    assert reader.metadata["version"] == "1.2"
     for level in range(1, 4):
         decoded = np.asarray(opened.at_level(level))
         assert np.abs(decoded).max() > 0.1

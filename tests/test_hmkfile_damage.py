@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -22,6 +23,9 @@ SMALL = (FIXTURES / "v1.0-small.hmk").read_bytes()
 MERGED = (FIXTURES / "v1.0-merged.hmk").read_bytes()
 EIGHT = (FIXTURES / "v1.1-eight.hmk").read_bytes()
 MIXED = (FIXTURES / "v1.1-mixed.hmk").read_bytes()
+SHORT_EIGHT = (FIXTURES / "v1.2-eight.hmk").read_bytes()
+SHORT_MIXED = (FIXTURES / "v1.2-mixed.hmk").read_bytes()
+LONE = (FIXTURES / "v1.2-lone.hmk").read_bytes()
 PYTHON = Path(__file__).parent.parent / "python"
 
 
@@ -34,8 +38,9 @@ def verdict(data: bytes | bytearray) -> HmkctaError | None:
     return None
 
 
-@pytest.mark.parametrize(("data", "step"), [(SMALL, 1), (EIGHT, 1), (MERGED, 7), (MIXED, 7)],
-                         ids=["small", "eight", "merged", "mixed"])
+@pytest.mark.parametrize(("data", "step"),
+                         [(SMALL, 1), (EIGHT, 1), (MERGED, 7), (MIXED, 7), (LONE, 1), (SHORT_MIXED, 7)],
+                         ids=["small", "eight", "merged", "mixed", "lone", "short mixed"])
 def test_every_truncation_is_insufficient_data(data: bytes, step: int) -> None:
     for size in range(0, len(data), step):
         error = verdict(data[:size])
@@ -52,9 +57,9 @@ def test_truncated_and_empty_files(tmp_path: Path) -> None:
         assert caught.value.kind is Kind.INSUFFICIENT_DATA
 
 
-@pytest.mark.parametrize("small", [SMALL, EIGHT], ids=["small", "eight"])
+@pytest.mark.parametrize("small", [SMALL, EIGHT, SHORT_EIGHT, LONE], ids=["small", "eight", "short eight", "lone"])
 def test_every_flipped_bit_is_reported(small: bytes) -> None:
-    assert 4096 <= len(small) <= 8192
+    assert 2048 <= len(small) <= 8192
     data = bytearray(small)
     unnoticed: list[tuple[int, int]] = []
     for position in range(len(data)):
@@ -67,7 +72,7 @@ def test_every_flipped_bit_is_reported(small: bytes) -> None:
     assert verdict(data) is None
 
 
-@pytest.mark.parametrize("whole", [MERGED, MIXED], ids=["merged", "mixed"])
+@pytest.mark.parametrize("whole", [MERGED, MIXED, SHORT_MIXED, LONE], ids=["merged", "mixed", "short mixed", "lone"])
 @pytest.mark.parametrize("width", [1, 4, 16])
 def test_sliding_damage_is_reported(width: int, whole: bytes) -> None:
     rng = np.random.default_rng(width)
@@ -87,7 +92,8 @@ def test_extra_byte_is_reported() -> None:
         assert error.reason == "trailing-bytes"
 
 
-@pytest.mark.parametrize(("base", "sizes"), [(MERGED, (72, 6, 2)), (MIXED, (24, 7, 2))], ids=["merged", "mixed"])
+@pytest.mark.parametrize(("base", "sizes"), [(MERGED, (72, 6, 2)), (MIXED, (24, 7, 2)), (SHORT_MIXED, (24, 7, 2)),
+                                            (LONE, (9, 7, 2))], ids=["merged", "mixed", "short mixed", "lone"])
 @pytest.mark.parametrize("seed", range(3))
 def test_forged_files_are_refused_or_decode(seed: int, base: bytes, sizes: tuple[int, ...]) -> None:
     """With checksums made anew, whatever the reader takes must decode everywhere to finite numbers."""
@@ -138,9 +144,20 @@ def bombs() -> dict[str, bytes]:
     deep = b'{"__metadata__":' + b"[" * 5_000_000
     huge = (b'{"__metadata__":{"hmkcta":"","hmkcta_sha256":"' + hashlib.sha256(b"").hexdigest().encode() + b'"},'
             b'"a":{"dtype":"F64","shape":[1000000000,1000000],"data_offsets":[0,8000000000000000]}}')
-    zero_root = zero_root_with_rows(2**32 - 1)
+    short = zero_root_with_rows(2**32 - 1, bits=8)
+    # A level more, of no nodes: nothing in the file says how many rows go nowhere.
+    deeper = Parts.split(short)
+    metadata = json.loads(deeper.text)
+    deeper.text = json.dumps(metadata | {"levels": metadata["levels"] * 2, "quality": metadata["quality"] * 2})
+    for name, (dtype, shape, data) in list(deeper.arrays.items()):
+        other = name.replace("level/1", "level/2")
+        deeper.arrays[other] = (dtype, [0, *shape[1:]], b"") if "shape" in name else (dtype, shape, data)
+        deeper.record(other)
+    deeper.arrays = {"level/1/child": ("U8", [2], bytes(2)), **deeper.arrays}
+    deeper.record("level/1/child")
     return {"json-depth": frame(deep), "truncated": frame(huge),
-            "header-too-large": (2**40).to_bytes(8, "little") + bytes(100), "ok": zero_root}
+            "header-too-large": (2**40).to_bytes(8, "little") + bytes(100),
+            "array-missing": deeper.join(), "ok": zero_root_with_rows(2**32 - 1), "ok too": short}
 
 
 def frame(header: bytes) -> bytes:
@@ -149,13 +166,13 @@ def frame(header: bytes) -> bytes:
     return len(header).to_bytes(8, "little") + header
 
 
-def zero_root_with_rows(size: int) -> bytes:
+def zero_root_with_rows(size: int, bits: int = 16) -> bytes:
     """A valid file of an all-zero tensor: billions of elements in a few bytes, no array to back them."""
     axes = name_axes((size,))
     none, numbers = np.zeros(2, np.uint32), np.empty(0, np.float16)
     level = PackedLevel(np.zeros((1, 3, 1), np.uint32), None, (np.array([0, size], np.uint32),), numbers, none,
                         np.empty(0, np.float32), none, (np.empty(0, np.uint16),), (none,), (numbers,), (none,),
-                        (None,), (None,))
+                        (None,), (None,), bits)
     metadata = Metadata("float32", axes, separate(axes), (LevelBounds((0,), (0,), (0,), "most"),),
                         quality=(LevelQuality(float("inf"), 0.0, 0.0),))
     return b"".join(encode(metadata, (level,)))
@@ -170,4 +187,5 @@ def test_bombs_are_refused_before_allocation(tmp_path: Path) -> None:
         paths.append(str(path))
     result = subprocess.run([sys.executable, "-c", BOMB, str(PYTHON), *paths], capture_output=True, text=True,
                             check=False, timeout=60)
-    assert (result.stderr, result.stdout.split()) == ("", ["json-depth", "truncated", "header-too-large"])
+    expected = ["json-depth", "truncated", "header-too-large", "array-missing"]
+    assert (result.stderr, result.stdout.split()) == ("", expected)

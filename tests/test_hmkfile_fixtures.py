@@ -17,7 +17,7 @@ from hmkcta.errors import HmkctaError
 from hmkcta.hmkfile import VERSION, encode, load
 from hmkcta.packed import Metadata, PackedLevel
 from literal_decode import element
-from make_fixture import eight_model, mixed_model, write_fixtures
+from make_fixture import eight_model, lone_model, mixed_model, write_fixtures
 
 #: SHA-256 of every committed fixture: a fixture that changes is no evidence any more.
 DIGESTS = {
@@ -25,6 +25,9 @@ DIGESTS = {
     "v1.0-small.hmk": "d69c92e8e0f00e017123e3b499e2df2e28ade57a25853e8db7b25f2e4e4a2d56",
     "v1.1-eight.hmk": "805998aebb4956ab83967db51ad6aafe336158f1bfb2276e2c69a1d2de25cca6",
     "v1.1-mixed.hmk": "36f0ef600a09e11d39c3a0a6cbc4ae7b3f07187674c000f521fcd13b2c695825",
+    "v1.2-eight.hmk": "c40d21a3d4cb6a7827eea81e2f39cd7e4bc81deb6fa7c2609da7a37f07668945",
+    "v1.2-lone.hmk": "2de87a0a64e0c6e424e9787dc78872efe08404d450e3148c85b00aa1d3a55f22",
+    "v1.2-mixed.hmk": "dfa07b4c27dddb781bf943f708b18d16672f6115bcae8131d7eba8e0f8fe79d9",
 }
 
 
@@ -46,17 +49,27 @@ def test_fixture_decodes_to_its_expectations(name: str) -> None:
 
 
 @pytest.mark.parametrize(("name", "bits"), [("v1.0-merged", [16] * 3), ("v1.1-eight", [8, 8]),
-                                            ("v1.1-mixed", [16, 8, 8])])
+                                            ("v1.1-mixed", [16, 8, 8]), ("v1.2-eight", [8, 8]),
+                                            ("v1.2-mixed", [16, 8, 8]), ("v1.2-lone", [8] * 3)])
 def test_fixtures_of_bytes_have_them(name: str, bits: list[int]) -> None:
     _, levels = load(FIXTURES / f"{name}.hmk")
     assert [level.bits for level in levels] == bits
     assert all(level.core.dtype == np.float16 and not level.core.flags.writeable for level in levels)
 
 
-@pytest.mark.parametrize("model", [eight_model(), mixed_model()], ids=["eight", "mixed"])
+@pytest.mark.parametrize("model", [eight_model(), mixed_model(), lone_model()], ids=["eight", "mixed", "lone"])
 def test_fixtures_of_the_newest_version_are_written_as_they_are(model: tuple[Metadata, tuple[PackedLevel, ...]]
                                                                 ) -> None:
     assert b"".join(encode(*model)) in [path.read_bytes() for path in FIXTURES.glob(f"v{VERSION}-*.hmk")]
+
+
+@pytest.mark.parametrize("name", ["eight", "mixed"])
+def test_short_tables_are_those_of_the_version_before(name: str) -> None:
+    (_, before), (_, short) = (load(FIXTURES / f"v{version}-{name}.hmk") for version in ("1.1", "1.2"))
+    for level, other in zip(short, before, strict=True):
+        for (_, found), (_, expected) in zip(level.tables(), other.tables(), strict=True):
+            assert found.dtype == expected.dtype
+            np.testing.assert_array_equal(found, expected)
 
 
 def test_merged_fixture_has_every_kind_of_node() -> None:

@@ -30,12 +30,13 @@ from hmkcta.hmkfile import (
     loads,
     prefix,
     save,
+    short,
+    table_bytes,
 )
 from hmkcta.hmkfile.metadata import to_json
-from hmkcta.hmkfile.schema import arrays_of
 from hmkcta.packed import LevelQuality, Metadata, PackedLevel
-from make_fixture import eight_model, merged_model, mixed_model, small_model
-from random_models import Shapes, random_model
+from make_fixture import eight_model, lone_model, merged_model, mixed_model, small_model
+from random_models import Shapes, bounds_of, random_model
 
 Model = tuple[Metadata, tuple[PackedLevel, ...]]
 
@@ -46,7 +47,7 @@ def models(draw: st.DrawFn) -> Model:
     sizes = draw(st.lists(st.integers(1, 6), min_size=2, max_size=6))
     undecomposed = tuple(n for n in range(len(sizes)) if draw(st.integers(0, 4)) == 0)
     shapes = draw(st.builds(Shapes, st.integers(1, 3), st.integers(1, 3), st.integers(1, 3), st.just(8),
-                            st.sampled_from([0.0, 0.3]), st.sampled_from([0.0, 0.3])))
+                            st.sampled_from([0.0, 0.3]), st.sampled_from([0.0, 0.3]), st.booleans()))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     levels = draw(st.integers(1, 3))
     eight_from = draw(st.none() | st.integers(1, levels))
@@ -132,8 +133,9 @@ def test_safetensors_opens_bytes() -> None:
     found: dict[str, NDArray[Any]] = safetensors_load(encoded(model))
     assert {name: array.dtype for name, array in found.items() if name.endswith("/core")} == {
         "level/1/core": np.float16, "level/2/core": np.int8, "level/3/core": np.int8}
-    for name, array in arrays_of(levels, {}).items():
-        assert_equal(found[name], array)
+    for level, packed in enumerate(levels, 1):
+        for name, array in packed.coefficients():
+            assert_equal(found[prefix(level) + name], array)
 
 
 def test_safetensors_opens_it(tmp_path: Path) -> None:
@@ -141,7 +143,8 @@ def test_safetensors_opens_it(tmp_path: Path) -> None:
     save(tmp_path / "a.hmk", metadata, levels)
     coords = metadata.axes[0].coords
     assert coords is not None
-    expected = arrays_of(levels, {"coords/light": coords})
+    expected = {"coords/light": coords} | {prefix(level) + name: array for level, packed in enumerate(levels, 1)
+                                           for name, array in (*packed.tables(), *packed.coefficients())}
     with cast("Any", safe_open)(str(tmp_path / "a.hmk"), "np") as file:  # the library's types are incomplete
         assert set(file.metadata()) == {"hmkcta", "hmkcta_sha256"}
     found: dict[str, NDArray[Any]] = safetensors_load((tmp_path / "a.hmk").read_bytes())
@@ -156,23 +159,23 @@ def header_of(data: bytes) -> tuple[int, dict[str, Any]]:
     return length, json.loads(data[8:8 + length])
 
 
-@pytest.mark.parametrize("make", [merged_model, eight_model, mixed_model])
+@pytest.mark.parametrize("make", [merged_model, eight_model, mixed_model, lone_model])
 def test_order_on_disk(make: Callable[[], Model]) -> None:
     data = encoded(make())
     length, header = header_of(data)
     del header["__metadata__"]
     names = list(header)
     kinds = ["tables 4" if header[name]["dtype"] in ("U32", "F32") else header[name]["dtype"] for name in names]
-    assert kinds == sorted(kinds, key=["tables 4", "U16", "F16", "I8"].index)
+    assert kinds == sorted(kinds, key=["U8", "tables 4", "U16", "F16", "I8"].index)
     numbers = [name for name in names if header[name]["dtype"] in ("F16", "I8")]
     assert [name.split("/")[1] for name in numbers] == sorted(name.split("/")[1] for name in numbers)
-    assert length % 8 == 0
+    assert (length + sum(prod(header[name]["shape"]) for name in names if header[name]["dtype"] == "U8")) % 8 == 0
     for entry in header.values():
         item = (entry["data_offsets"][1] - entry["data_offsets"][0]) // max(prod(entry["shape"]), 1)
         assert item == 0 or (8 + length + entry["data_offsets"][0]) % item == 0
 
 
-@pytest.mark.parametrize("make", [small_model, merged_model, eight_model, mixed_model])
+@pytest.mark.parametrize("make", [small_model, merged_model])
 def test_the_schema_of_a_level_tells_types_and_size(make: Callable[[], Model]) -> None:
     metadata, levels = make()
     data = encoded((metadata, levels))
@@ -192,14 +195,54 @@ def payload(data: bytes) -> int:
     return len(data) - 8 - header_of(data)[0]
 
 
-@pytest.mark.parametrize(("eight_from", "version"), [(None, "1.0"), (1, "1.1"), (2, "1.1")])
-def test_the_version_is_the_oldest_that_has_what_is_needed(eight_from: int | None, version: str) -> None:
-    plain = random_model(np.random.default_rng(0), (4, 5), 2)
+@pytest.mark.parametrize(("eight_from", "version"), [(None, "1.0"), (1, "1.2"), (2, "1.2")])
+def test_the_version_hangs_on_number_types(eight_from: int | None, version: str) -> None:
     model = random_model(np.random.default_rng(0), (4, 5), 2, eight_from=eight_from)
     data = encoded(model)
     assert json.loads(header_of(data)[1]["__metadata__"]["hmkcta"])["version"] == version
-    saved = sum(level.numbers() for level in model[1] if level.bits == 8)
-    assert payload(encoded(plain)) - payload(data) == saved
+    assert payload(data) == sum(table_bytes(model[1])) + sum(level.number_bytes for level in model[1])
+
+
+def test_what_follows_is_left_out() -> None:
+    """Where each row has one cluster and all keep their order, shapes, children, scales and clusters are left."""
+    shapes = Shapes(3, 1, 3, zero=0.0, leaf=0.0, tidy=True)
+    model = random_model(np.random.default_rng(1), (9, 7, 2), 2, (2,), shapes=shapes, eight_from=1)
+    clusters = [f"level/{number}/cluster/{n}" for number, level in enumerate(model[1], 1) for n in (0, 1)
+                if level.shape[:, 0, n].max() > 1]
+    assert len(clusters) > 2
+    header = header_of(encoded(model))[1]
+    tables = {name for name, entry in header.items() if name != "__metadata__" and entry["dtype"] != "I8"}
+    assert tables == {"level/1/child", *clusters,
+                      *(prefix(level) + name for level in (1, 2) for name in ("shape", "core_scale"))}
+    assert {header[name]["dtype"] for name in tables if "core_scale" not in name} == {"U8"}
+    assert_same(loads(encoded(model)), model)
+
+
+def test_tables_may_be_wider_than_need_be(monkeypatch: pytest.MonkeyPatch) -> None:
+    def as_it_is(array: NDArray[Any], largest: int) -> NDArray[Any]:
+        assert array.max(initial=0) <= largest
+        return array
+
+    monkeypatch.setattr(short, "_narrow", as_it_is)
+    for model in (eight_model(), mixed_model(), lone_model()):
+        data = encoded(model)
+        assert {entry.get("dtype") for entry in header_of(data)[1].values()} <= {None, "U16", "U32", "F32", "F16", "I8"}
+        assert_same(loads(data), model)
+
+
+@pytest.mark.parametrize(("count", "dtype"), [(256, "U8"), (257, "U16")])
+def test_clusters_are_as_narrow_as_can_be(count: int, dtype: str) -> None:
+    shapes = Shapes(1, 1, 1, zero=0.0, leaf=0.0, tidy=True)
+    metadata, (level,) = random_model(np.random.default_rng(1), (600, 2), 1, (1,), shapes=shapes, eight_from=1)
+    rows, ones = np.arange(600, dtype=np.uint16), np.ones(count, np.float32)
+    shape = np.array([[[count, 1], [1, 1], [1, 2]]], np.uint32)
+    core = np.ones((count, 2), np.float16).reshape(-1)
+    level = replace(level, shape=shape, cluster=(rows % count, None), core=core, core_scale=ones,
+                    core_offset=np.array([0, 2 * count], np.uint32), cell_offset=np.array([0, count], np.uint32))
+    model = replace(metadata, levels=(bounds_of(level),)), (level,)
+    header = header_of(encoded(model))[1]
+    assert [header[f"level/1/{name}"]["dtype"] for name in ("cluster/0", "shape")] == [dtype, "U16"]
+    assert_same(loads(encoded(model)), model)
 
 
 def test_bytes_are_the_nearest_numbers() -> None:

@@ -61,6 +61,7 @@ class Goal:
         file_bytes: exact size of the file that a hierarchy would make.
         snr_now: SNR in dB of a hierarchy in the domain of the source values.
         memory: bytes to work in, if they are given.
+        untold: squared error that is little beside what the SNR allows.
     """
 
     size: int | None
@@ -69,6 +70,7 @@ class Goal:
     file_bytes: Callable[[Hierarchy], int]
     snr_now: Callable[[Hierarchy], float]
     memory: int | None = None
+    untold: float = 0.0
 
 
 def table_limits(
@@ -102,12 +104,13 @@ def node_spectrum(
     *,
     alone: bool = False,
     nbytes: float = inf,
+    untold: float = 0.0,
     sample_of: tuple[Sequence[int], float] | None = None,
 ) -> Spectrum | None:
     """The node's choices of ranks, its cells' being the same; None where there is nothing to store.
 
     `labels` are the disjoint memberships of its cells; a node that is `alone` in its level needs no convex choices.
-    The tensor may be a `sample_of` a node of these sizes and this squared norm.
+    The tensor may be a `sample_of` a node of these sizes and this squared norm. Errors below `untold` may be left out.
     """
     own = squared_norm(tensor)
     if tensor.size == 0 or own == 0:
@@ -118,7 +121,8 @@ def node_spectrum(
     stored = [-(-size * long // max(1, short)) for size, long, short in zip(sizes, full, tensor.shape, strict=True)]
     limits = table_limits(sizes, spec, nbytes, stored, LONE_ENTRIES if alone else TABLE_ENTRIES)
     # Shares of the sample's energy are taken for those of the node's: as errors they would miss what it has more of.
-    tables = (core_energies(block, limits, np.random.default_rng(seed)) for block in blocks if block.size)
+    enough = untold * own / energy / len(blocks)
+    tables = (core_energies(block, limits, np.random.default_rng(seed), enough) for block in blocks if block.size)
     table = energy / own * summed(tables)
     undecomposed = [r is None for r in spec.ranks]
     return spectrum(
@@ -229,7 +233,8 @@ def _spectrum_of(
         return outside_spectrum(outside, level, spec, part, decode_cost, seed, told, alone=alone, nbytes=nbytes)
     sample = sampled(tree, node, spec)
     if outside is None or sample is None:
-        return node_spectrum(gather(tree.residual, node), spec, decode_cost, seed, part, alone=alone, nbytes=nbytes)
+        values, untold = gather(tree.residual, node), goal.untold / len(tree.levels[-1])
+        return node_spectrum(values, spec, decode_cost, seed, part, alone=alone, nbytes=nbytes, untold=untold)
     tensor, steps = sample
     part = None if part is None else [own[::step] for own, step in zip(part, steps, strict=True)]
     energy = goal.energy if len(tree.levels) == 1 else outside.error

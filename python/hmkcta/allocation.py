@@ -26,9 +26,16 @@ ASIDE = 2.0
 SHAPES = 16
 
 
-def empty_node_bytes(order: int, stored: int) -> float:
-    """Table entries of every node, also one that carries nothing: shape and offsets."""
-    return 8.0 + 16 * order + 8 * stored
+def empty_node_bytes(order: int, stored: int, bits: int = 16) -> float:
+    """Table entries of every node, also one that carries nothing: shape and offsets; of short tables shape alone."""
+    return 3.0 * order if bits == 8 else 8.0 + 16 * order + 8 * stored
+
+
+def row_bytes(clusters: int, bits: int = 16) -> float:
+    """Table entry of a row in a node with so many clusters and K_n = 1: its cluster number."""
+    if bits == 16 or clusters > 256:
+        return 2.0
+    return float(clusters > 1)
 
 
 @dataclass(frozen=True)
@@ -62,8 +69,8 @@ def node_bytes(
     cells = float(np.prod(clusters))
     basis = sum(ranks[..., n] * (sizes[n] * cells / clusters[n]) for n in stored)
     numbers = cells * np.prod(ranks.astype(np.float64), axis=-1) + basis
-    tables = 4.0 * cells + 2.0 * sum(sizes[n] for n in stored) + empty_node_bytes(len(sizes), len(stored))
-    return bits / 8 * numbers + tables
+    rows = sum(row_bytes(clusters[n], bits) * sizes[n] for n in stored)
+    return bits / 8 * numbers + 4.0 * cells + rows + empty_node_bytes(len(sizes), len(stored), bits)
 
 
 def spectrum(
@@ -137,7 +144,7 @@ def choices_of(
     allowed = np.flatnonzero(cost <= decode_cost)
     nbytes = node_bytes(sizes, ranks[allowed], undecomposed, clusters, bits)
     order = np.argsort(nbytes, kind="stable")
-    empty = empty_node_bytes(len(sizes), len(sizes) - sum(undecomposed))
+    empty = empty_node_bytes(len(sizes), len(sizes) - sum(undecomposed), bits)
     nothing = np.zeros((1, len(sizes)), np.int32)
     return Choices(
         np.concatenate([nothing, ranks[allowed][order]]), np.concatenate([[empty], nbytes[order]]), allowed[order]

@@ -8,7 +8,7 @@ from math import isinf, prod
 
 from ._version import __version__
 from .axes import Axis, Organisation, mode_sizes
-from .hmkfile import ArrayInfo, coords_info, coords_name, file_size, level_schema, prefix
+from .hmkfile import ArrayInfo, coords_info, coords_name, file_size, is_needed, level_schema, narrowest, prefix
 from .memberships import block_sizes
 from .packed import LevelBounds, LevelQuality, Metadata
 from .plan import LevelSpec, Plan
@@ -127,8 +127,26 @@ def _level_arrays(
         lengths[f"cluster/{n}"] = others * sum(size * k for size, (_, k, _) in zip(sizes, mode, strict=True))
         lengths[f"basis/{n}"] = other_cells * sum(size * k * r for size, (_, k, r) in zip(sizes, mode, strict=True))
         lengths[f"part/{n}"] = lengths[f"local/{n}"] = others * sum(sizes)
-    for name, info in level_schema(order, undecomposed_in(plan), nodes, last, level.bits):
-        yield name, ArrayInfo(info.dtype, tuple(lengths[name] if size < 0 else size for size in info.shape))
+    short = plan.levels[-1].bits == 8
+    types = _short_types(level, shapes) if short else {}
+    for name, info in level_schema(order, undecomposed_in(plan), nodes, last, level.bits, short=short):
+        dtype = types.get(name, info.dtype)
+        if dtype is not None:
+            yield name, ArrayInfo(dtype, tuple(lengths[name] if size < 0 else size for size in info.shape))
+
+
+def _short_types(level: LevelSpec, shapes: Sequence[Sequence[tuple[int, int, int]]]) -> dict[str, str | None]:
+    """Number types of tables that hang on their numbers, where only bytes are stored; None: they are left out."""
+    children = prod(sum(c for c, _, _ in mode) for mode in shapes)
+    types: dict[str, str | None] = {"child": narrowest(children)}
+    types["shape"] = narrowest(max(number for mode in shapes for shape in mode for number in shape))
+    for n, mode in enumerate(shapes):
+        c, k = (max(shape[of] for shape in mode) for of in range(2))
+        apart = c > 1 and level.scheme == "uniform" and not level.grid  # rows do not go where their clusters are
+        types[f"cluster/{n}"] = narrowest(c - 1) if is_needed("cluster", c, k) else None
+        types[f"part/{n}"] = narrowest(c - 1) if is_needed("part", c, k) or apart else None
+        types[f"local/{n}"] = None
+    return types
 
 
 def _grid_blocks(level: LevelSpec, axes: Sequence[Axis], organisation: Organisation) -> list[Parts]:

@@ -40,6 +40,9 @@ from .source import Source
 from .streamed import Streamed
 from .workset import check_worksets
 
+#: Of the error that an SNR allows, the share below which errors of a node's ranks are not told apart.
+UNTOLD = 0.02
+
 
 @dataclass(frozen=True)
 class Task:
@@ -110,7 +113,9 @@ def _begun(task: Task) -> tuple[Hierarchy, Goal]:
     def snr_now(tree: Hierarchy) -> float:
         return _snr(task, tree, energy)
 
-    return tree, Goal(task.plan.size, task.plan.snr, energy, file_bytes, snr_now, task.memory)
+    told = task.plan.snr is not None and task.source.value_transform.name == "identity"
+    untold = UNTOLD * energy * 10 ** (-(task.plan.snr or 0.0) / 10) if told else 0.0
+    return tree, Goal(task.plan.size, task.plan.snr, energy, file_bytes, snr_now, task.memory, untold)
 
 
 def _descend(task: Task, tree: Hierarchy, above: LevelSpec, below: LevelSpec) -> None:
@@ -160,7 +165,8 @@ def _described(
     quality: Sequence[LevelQuality] | None = None,
     transformed: Sequence[LevelQuality] | None = None,
 ) -> tuple[Metadata, tuple[PackedLevel, ...]]:
-    levels = pack_levels(tree.levels, undecomposed_in(task.plan), task.source.unit)
+    bits = [level.bits for level in task.plan.levels]
+    levels = pack_levels(tree.levels, undecomposed_in(task.plan), bits, task.source.unit)
     schemes = [tree.schemes[number] if number < len(tree.schemes) else "most" for number in range(len(levels))]
     tops = [bounds(level, scheme) for level, scheme in zip(levels, schemes, strict=True)]
     metadata = metadata_of(task.source, task.plan, tops, task.kind, task.run.seed, quality, transformed)

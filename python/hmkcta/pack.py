@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from .cells import round_cores
 from .hierarchy import Node
-from .narrow import BITS
 from .packed import LevelBounds, PackedLevel
 from .pieces import places_of
 
@@ -18,15 +17,16 @@ Ragged = list[NDArray[Any]]
 
 
 def pack_levels(
-    levels: Sequence[Sequence[Node]], undecomposed: Sequence[int], unit: float = 1.0
+    levels: Sequence[Sequence[Node]], undecomposed: Sequence[int], bits: Sequence[int], unit: float = 1.0
 ) -> tuple[PackedLevel, ...]:
-    """Every level's nodes in order, as stored; `undecomposed`: mode numbers, `unit`: what cores are multiples of."""
-    packed, bits = list[PackedLevel](), BITS[0]
-    for nodes in levels:
-        # A level in which nothing is stored has those of the level above, as no more may follow.
-        bits = next((node.cells.spec.bits for node in nodes if node.cells is not None), bits)
-        packed.append(_pack(nodes, undecomposed, unit, bits, last=nodes is levels[-1]))
-    return tuple(packed)
+    """Every level's nodes in order, as stored.
+
+    `undecomposed`: mode numbers, `bits`: of each level's numbers, `unit`: what cores are multiples of.
+    """
+    return tuple(
+        _pack(nodes, undecomposed, unit, own, last=nodes is levels[-1])
+        for nodes, own in zip(levels, bits, strict=False)
+    )
 
 
 def bounds(level: PackedLevel, scheme: str) -> LevelBounds:

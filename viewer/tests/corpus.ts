@@ -6,7 +6,7 @@ import { join } from "node:path";
 import { crc32 } from "node:zlib";
 
 const TESTS = join(import.meta.dirname, "..", "..", "tests");
-const ITEM_SIZES: Record<string, number> = { I8: 1, F16: 2, F32: 4, F64: 8, U16: 2, U32: 4 };
+const ITEM_SIZES: Record<string, number> = { I8: 1, U8: 1, F16: 2, F32: 4, F64: 8, U16: 2, U32: 4 };
 
 interface Edit {
   op: string;
@@ -106,9 +106,10 @@ function utf8(text: string): Buffer {
   return Buffer.from(text, "utf-8");
 }
 
-function frame(text: string, body: Buffer, pad?: number): Buffer {
+/** Padded, unless it is said by how much, up to where `lead` bytes more end at a multiple of 8. */
+function frame(text: string, body: Buffer, lead: number, pad?: number): Buffer {
   const raw = utf8(text);
-  const spaces = Buffer.alloc(pad ?? (8 - (raw.length % 8)) % 8, " ");
+  const spaces = Buffer.alloc(pad ?? (8 - ((raw.length + lead) % 8)) % 8, " ");
   const length = Buffer.alloc(8);
   length.writeBigUInt64LE(BigInt(raw.length + spaces.length));
   return Buffer.concat([length, raw, spaces, body]);
@@ -139,16 +140,23 @@ class Parts {
       header[name] = { dtype, shape, data_offsets: [begin, begin + data.length] };
       begin += data.length;
     }
-    return frame(JSON.stringify(header), Buffer.concat([...this.arrays.values()].map(({ data }) => data)));
+    return frame(JSON.stringify(header), Buffer.concat([...this.arrays.values()].map(({ data }) => data)), this.lead);
+  }
+
+  /** Bytes of the U8 arrays at the beginning. */
+  private get lead(): number {
+    const arrays = [...this.arrays.values()];
+    const first = arrays.findIndex(({ dtype }) => dtype !== "U8");
+    return arrays.slice(0, first).reduce((all, { data }) => all + data.length, 0);
   }
 
   editHeader(edit: Edit): Buffer {
     if (edit.op === "header") {
       setPath(this.header, edit);
-      return frame(JSON.stringify(this.header), this.body);
+      return frame(JSON.stringify(this.header), this.body, this.lead);
     }
     const text = JSON.stringify(this.header);
-    return frame(edit.op === "header-text" ? replaceOnce(text, edit) : text, this.body, edit.pad);
+    return frame(edit.op === "header-text" ? replaceOnce(text, edit) : text, this.body, this.lead, edit.pad);
   }
 
   editMetadata(edit: Edit): void {
@@ -186,18 +194,20 @@ class Parts {
 
   /** Make the metadata's record of an array anew, or remove it with the array. */
   private record(name: string): void {
-    const metadata = JSON.parse(this.text) as { arrays: Record<string, unknown> };
+    const metadata = JSON.parse(this.text) as { version: string; arrays: Record<string, unknown> };
     const array = this.arrays.get(name);
     if (array === undefined) {
       delete metadata.arrays[name];
     } else {
-      metadata.arrays[name] = { dtype: array.dtype, shape: array.shape, crc32: crc32(array.data) };
+      const checksum = crc32(array.data);
+      metadata.arrays[name] = metadata.version === "1.2" ? checksum
+        : { dtype: array.dtype, shape: array.shape, crc32: checksum };
     }
     this.text = JSON.stringify(metadata);
   }
 }
 
 function pack(values: number[], dtype: string): Buffer {
-  const type = dtype === "U16" ? Uint16Array : Uint32Array;
+  const type = dtype === "U8" ? Uint8Array : dtype === "U16" ? Uint16Array : Uint32Array;
   return Buffer.from(type.from(values).buffer);
 }

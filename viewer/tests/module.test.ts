@@ -29,9 +29,9 @@ describe("a model", () => {
     expect(model.at(indices[0]!)).toBe(model.at(indices[0]!, model.levels));
   });
 
-  it("has the elements of a file in bytes", async () => {
-    const model = await open(new Uint8Array(fixture("v1.1-eight.hmk")));
-    const eight = JSON.parse(fixture("v1.1-eight.json").toString("utf-8")) as Expected;
+  it.each(["v1.1-eight", "v1.2-eight"])("has the elements of a file in bytes: %s", async (name) => {
+    const model = await open(new Uint8Array(fixture(`${name}.hmk`)));
+    const eight = JSON.parse(fixture(`${name}.json`).toString("utf-8")) as Expected;
     const found = eight.indices.map((index) => [model.at(index, 1), model.at(index, 2)]);
     found.flat().forEach((value, i) => expect(value).toBeCloseTo(eight.values.flat()[i]!, 6));
   });

@@ -53,7 +53,7 @@ it("has the reasons of the specification", () => {
     new Set([...REASONS].map(([code, { kind, sentence }]) => String([code, kind, sentence]))));
 });
 
-describe.each(["v1.0-small.hmk", "v1.1-eight.hmk"])("damage of %s", (name) => {
+describe.each(["v1.0-small.hmk", "v1.1-eight.hmk", "v1.2-eight.hmk", "v1.2-lone.hmk"])("damage of %s", (name) => {
   const small = bytes(name);
 
   it("reports every truncation as such", () => {
@@ -78,7 +78,32 @@ describe.each(["v1.0-small.hmk", "v1.1-eight.hmk"])("damage of %s", (name) => {
   }, 120_000);
 });
 
-describe.each(["v1.0-merged.hmk", "v1.1-eight.hmk", "v1.1-mixed.hmk"])("reading in parts: %s", (name) => {
+describe("short tables", () => {
+  it.each(["eight", "mixed"])("are those of the version before: %s", (name) => {
+    const [before, short] = ["v1.1", "v1.2"].map((version) => loads(bytes(`${version}-${name}.hmk`)).levels);
+    short!.forEach((level, l) => {
+      for (const [key, table] of Object.entries(level)) {
+        if (!["core", "coreScale", "basis"].includes(key)) {
+          expect(table, key).toEqual(before![l]![key as keyof typeof level]);
+        }
+      }
+    });
+  });
+
+  it("make no more than the file holds", () => {
+    // A tensor of zeros whose nodes own billions of rows.
+    const zero = build({
+      name: "", base: "v1.2-lone.hmk", expect: { kind: "", reason: "" }, edits: [
+        { op: "metadata", path: ["axes", 0, "size"], value: 2 ** 32 - 1 },
+        { op: "array-put", name: "level/1/shape", at: 0, values: [0, 0, 0, 0, 0, 0, 0, 0, 0] },
+        { op: "array-put", name: "level/1/child", at: 1, values: [0] },
+      ],
+    })!;
+    expect(verdict(() => loads(zero))?.reason).toBe("array-shape");
+  });
+});
+
+describe.each(["v1.0-merged.hmk", "v1.1-eight.hmk", "v1.1-mixed.hmk", "v1.2-mixed.hmk", "v1.2-lone.hmk"])("reading in parts: %s", (name) => {
   const file = bytes(name);
   const length = Number(new DataView(file.buffer).getBigUint64(0, true));
 

@@ -103,7 +103,7 @@ describe("frame contraction", () => {
 });
 
 describe("single elements", () => {
-  it.each(["v1.0-small", "v1.0-merged", "v1.1-eight", "v1.1-mixed"])("%s", (name) => {
+  it.each(["v1.0-small", "v1.0-merged", "v1.1-eight", "v1.1-mixed", "v1.2-eight", "v1.2-mixed", "v1.2-lone"])("%s", (name) => {
     const { levels } = model(`${name}.hmk`);
     const expected = JSON.parse(fixture(`${name}.json`).toString("utf-8")) as
       { indices: number[][]; values: number[][] };

@@ -9,7 +9,7 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
-from ..allocation import empty_node_bytes, node_bytes
+from ..allocation import empty_node_bytes, node_bytes, row_bytes
 from ..axes import Axis, Organisation, mode_sizes
 from ..filesize import planned_bytes
 from ..plan import MOST_RANKS, MOST_RANKS_ALONE, LevelSpec, Plan
@@ -24,8 +24,8 @@ class Candidate:
         organisation: of axes into modes.
         grid: number of blocks along each source axis.
         undecomposed: mode numbers.
-        carried: the blocks are nodes with ranks of their own below a first level of rank one; else they are the
-            cells of a single level, all of the same ranks.
+        carried: the blocks, or the whole, are nodes with ranks of their own below a first level of rank one; else they
+            are the cells of a single level, all of the same ranks.
         cuts: carried blocks may each be cut into so many, or a divisor of it, along each source axis; (): they are not.
         clusters: of the data along each mode, in the place of blocks, the cells of a single level; (): none.
         bits: of a number in the file; those of a first level of rank one are always 16.
@@ -48,7 +48,7 @@ def plan_of(source: Source, best: Candidate, snr: float | None, size: int | None
     clusters = clusters_of(source.axes, best.grid, best.organisation)
     highest = MOST_RANKS_ALONE if len(sizes) - len(best.undecomposed) == 1 else MOST_RANKS
     most = tuple(None if n in best.undecomposed else min(i, decode_cost, highest) for n, i in enumerate(sizes))
-    if not grid or not best.carried:
+    if not best.carried:
         cells = clusters if grid else best.clusters or ones
         own = LevelSpec(most, cells, ones, "most", grid, own=True, bits=best.bits)
         return Plan(best.organisation, (own,), snr, size)
@@ -73,8 +73,9 @@ def bytes_beside(source: Source, candidate: Candidate, seed: int) -> float:
     nodes, stored = prod(clusters), [n for n, flag in enumerate(flags) if not flag]
     rows = sum(sizes[n] * nodes // clusters[n] for n in stored)
     number = candidate.bits / 8
-    each = number * float(np.prod(ranks, dtype=np.float64)) + 4 + empty_node_bytes(len(ranks), len(stored))
-    return whole - nodes * each - (2 + number) * rows
+    empty = empty_node_bytes(len(ranks), len(stored), candidate.bits)
+    each = number * float(np.prod(ranks, dtype=np.float64)) + 4 + empty
+    return whole - nodes * each - (row_bytes(1, candidate.bits) + number) * rows
 
 
 def _carrier(

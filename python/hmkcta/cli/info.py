@@ -10,6 +10,7 @@ import click
 import numpy as np
 
 from ..axes import format_organisation
+from ..hmkfile import table_bytes
 from ..memory import format_bytes
 from ..model import Model
 from ..model import open as open_model
@@ -39,7 +40,7 @@ def describe(model: Model, size: int) -> dict[str, Any]:
     """The facts of a model whose file has `size` bytes."""
     metadata = model.metadata
     numbers = sum(level.number_bytes for level in model.levels)
-    tables = sum(array.nbytes for level in model.levels for _, array in level.tables())
+    tables = sum(table_bytes(model.levels))
     source_bytes = model.size * np.dtype(metadata.source_dtype).itemsize
     return {
         "kind": metadata.kind,
@@ -65,7 +66,7 @@ def _level(model: Model, number: int) -> dict[str, Any]:
         "bits": level.bits, "subdivision": bounds.scheme,
         "nodes": level.nodes, "nodes_that_carry_nothing": int((~level.shape.any(axis=(1, 2))).sum()),
         "clusters": cells, "clusters_that_carry_nothing": zero_cells,
-        "bytes": level.number_bytes + sum(array.nbytes for _, array in level.tables()),
+        "bytes": level.number_bytes + table_bytes(model.levels)[number - 1],
         "snr_db": quality.snr_db, "transformed_snr_db": transformed_snr(model)[number - 1],
         "rmse": quality.rmse, "max_abs_error": quality.max_abs_error,
     }

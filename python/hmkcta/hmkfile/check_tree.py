@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..packed import U16, U32
 from .reasons import fault
@@ -13,43 +14,47 @@ def check_parts(above: Geometry, below: Geometry) -> None:
     """Check `child`, `part` and `local` of a level against the nodes of the next one."""
     child, part, local = above.packed.child, above.packed.part, above.packed.local
     assert child is not None  # `check_schema` requires it of every level but the last
-    counts = _check_children(above, below, child)
+    counts = check_children(above.name("child"), child, above.cells, below.packed.nodes)
     for n in range(above.packed.order):
         parts, locals_ = part[n], local[n]
         if parts is None or locals_ is None:
             _check_child_rows(below, n, np.repeat(above.rows[:, n], counts))
             continue
         owned = _check_mode(above, n, counts, parts, locals_)
-        _check_child_rows(below, n, owned[_slot_of_child(above, n, counts)])
+        _check_child_rows(below, n, owned[slot_of_child(above.clusters, n, counts)])
 
 
-def _check_children(above: Geometry, below: Geometry, child: U32) -> Ints:
-    """The number of children of each node: none or PC, which together are the next level."""
-    name = above.name("child")
+def check_children(name: str, child: U32, cells: NDArray[np.float64], nodes: int) -> Ints:
+    """The number of children of each node: none or PC, which together are the `nodes` of the next level."""
     counts = offset_steps(child, name)
-    if (bad := first((counts != 0) & (counts != above.cells))) is not None:
+    if (bad := first((counts != 0) & (counts != cells))) is not None:
         raise fault("child-order", name, f"{counts[bad]} children of node {bad[0]}",
-                    f"0 or {above.cells[bad]:.0f}, one for each combination of parts")
-    if int(child[-1]) != below.packed.nodes:
-        raise fault("child-order", name, f"{child[-1]} children", f"{below.packed.nodes}, the nodes of the next level")
+                    f"0 or {cells[bad]:.0f}, one for each combination of parts")
+    if int(child[-1]) != nodes:
+        raise fault("child-order", name, f"{child[-1]} children", f"{nodes}, the nodes of the next level")
     return counts
 
 
-def _slots(above: Geometry, n: int, counts: Ints) -> Ints:
-    """First slot of each node in a table with a slot for each part of mode n of each node that has children.
+def slots_of(clusters: Ints, counts: Ints) -> Ints:
+    """First slot of each node in a table with a slot for each part of a mode of each node that has children.
 
-    A node has at least as many children as parts, so the table is no longer than the next level.
+    A node has at least as many children as parts, so the table is no longer than the next level. `clusters`: C_n `[S]`.
     """
-    widths = np.where(counts > 0, above.clusters[:, n], 0)
-    return np.concatenate([[0], np.cumsum(widths)])
+    return np.concatenate([[0], np.cumsum(np.where(counts > 0, clusters, 0))])
 
 
-def _slot_of_child(above: Geometry, n: int, counts: Ints) -> Ints:
-    """The slot of mode n that gives each node of the next level its rows."""
+def slot_of_child(clusters: Ints, n: int, counts: Ints) -> Ints:
+    """The slot of mode n that gives each node of the next level its rows; `clusters`: `[S, N]`."""
     parents = np.repeat(np.arange(counts.size), counts)
     number = np.arange(parents.size) - np.repeat(np.cumsum(counts) - counts, counts)
-    stride = above.clusters[parents, n + 1:].prod(1)  # parts are flattened in C order, the last mode fastest
-    return _slots(above, n, counts)[parents] + number // stride % above.clusters[parents, n]
+    stride = clusters[parents, n + 1:].prod(1)  # parts are flattened in C order, the last mode fastest
+    return slots_of(clusters[:, n], counts)[parents] + number // stride % clusters[parents, n]
+
+
+def check_part_range(name: str, part: U16, allowed: Ints, inner: NDArray[np.bool_]) -> None:
+    """Rows of nodes with children go to parts that these have."""
+    if (bad := first(inner & (part >= allowed))) is not None:
+        raise fault("part-range", name, f"{part[bad]} in row {bad[0]}", f"less than {allowed[bad]}")
 
 
 def _check_mode(above: Geometry, n: int, counts: Ints, part: U16, local: U32) -> Ints:
@@ -63,10 +68,8 @@ def _check_mode(above: Geometry, n: int, counts: Ints, part: U16, local: U32) ->
     for name, array in (("part", part), ("local", local)):
         if (bad := first(~inner & (array != 0))) is not None:
             raise fault("leaf-rows", above.name(f"{name}/{n}"), f"{array[bad]} in row {bad[0]}", "0 in a leaf's rows")
-    allowed = above.clusters[node, n]
-    if (bad := first(inner & (part >= allowed))) is not None:
-        raise fault("part-range", above.name(f"part/{n}"), f"{part[bad]} in row {bad[0]}", f"less than {allowed[bad]}")
-    slots = _slots(above, n, counts)
+    check_part_range(above.name(f"part/{n}"), part, above.clusters[node, n], inner)
+    slots = slots_of(above.clusters[:, n], counts)
     slot = (slots[node] + part)[inner]
     owned = np.bincount(slot, minlength=int(slots[-1]))
     _check_places(above.name(f"local/{n}"), slot, owned, local[inner], np.flatnonzero(inner))

@@ -17,7 +17,7 @@ from .limits import Limits
 from .reasons import fault
 
 #: Bytes of one number of each type that a file may hold.
-ITEM_SIZES = {"I8": 1, "F16": 2, "F32": 4, "F64": 8, "U16": 2, "U32": 4}
+ITEM_SIZES = {"I8": 1, "U8": 1, "F16": 2, "F32": 4, "F64": 8, "U16": 2, "U32": 4}
 
 #: The two keys of the safetensors metadata.
 TEXT_KEY = "hmkcta"
@@ -147,16 +147,17 @@ def format_header(
 ) -> bytes:
     """Length and JSON of a header for arrays laid one after another in the given order.
 
-    It is padded to a multiple of 8 bytes, and to `least` bytes with its length.
+    It is padded so that U8 arrays, which come first, end at a multiple of 8, and to `least` bytes with its length.
     """
     entries: dict[str, object] = {"__metadata__": {TEXT_KEY: text, HASH_KEY: text_hash}}
-    begin = 0
+    begin = first = 0
     for name, (dtype, shape) in arrays.items():
         end = begin + prod(shape) * ITEM_SIZES[dtype]
         entries[name] = {"dtype": dtype, "shape": list(shape), "data_offsets": [begin, end]}
         begin = end
+        first = end if dtype == "U8" else first
     raw = format_json(entries).encode().ljust(least - LENGTH_BYTES)
-    raw += b" " * (-len(raw) % LENGTH_BYTES)
+    raw += b" " * (-(len(raw) + first) % LENGTH_BYTES)
     return len(raw).to_bytes(LENGTH_BYTES, "little") + raw
 
 

@@ -22,9 +22,9 @@ from .fields import SAFE_INTEGER, Json, as_integer, as_list, as_map, as_number, 
 from .header import ITEM_SIZES, parse_shape
 from .limits import Limits, check_limit
 from .reasons import fault
-from .schema import NUMBER_TYPES, TYPE_NAMES, ArrayInfo, version_of
+from .schema import NUMBER_TYPES, SHORT, TYPE_NAMES, ArrayInfo, version_of
 
-#: The newest version that is read and written; a file without what is new in it has an older one.
+#: The newest version that is read and written.
 VERSION = list(NUMBER_TYPES)[-1]
 KINDS = ("svbrdf", "lightfield", "volume", "generic")
 SOURCE_DTYPES = ("bool", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64",
@@ -45,11 +45,10 @@ _FIELDS = ("version", "source_dtype", "axes", "organisation", "levels", "undecom
 
 @dataclass(frozen=True)
 class ArrayRecord:
-    """What the metadata says of an array: number type, shape and CRC-32 of its bytes."""
+    """What the metadata says of an array: CRC-32 of its bytes, and number type and shape, but for version 1.2."""
 
-    dtype: str
-    shape: tuple[int, ...]
     crc32: int
+    info: ArrayInfo | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,9 +99,10 @@ def coords_info(axis: Axis) -> ArrayInfo:
 
 
 def to_json(metadata: Metadata, arrays: Mapping[str, ArrayRecord]) -> dict[str, Any]:
-    """The JSON object of the metadata and of the records of a file's arrays."""
+    """The JSON object of the metadata and of the records of a file's arrays, which have infos here."""
+    version = version_of(record.info.dtype for record in arrays.values() if record.info)
     return {
-        "version": version_of(record.dtype for record in arrays.values()), "source_dtype": metadata.source_dtype,
+        "version": version, "source_dtype": metadata.source_dtype,
         "axes": [axis_to_json(axis) for axis in metadata.axes],
         "organisation": [list(mode) for mode in metadata.organisation],
         "levels": [{"C": _integers(level.clusters), "K": _integers(level.mixture), "R": _integers(level.ranks),
@@ -110,9 +110,14 @@ def to_json(metadata: Metadata, arrays: Mapping[str, ArrayRecord]) -> dict[str, 
         "undecomposed": _integers(metadata.undecomposed), "kind": metadata.kind, "transform": metadata.transform,
         "quality": [_quality_to_json(quality) for quality in metadata.quality],
         "source": metadata.source, "writer": metadata.writer, "seed": int(metadata.seed),
-        "arrays": {name: {"dtype": record.dtype, "shape": list(record.shape), "crc32": record.crc32}
-                   for name, record in arrays.items()},
+        "arrays": {name: _record_to_json(record, version) for name, record in arrays.items()},
     }
+
+
+def _record_to_json(record: ArrayRecord, version: str) -> Any:
+    if record.info is None or version in SHORT:
+        return record.crc32
+    return {"dtype": record.info.dtype, "shape": list(record.info.shape), "crc32": record.crc32}
 
 
 def _integers(values: Iterable[int]) -> list[int]:
@@ -164,7 +169,7 @@ def from_json(value: Json, limits: Limits) -> Parsed:
         as_map(fields["source"], f"{root}.source"), as_text(fields["writer"], f"{root}.writer"),
         as_integer(fields["seed"], f"{root}.seed"),
     )
-    return Parsed(metadata, version, _parse_arrays(fields["arrays"], f"{root}.arrays"), coords)
+    return Parsed(metadata, version, _parse_arrays(fields["arrays"], f"{root}.arrays", version), coords)
 
 
 def _parse_axes(value: Json, where: str, limits: Limits) -> tuple[tuple[Axis, ...], dict[int, str]]:
@@ -282,12 +287,15 @@ def _parse_quality(value: Json, where: str, levels: int) -> tuple[LevelQuality, 
     return tuple(result)
 
 
-def _parse_arrays(value: Json, where: str) -> dict[str, ArrayRecord]:
+def _parse_arrays(value: Json, where: str, version: str) -> dict[str, ArrayRecord]:
     records: dict[str, ArrayRecord] = {}
     for name, item in as_map(value, where).items():
         path = f"{where}.{name}"
+        if version in SHORT:
+            records[name] = ArrayRecord(as_integer(item, path, 0, _MAX_U32))
+            continue
         fields = as_object(item, path, ("dtype", "shape", "crc32"))
-        dtype = as_text(fields["dtype"], f"{path}.dtype", ITEM_SIZES)
-        records[name] = ArrayRecord(dtype, parse_shape(fields["shape"], f"{path}.shape"),
-                                    as_integer(fields["crc32"], f"{path}.crc32", 0, _MAX_U32))
+        info = ArrayInfo(as_text(fields["dtype"], f"{path}.dtype", ITEM_SIZES),
+                         parse_shape(fields["shape"], f"{path}.shape"))
+        records[name] = ArrayRecord(as_integer(fields["crc32"], f"{path}.crc32", 0, _MAX_U32), info)
     return records

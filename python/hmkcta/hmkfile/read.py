@@ -16,6 +16,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ..axes import mode_sizes
 from ..errors import HmkctaError
 from ..packed import Metadata, PackedLevel
 from .check import check_coords, check_levels
@@ -25,7 +26,8 @@ from .limits import DEFAULT_LIMITS, Limits
 from .lookalikes import START, recognised
 from .metadata import ArrayRecord, Parsed, from_json
 from .reasons import fault
-from .schema import NUMPY_TYPES, ArrayInfo, check_order, check_schema, level_of
+from .schema import NUMPY_TYPES, SHORT, ArrayInfo, check_order, check_schema, level_of
+from .short import completed
 
 Loaded: TypeAlias = tuple[Metadata, tuple[PackedLevel, ...]]
 
@@ -74,6 +76,9 @@ def loads(data: bytes | bytearray | mmap.mmap, *, verify: bool = True, limits: L
     arrays = {name: _array(view, header.data_start, entry) for name, entry in header.entries.items()}
     check_coords({name: arrays[name] for name in parsed.coords.values()})
     metadata = parsed.resolve(arrays)
+    if parsed.version in SHORT:
+        sizes = mode_sizes(metadata.axes, metadata.organisation)
+        arrays = completed(arrays, sizes, len(metadata.levels), metadata.undecomposed)
     levels = tuple(level_of(arrays, level, len(metadata.organisation))
                    for level in range(1, len(metadata.levels) + 1))
     check_levels(metadata, levels)
@@ -91,10 +96,10 @@ def _check_records(records: Mapping[str, ArrayRecord], infos: Mapping[str, Array
     for name, record in records.items():
         if name not in infos:
             raise fault("array-missing", name, "no such array", "an array, as the metadata has a record of it")
-        if infos[name].dtype != record.dtype:
-            raise fault("array-dtype", name, infos[name].dtype, record.dtype)
-        if infos[name].shape != record.shape:
-            raise fault("array-shape", name, list(infos[name].shape), list(record.shape))
+        if record.info is not None and infos[name].dtype != record.info.dtype:
+            raise fault("array-dtype", name, infos[name].dtype, record.info.dtype)
+        if record.info is not None and infos[name].shape != record.info.shape:
+            raise fault("array-shape", name, list(infos[name].shape), list(record.info.shape))
     for name in infos:
         if name not in records:
             raise fault("array-unexpected", name, "an array", "none without a record in the metadata")

@@ -17,12 +17,16 @@ from ..packed import Metadata, PackedLevel
 from .limits import Limits, check_limit
 from .reasons import fault
 
-NUMPY_TYPES = {"I8": "i1", "F16": "<f2", "F32": "<f4", "F64": "<f8", "U16": "<u2", "U32": "<u4"}
+NUMPY_TYPES = {"I8": "i1", "U8": "u1", "F16": "<f2", "F32": "<f4", "F64": "<f8", "U16": "<u2", "U32": "<u4"}
 TYPE_NAMES = {np.dtype(code): name for name, code in NUMPY_TYPES.items()}
 _RAGGED = -1  # a length that the tables decide
 
 #: The number types that core and basis numbers may have, by the version of the file; the newest version comes last.
-NUMBER_TYPES: Mapping[str, tuple[str, ...]] = {"1.0": ("F16",), "1.1": ("F16", "I8")}
+NUMBER_TYPES: Mapping[str, tuple[str, ...]] = {"1.0": ("F16",), "1.1": ("F16", "I8"), "1.2": ("F16", "I8")}
+#: The versions that leave out what follows from other arrays (`short.py`).
+SHORT = ("1.2",)
+#: Arrays that these may leave out, and the types that tables may have there, by the one in memory.
+OPTIONAL, NARROWER = ("cluster", "part", "local"), {"U32": ("U8", "U16", "U32"), "U16": ("U8", "U16")}
 #: All of them: no table has one.
 NUMBERS = tuple(dict.fromkeys(name for names in NUMBER_TYPES.values() for name in names))
 
@@ -44,24 +48,42 @@ def prefix(level: int) -> str:
 
 
 def version_of(dtypes: Iterable[str]) -> str:
-    """The oldest version that has these number types.
+    """The version that is written of arrays of these types: where all readers could read it, the oldest.
 
     >>> version_of(["U32", "F16"]), version_of(["U32", "I8"])
-    ('1.0', '1.1')
+    ('1.0', '1.2')
     """
-    needed = set(dtypes).intersection(NUMBERS)
-    return next(version for version, types in NUMBER_TYPES.items() if needed.issubset(types))
+    return SHORT[-1] if "I8" in dtypes else next(iter(NUMBER_TYPES))
 
 
-def level_schema(order: int, undecomposed: Sequence[int], nodes: int, last: bool, bits: int = 16
-                 ) -> Iterator[tuple[str, ArrayInfo]]:
+def level_schema(order: int, undecomposed: Sequence[int], nodes: int, last: bool, bits: int = 16, *,
+                 short: bool = False) -> Iterator[tuple[str, ArrayInfo]]:
     """Names (without prefix) and infos of the arrays of a level with S = `nodes`; -1 for a ragged length.
 
-    Core and basis numbers have so many `bits`. Arrays of one number type come in the order of the file.
+    Core and basis numbers have so many `bits`. Arrays of one number type come in the order of the file. If `short`
+    without offsets, and with all that may be left out, in the types of memory.
 
     >>> sum(1 for _ in level_schema(4, (), 12, last=False)), sum(1 for _ in level_schema(4, (3,), 12, last=True))
     (34, 21)
+    >>> sum(1 for _ in level_schema(4, (), 12, last=False, short=True))
+    20
     """
+    for name, info in _whole_schema(order, undecomposed, nodes, last, bits):
+        if not (short and is_offset(name)):
+            yield name, info
+
+
+def is_offset(name: str) -> bool:
+    """Whether an array of this name, with or without prefix, is running sums of what nodes own.
+
+    >>> is_offset("level/1/core_offset"), is_offset("basis_offset/0"), is_offset("level/1/basis/0")
+    (True, True, False)
+    """
+    return "_offset" in name
+
+
+def _whole_schema(order: int, undecomposed: Sequence[int], nodes: int, last: bool, bits: int
+                  ) -> Iterator[tuple[str, ArrayInfo]]:
     offsets, indices, ragged = ArrayInfo("U32", (nodes + 1,)), ArrayInfo("U16", (_RAGGED,)), (_RAGGED,)
     yield "shape", ArrayInfo("U32", (nodes, 3, order))
     if not last:
@@ -100,11 +122,14 @@ def check_schema(metadata: Metadata, version: str, coords: Mapping[int, str], ar
         core = arrays.get(prefix(level) + "core")
         if core is not None and core.dtype == "I8" and "I8" in NUMBER_TYPES[version]:
             bits = 8
-        schema = level_schema(order, metadata.undecomposed, count, level == depth, bits)
+        schema = level_schema(order, metadata.undecomposed, count, level == depth, bits, short=version in SHORT)
         expected.update((prefix(level) + part, info) for part, info in schema)
     for name, info in expected.items():
+        if version in SHORT and name not in arrays and name.split("/")[2] in OPTIONAL:
+            continue
         _require(name, arrays)
-        _check_info(name, arrays[name], (info.dtype,), info.shape)
+        allowed = NARROWER.get(info.dtype) if version in SHORT else None
+        _check_info(name, arrays[name], allowed or (info.dtype,), info.shape)
     for n, name in coords.items():
         _require(name, arrays)
         size = metadata.axes[n].size
@@ -136,24 +161,24 @@ def _check_info(name: str, found: ArrayInfo, dtypes: tuple[str, ...], shape: tup
         raise fault("array-shape", name, list(found.shape), shown)
 
 
-def arrays_of(levels: Sequence[PackedLevel], coords: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Names and arrays in the order of the file: 8-byte, 4-byte and 2-byte tables, coordinates first, then numbers.
-
-    Each kind goes level by level.
-    """
-    stored = [(prefix(level) + name, array) for level, packed in enumerate(levels, 1)
-              for name, array in (*packed.tables(), *packed.coefficients())]
-    return dict(sorted([*coords.items(), *stored], key=lambda item: _turn(item[1].dtype)))
+def file_order(arrays: Iterable[tuple[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
+    """Arrays that go level by level in the order of the file: 1-, 8-, 4- and 2-byte tables, then numbers."""
+    return dict(sorted(arrays, key=lambda item: _turn(item[1].dtype)))
 
 
 def in_file_order(arrays: Mapping[str, ArrayInfo]) -> dict[str, ArrayInfo]:
-    """The order of `arrays_of`, for arrays of which only type and shape are known, level by level."""
+    """The order of `file_order`, for arrays of which only type and shape are known, level by level."""
     return dict(sorted(arrays.items(), key=lambda item: _TURNS[item[1].dtype]))
 
 
 def _turn(dtype: np.dtype[Any]) -> int:
-    """Longer items first keeps every array aligned without padding; core and basis numbers come last."""
-    return 0 if TYPE_NAMES.get(dtype.newbyteorder("<")) in NUMBERS else -dtype.itemsize
+    """Longer items first keeps every array aligned without padding; core and basis numbers come last.
+
+    Single bytes are the exception: they come before all others, and the header ends so that they do not matter.
+    """
+    if TYPE_NAMES.get(dtype.newbyteorder("<")) in NUMBERS:
+        return 0
+    return -16 if dtype.itemsize == 1 else -dtype.itemsize
 
 
 _TURNS = {name: _turn(np.dtype(dtype)) for name, dtype in NUMPY_TYPES.items()}

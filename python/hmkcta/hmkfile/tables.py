@@ -53,7 +53,7 @@ def read_geometry(packed: PackedLevel, level: int, undecomposed: Sequence[int]) 
     shape = packed.shape.astype(np.int64)
     rows = np.stack([offset_steps(offsets, f"{prefix(level)}row_offset/{n}")
                      for n, offsets in enumerate(packed.row_offset)], axis=1)
-    _check_shapes(shape, rows, undecomposed, prefix(level) + "shape")
+    check_shapes(shape, rows, undecomposed, prefix(level) + "shape")
     clusters = shape[:, 0]
     decomposed = tuple(n for n in range(packed.order) if n not in undecomposed)
     return Geometry(level, packed, decomposed, clusters, shape[:, 1], shape[:, 2], rows, clusters.prod(1, np.float64))
@@ -77,7 +77,7 @@ def check_end(offsets: U32, array: NDArray[Any], name: str) -> None:
         raise fault("offset-end", name, f"last offset {offsets[-1]}", f"{array.size}, the length of the array")
 
 
-def _check_shapes(shape: Ints, rows: Ints, undecomposed: Sequence[int], name: str) -> None:
+def check_shapes(shape: Ints, rows: Ints, undecomposed: Sequence[int], name: str) -> None:
     """Each node's C, K and R: all zero, or K <= C and all positive, and fixed for an undecomposed mode."""
     clusters, mixture, ranks = shape[:, 0], shape[:, 1], shape[:, 2]
     zero = (shape == 0).all(axis=(1, 2))

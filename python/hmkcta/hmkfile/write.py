@@ -5,9 +5,8 @@ from __future__ import annotations
 import hashlib
 import os
 import zlib
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from math import prod
 from typing import Any, TypeAlias, cast
 
@@ -18,13 +17,15 @@ from ..errors import HmkctaError, Kind, invalid
 from ..narrow import BASIS_NUMBERS, CORE_NUMBERS, widened
 from ..packed import Metadata, PackedLevel
 from ..plan import SCHEMES
+from .check import check_levels
 from .header import ITEM_SIZES, TEXT_KEY, format_header, format_json
 from .limits import DEFAULT_LIMITS, Limits
 from .metadata import ArrayRecord, coords_array, coords_name, to_json
 from .publish import check_output, published
 from .read import loads
 from .reasons import fault
-from .schema import LEVEL_TYPES, NUMBERS, NUMPY_TYPES, TYPE_NAMES, ArrayInfo, arrays_of, in_file_order, prefix
+from .schema import LEVEL_TYPES, NUMBERS, NUMPY_TYPES, TYPE_NAMES, ArrayInfo, file_order, in_file_order, prefix
+from .short import shortened
 
 Piece: TypeAlias = bytes | memoryview
 
@@ -40,11 +41,14 @@ def encode(metadata: Metadata, levels: Sequence[PackedLevel]) -> list[Piece]:
     """
     with _as_invalid_argument():
         coords = _coords(metadata)
+        _check_types(levels)
+        if _is_short(levels):
+            check_levels(metadata, levels)  # what is wrong might be left out
         infos = _infos(levels, coords)
-        arrays = arrays_of(levels, coords)
+        arrays = _arrays(levels, coords)
         _check_bytes(arrays, levels)
         pieces = [_bytes_of(array, infos[name].dtype) for name, array in arrays.items()]
-        records = {name: ArrayRecord(*infos[name], zlib.crc32(piece))
+        records = {name: ArrayRecord(zlib.crc32(piece), infos[name])
                    for name, piece in zip(arrays, pieces, strict=True)}
         text = _metadata_text(metadata, records)
         header = format_header(
@@ -56,6 +60,7 @@ def encode(metadata: Metadata, levels: Sequence[PackedLevel]) -> list[Piece]:
 def encoded_size(metadata: Metadata, levels: Sequence[PackedLevel]) -> int:
     """Exact number of bytes of the file that `save` writes; neither checksums nor quality change it."""
     with _as_invalid_argument():
+        _check_types(levels)
         return file_size(metadata, _infos(levels, _coords(metadata)))
 
 
@@ -68,7 +73,7 @@ def file_size(metadata: Metadata, arrays: Mapping[str, ArrayInfo]) -> int:
 def header_size(metadata: Metadata, arrays: Mapping[str, ArrayInfo]) -> int:
     """Bytes of the header, where all that is known only after a fit (checksums, figures of quality, subdivision) takes
     the most room it usually may."""
-    records = {name: ArrayRecord(*info, _WIDEST_CRC) for name, info in arrays.items()}
+    records = {name: ArrayRecord(_WIDEST_CRC, info) for name, info in arrays.items()}
     text = _metadata_text(metadata, records, widest=True)
     return len(format_header(arrays, text, "0" * 64))
 
@@ -131,11 +136,34 @@ def _coords(metadata: Metadata) -> dict[str, NDArray[Any]]:
     return {name: coords_array(axis) for axis in metadata.axes if (name := coords_name(axis)) is not None}
 
 
+def table_bytes(levels: Sequence[PackedLevel]) -> list[int]:
+    """Bytes in the file of each level's arrays but core and basis numbers."""
+    return [sum(array.nbytes for _, array in _tables(packed, short=_is_short(levels))) for packed in levels]
+
+
+def _is_short(levels: Sequence[PackedLevel]) -> bool:
+    """Whether the file leaves out what follows from other arrays: readers that know bytes know that as well."""
+    return any(packed.bits == 8 for packed in levels)
+
+
+def _tables(packed: PackedLevel, *, short: bool) -> Iterator[tuple[str, NDArray[Any]]]:
+    return shortened(packed) if short else packed.tables()
+
+
+def _arrays(levels: Sequence[PackedLevel], coords: Mapping[str, NDArray[Any]], *, wide: bool = False
+            ) -> dict[str, NDArray[Any]]:
+    """Names and arrays in the order of the file; if `wide`, core and basis numbers as they are in memory."""
+    short = _is_short(levels)
+    stored = [(prefix(level) + name, array) for level, packed in enumerate(levels, 1)
+              for name, array in (*_tables(packed, short=short), *(packed.wide() if wide else packed.coefficients()))]
+    return file_order([*coords.items(), *stored])
+
+
 def _infos(levels: Sequence[PackedLevel], coords: Mapping[str, NDArray[Any]]) -> dict[str, ArrayInfo]:
     """Number types and shapes in the order of the file, for which no number is narrowed."""
-    wide = arrays_of([replace(packed, bits=16) for packed in levels], coords)
-    infos = {name: _info(name, array) for name, array in wide.items()}
     narrow = tuple(prefix(level) for level, packed in enumerate(levels, 1) if packed.bits == 8)
+    infos = {name: ArrayInfo(TYPE_NAMES[array.dtype.newbyteorder("<")], array.shape)
+             for name, array in _arrays(levels, coords, wide=True).items()}
     return {name: info._replace(dtype="I8") if info.dtype in NUMBERS and name.startswith(narrow) else info
             for name, info in infos.items()}
 
@@ -153,13 +181,13 @@ def _check_bytes(arrays: Mapping[str, NDArray[Any]], levels: Sequence[PackedLeve
                         "numbers that a byte stands for")
 
 
-def _info(name: str, array: NDArray[Any]) -> ArrayInfo:
-    """Number type and shape; a wrong type is refused here, as it would also spoil the order in the file."""
-    found = TYPE_NAMES.get(array.dtype.newbyteorder("<"))
-    allowed = (LEVEL_TYPES[name.split("/")[2]],) if name.startswith("level/") else ("F32", "F64")
-    if found is None or found not in allowed:
-        raise fault("array-dtype", name, array.dtype, " or ".join(NUMPY_TYPES[dtype] for dtype in allowed))
-    return ArrayInfo(found, array.shape)
+def _check_types(levels: Sequence[PackedLevel]) -> None:
+    """A wrong type is refused first, as it would also spoil the order in the file."""
+    for level, packed in enumerate(levels, 1):
+        for name, array in (*packed.tables(), *packed.wide()):
+            allowed = LEVEL_TYPES[name.split("/")[0]]
+            if TYPE_NAMES.get(array.dtype.newbyteorder("<")) != allowed:
+                raise fault("array-dtype", prefix(level) + name, array.dtype, NUMPY_TYPES[allowed])
 
 
 def _bytes_of(array: NDArray[Any], dtype: str) -> Piece:

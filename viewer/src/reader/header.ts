@@ -6,11 +6,11 @@ import { type Json, parseJson } from "./json";
 import type { Limits } from "./limits";
 import { fault } from "./reasons";
 
-export const DTYPES = ["I8", "F16", "F32", "F64", "U16", "U32"] as const;
+export const DTYPES = ["I8", "U8", "F16", "F32", "F64", "U16", "U32"] as const;
 export type Dtype = (typeof DTYPES)[number];
 
 /** Bytes of one number of each type that a file may hold. */
-export const ITEM_SIZES: Record<Dtype, number> = { I8: 1, F16: 2, F32: 4, F64: 8, U16: 2, U32: 4 };
+export const ITEM_SIZES: Record<Dtype, number> = { I8: 1, U8: 1, F16: 2, F32: 4, F64: 8, U16: 2, U32: 4 };
 
 export const LENGTH_BYTES = 8;
 const MAX_DIMENSIONS = 3;

@@ -7,8 +7,10 @@ import { type Limits, checkLimit } from "./limits";
 import { fault } from "./reasons";
 
 /** The number types that core and basis numbers may have, by the version of the file. */
-export const NUMBER_TYPES: Record<Version, readonly Dtype[]> = { "1.0": ["F16"], "1.1": ["F16", "I8"] };
-const VERSIONS = ["1.0", "1.1"] as const;
+export const NUMBER_TYPES: Record<Version, readonly Dtype[]> = {
+  "1.0": ["F16"], "1.1": ["F16", "I8"], "1.2": ["F16", "I8"],
+};
+const VERSIONS = ["1.0", "1.1", "1.2"] as const;
 export type Version = (typeof VERSIONS)[number];
 const KINDS = ["svbrdf", "lightfield", "volume", "generic"] as const;
 const ROLES = ["space", "view", "light", "time", "channel", "other"] as const;
@@ -74,10 +76,15 @@ export interface Metadata {
   writer: string;
 }
 
+/** What the metadata says of an array; `info` is null where tables are short. */
 export interface ArrayRecord {
-  dtype: Dtype;
-  shape: number[];
+  info: { dtype: Dtype; shape: number[] } | null;
   crc32: number;
+}
+
+/** Whether files of the version leave out what follows from other arrays (`short.ts`). */
+export function isShort(version: Version): boolean {
+  return version === "1.2";
 }
 
 /** Metadata as parsed: `coords` names the coordinate arrays by axis number, which the axes still lack. */
@@ -113,7 +120,7 @@ export function parseMetadata(value: Json, limits: Limits): Parsed {
     writer: (asMap(fields.source, `${root}.source`), asText(fields.writer, `${root}.writer`)),
   };
   asInteger(fields.seed, `${root}.seed`);
-  return { metadata, version: known, records: parseRecords(fields.arrays, `${root}.arrays`), coords };
+  return { metadata, version: known, records: parseRecords(fields.arrays, `${root}.arrays`, known), coords };
 }
 
 function parseAxes(value: Json, where: string, limits: Limits): { axes: Axis[]; coords: Map<number, string> } {
@@ -255,14 +262,20 @@ function parseQuality(value: Json, where: string, levels: number): LevelQuality[
   });
 }
 
-function parseRecords(value: Json, where: string): Map<string, ArrayRecord> {
+function parseRecords(value: Json, where: string, version: Version): Map<string, ArrayRecord> {
   const records = new Map<string, ArrayRecord>();
   for (const [name, item] of asMap(value, where)) {
     const path = `${where}.${name}`;
+    if (isShort(version)) {
+      records.set(name, { info: null, crc32: asInteger(item, path, 0, MAX_U32) });
+      continue;
+    }
     const fields = asObject(item, path, ["dtype", "shape", "crc32"]);
-    records.set(name, {
+    const info = {
       dtype: asOneOf(fields.dtype, `${path}.dtype`, DTYPES), shape: parseShape(fields.shape, `${path}.shape`),
-      crc32: asInteger(fields.crc32, `${path}.crc32`, 0, MAX_U32),
+    };
+    records.set(name, {
+      info, crc32: asInteger(fields.crc32, `${path}.crc32`, 0, MAX_U32),
     });
   }
   return records;

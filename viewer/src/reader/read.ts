@@ -11,12 +11,13 @@ import { crc32 } from "./digests";
 import { type Entry, type Header, LENGTH_BYTES, headerLength, parseHeader } from "./header";
 import { parseJson } from "./json";
 import { DEFAULT_LIMITS, type Limits } from "./limits";
-import { type Coords, type Metadata, type Parsed, parseMetadata } from "./metadata";
+import { type Coords, type Metadata, type Parsed, isShort, parseMetadata } from "./metadata";
 import type { PackedLevel } from "./packed";
 import { fault } from "./reasons";
 import {
-  type TypedArray, checkOrder, checkRecords, checkSchema, isNumbers, levelOf, viewOf, widenLevel,
+  type Find, checkOrder, checkRecords, checkSchema, isNumbers, levelOf, viewOf, widenLevel,
 } from "./schema";
+import { completed } from "./short";
 import type { Geometry } from "./tables";
 
 export interface Model {
@@ -102,7 +103,8 @@ export class Reading {
       this.metadata.axes[n]!.coords = { values, width: this.header.entries.get(name)?.shape[1] ?? 0 };
     }
     const order = this.metadata.modeSizes.length;
-    this.levels = this.metadata.levels.map((_, l) => levelOf(array, l + 1, order));
+    const whole = isShort(this.parsed.version) ? completed(array, this.metadata) : array;
+    this.levels = this.metadata.levels.map((_, l) => levelOf(whole, l + 1, order));
     this.geometries = checkTables(this.metadata, this.levels);
   }
 
@@ -117,7 +119,7 @@ export class Reading {
     checkReach(this.reach, geometry);
   }
 
-  private arraysIn(file: Uint8Array<ArrayBuffer>): (name: string) => TypedArray | null {
+  private arraysIn(file: Uint8Array<ArrayBuffer>): Find {
     return (name) => {
       const entry = this.header.entries.get(name);
       return entry === undefined ? null : viewOf(file, this.header.dataStart, entry);

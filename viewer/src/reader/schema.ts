@@ -2,15 +2,21 @@
 
 import type { Dtype, Entry } from "./header";
 import { type Limits, checkLimit } from "./limits";
-import { type ArrayRecord, MAX_COORD_DIMENSIONS, NUMBER_TYPES, type Parsed } from "./metadata";
+import { type ArrayRecord, MAX_COORD_DIMENSIONS, NUMBER_TYPES, type Parsed, isShort } from "./metadata";
 import { BASIS_NUMBERS, CORE_NUMBERS, widen } from "./narrow";
 import type { PackedLevel } from "./packed";
 import { fault } from "./reasons";
 
 const RAGGED = -1;
 
+/** Where tables are short, arrays that may be left out, and the types that may stand for one in memory. */
+const OPTIONAL = ["cluster", "part", "local"];
+const NARROWER: Partial<Record<Dtype, Dtype[]>> = { U32: ["U8", "U16", "U32"], U16: ["U8", "U16"] };
+
 type Info = { dtype: Dtype; shape: number[] };
-export type TypedArray = Float32Array | Float64Array | Int8Array | Uint16Array | Uint32Array;
+export type TypedArray = Float32Array | Float64Array | Int8Array | Uint8Array | Uint16Array | Uint32Array;
+/** An array by its name; null if there is none. */
+export type Find = (name: string) => TypedArray | null;
 
 /** Whether an array holds core or basis numbers: no table is of these types. */
 export function isNumbers(entry: Entry): boolean {
@@ -49,11 +55,11 @@ export function checkRecords(records: Map<string, ArrayRecord>, entries: Map<str
     if (entry === undefined) {
       throw fault("array-missing", name, "no such array", "an array, as the metadata has a record of it");
     }
-    if (entry.dtype !== record.dtype) {
-      throw fault("array-dtype", name, entry.dtype, record.dtype);
+    if (record.info !== null && entry.dtype !== record.info.dtype) {
+      throw fault("array-dtype", name, entry.dtype, record.info.dtype);
     }
-    if (entry.shape.join() !== record.shape.join()) {
-      throw fault("array-shape", name, `[${entry.shape.join()}]`, `[${record.shape.join()}]`);
+    if (record.info !== null && entry.shape.join() !== record.info.shape.join()) {
+      throw fault("array-shape", name, `[${entry.shape.join()}]`, `[${record.info.shape.join()}]`);
     }
   }
   for (const name of entries.keys()) {
@@ -71,6 +77,7 @@ export function checkRecords(records: Map<string, ArrayRecord>, entries: Map<str
 export function checkSchema(parsed: Parsed, entries: Map<string, Entry>, limits: Limits): void {
   const { metadata, coords, version } = parsed;
   const { modeSizes, undecomposed } = metadata;
+  const short = isShort(version);
   const expected = new Map<string, Info>();
   const depth = metadata.levels.length;
   let nodes = 0;
@@ -84,11 +91,15 @@ export function checkSchema(parsed: Parsed, entries: Map<string, Entry>, limits:
       numbers = "I8";
     }
     for (const [part, info] of levelSchema(modeSizes.length, undecomposed, count, level === depth, numbers)) {
-      expected.set(`level/${level}/${part}`, info);
+      if (!(short && part.includes("_offset"))) {
+        expected.set(`level/${level}/${part}`, info);
+      }
     }
   }
   for (const [name, info] of expected) {
-    checkInfo(name, required(name, entries), [info.dtype], info.shape);
+    if (!(short && !entries.has(name) && OPTIONAL.includes(name.split("/")[2]!))) {
+      checkInfo(name, required(name, entries), (short ? NARROWER[info.dtype] : undefined) ?? [info.dtype], info.shape);
+    }
   }
   for (const [n, name] of coords) {
     const entry = required(name, entries);
@@ -145,7 +156,7 @@ export function checkOrder(entries: Map<string, Entry>): void {
 /** The array of an entry, as a view of the file's bytes. */
 export function viewOf(file: Uint8Array<ArrayBuffer>, dataStart: number, entry: Entry): TypedArray {
   const types = {
-    I8: Int8Array, F16: Uint16Array, F32: Float32Array, F64: Float64Array, U16: Uint16Array, U32: Uint32Array,
+    I8: Int8Array, U8: Uint8Array, F16: Uint16Array, F32: Float32Array, F64: Float64Array, U16: Uint16Array, U32: Uint32Array,
   };
   const type = types[entry.dtype];
   if (entry.begin === entry.end) {
@@ -160,7 +171,7 @@ export function viewOf(file: Uint8Array<ArrayBuffer>, dataStart: number, entry: 
  *
  * Where its core and basis numbers are bytes, there is room for what they stand for, which `widenLevel` fills.
  */
-export function levelOf(array: (name: string) => TypedArray | null, level: number, order: number): PackedLevel {
+export function levelOf(array: Find, level: number, order: number): PackedLevel {
   const find = <Type extends TypedArray>(name: string): Type | null => array(`level/${level}/${name}`) as Type | null;
   const get = <Type extends TypedArray>(name: string): Type => {
     const found = find<Type>(name);
@@ -188,7 +199,7 @@ export function levelOf(array: (name: string) => TypedArray | null, level: numbe
 }
 
 /** Fill a level of bytes with the numbers that they stand for. */
-export function widenLevel(packed: PackedLevel, array: (name: string) => TypedArray | null, level: number): void {
+export function widenLevel(packed: PackedLevel, array: Find, level: number): void {
   const fill = (name: string, numbers: Uint16Array, into: Uint16Array | null): void => {
     const stored = array(`level/${level}/${name}`);
     if (stored instanceof Int8Array && into !== null) {

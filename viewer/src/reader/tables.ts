@@ -7,9 +7,11 @@
 import type { PackedLevel } from "./packed";
 import { fault } from "./reasons";
 
-export interface Geometry {
+/** The nodes of a level, before anything else is known of it. */
+export interface Nodes {
   level: number; // from 1
-  packed: PackedLevel;
+  nodes: number;
+  shape: Uint32Array; // [S, 3, N]
   decomposed: number[]; // mode numbers
   clusters: Uint32Array[]; // by mode: [S]
   mixture: Uint32Array[];
@@ -18,26 +20,36 @@ export interface Geometry {
   cells: Float64Array; // [S], PC
 }
 
+export interface Geometry extends Nodes {
+  packed: PackedLevel;
+}
+
 /** Full name of an array of the level. */
-export function nameIn(geometry: Geometry, array: string): string {
-  return `level/${geometry.level}/${array}`;
+export function nameIn(nodes: Nodes, array: string): string {
+  return `level/${nodes.level}/${array}`;
 }
 
 /** Check the shape table and the row offsets of a level and unpack them. */
 export function readGeometry(packed: PackedLevel, level: number, undecomposed: number[]): Geometry {
-  const { nodes, order, shape } = packed;
-  const modes = Array.from({ length: order }, (_, n) => n);
-  const rows = modes.map((n) => offsetSteps(packed.rowOffset[n]!, `level/${level}/row_offset/${n}`));
+  const rows = packed.rowOffset.map((offsets, n) => offsetSteps(offsets, `level/${level}/row_offset/${n}`));
+  return { ...nodesOf(packed.shape, rows, level, undecomposed), packed };
+}
+
+/** Check the shape table of a level whose nodes own so many rows, by mode, and unpack it. */
+export function nodesOf(shape: Uint32Array, rows: Float64Array[], level: number, undecomposed: number[]): Nodes {
+  const order = rows.length;
+  const nodes = shape.length / (3 * order);
+  const modes = rows.map((_, n) => n);
   const column = (which: number, n: number): Uint32Array =>
     Uint32Array.from({ length: nodes }, (_, s) => shape[(3 * s + which) * order + n]!);
   const clusters = modes.map((n) => column(0, n));
-  const geometry: Geometry = {
-    level, packed, clusters, rows, decomposed: modes.filter((n) => !undecomposed.includes(n)),
+  const found: Nodes = {
+    level, nodes, shape, clusters, rows, decomposed: modes.filter((n) => !undecomposed.includes(n)),
     mixture: modes.map((n) => column(1, n)), ranks: modes.map((n) => column(2, n)),
     cells: Float64Array.from({ length: nodes }, (_, s) => clusters.reduce((all, each) => all * each[s]!, 1)),
   };
-  checkShapes(geometry, undecomposed);
-  return geometry;
+  checkShapes(found, undecomposed);
+  return found;
 }
 
 /** What each node owns according to an offset array, which must start at 0 and ascend. */
@@ -57,10 +69,10 @@ export function offsetSteps(offsets: Uint32Array, name: string): Float64Array {
 }
 
 /** Whether C, K and R of a node are all zero. */
-export function isZero(packed: PackedLevel, s: number): boolean {
-  const width = 3 * packed.order;
+export function isZero(shape: Uint32Array, order: number, s: number): boolean {
+  const width = 3 * order;
   for (let i = s * width; i < (s + 1) * width; i += 1) {
-    if (packed.shape[i] !== 0) {
+    if (shape[i] !== 0) {
       return false;
     }
   }
@@ -68,12 +80,12 @@ export function isZero(packed: PackedLevel, s: number): boolean {
 }
 
 /** Each node's C, K and R: all zero, or K <= C and all positive, and fixed for an undecomposed mode. */
-function checkShapes(geometry: Geometry, undecomposed: number[]): void {
-  const { packed, clusters, mixture, ranks, rows } = geometry;
-  const name = nameIn(geometry, "shape");
-  const zero = Uint8Array.from({ length: packed.nodes }, (_, s) => Number(isZero(packed, s)));
-  for (let s = 0; s < packed.nodes; s += 1) {
-    for (let n = 0; n < packed.order && zero[s] === 0; n += 1) {
+function checkShapes(found: Nodes, undecomposed: number[]): void {
+  const { nodes, shape, clusters, mixture, ranks, rows } = found;
+  const name = nameIn(found, "shape");
+  const zero = Uint8Array.from({ length: nodes }, (_, s) => Number(isZero(shape, rows.length, s)));
+  for (let s = 0; s < nodes; s += 1) {
+    for (let n = 0; n < rows.length && zero[s] === 0; n += 1) {
       const [c, k, r] = [clusters[n]![s]!, mixture[n]![s]!, ranks[n]![s]!];
       const fixed = undecomposed.includes(n) && (c !== 1 || r !== rows[n]![s]);
       if (c < 1 || k < 1 || r < 1 || k > c || fixed) {
@@ -82,7 +94,7 @@ function checkShapes(geometry: Geometry, undecomposed: number[]): void {
       }
     }
   }
-  for (let s = 0; s < packed.nodes; s += 1) {
+  for (let s = 0; s < nodes; s += 1) {
     const n = zero[s] === 0 ? rows.findIndex((each) => each[s] === 0) : -1;
     if (n >= 0) {
       throw fault("node-empty", name, `node ${s} without rows in mode ${n} has a shape`, "a shape of zeros");
