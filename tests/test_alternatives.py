@@ -50,6 +50,33 @@ def test_beyond_what_float16_keeps_a_larger_size_goes_to_a_second_level() -> Non
     assert models[2].snr > 100
 
 
+def separable(sizes: tuple[int, int, int, int]) -> NDArray[np.float32]:
+    """Three products of a pattern of lights and views with a texture, at 0, -22 and -38 dB, and noise at -54 dB."""
+    rng = np.random.default_rng(0)
+    lit, texels = sizes[0] * sizes[1], sizes[2] * sizes[3]
+    values = np.zeros((lit, texels))
+    for level in (0.0, -22.0, -38.0):
+        patterns = [rng.standard_normal(count) for count in (lit, texels)]
+        left, right = (np.abs(pattern) if level == 0 else pattern for pattern in patterns)
+        values += 10 ** (level / 20) * np.outer(left / np.linalg.norm(left), right / np.linalg.norm(right))
+    noise = rng.standard_normal((lit, texels))
+    values += 10 ** (-54 / 20) * noise / np.linalg.norm(noise) * np.linalg.norm(values)
+    return values.reshape(sizes).astype(np.float32)
+
+
+@pytest.mark.parametrize("snr", [45.0, 50.0, 52.0])
+@pytest.mark.parametrize("sizes", [(12, 10, 24, 24), (20, 12, 20, 20)])
+def test_bytes_below_a_level_of_rank_one_do_for_an_snr_that_bytes_alone_fall_short_of(
+    snr: float, sizes: tuple[int, int, int, int]
+) -> None:
+    values = separable(sizes)
+    model, wide = compress(values, snr=snr, threads=1), compress(values, snr=snr, bits=16, threads=1)
+    assert [level.bits for level in model.plan.levels] == [16, 8]
+    assert model.snr >= snr
+    assert model.nbytes < 0.75 * wide.nbytes
+    assert wide.nbytes < 8_000
+
+
 def test_an_snr_beyond_what_float16_keeps_takes_few_bytes_more() -> None:
     near, beyond = (compress(field(), snr=snr, threads=1) for snr in (64.0, 84.0))
     assert beyond.snr >= 84

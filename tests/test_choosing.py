@@ -76,6 +76,18 @@ def test_of_long_modes_few_vectors_are_found() -> None:
     assert table[2, 0] == pytest.approx(energy(low), rel=1e-5)
 
 
+def test_fewer_vectors_do_where_they_leave_next_to_nothing() -> None:
+    rng = np.random.default_rng(0)
+    low = (rng.standard_normal((900, 3)) @ rng.standard_normal((3, 1000))).astype(np.float32)
+    matrix = low + np.float32(0.01) * rng.standard_normal((900, 1000), np.float32)  # of energy 90
+    every = core_energies(matrix, (200, None), np.random.default_rng(0))
+    few = core_energies(matrix, (200, None), np.random.default_rng(0), 100.0)
+    assert (len(every), len(few)) == (200, 50)
+    np.testing.assert_allclose(few[:3, 0], every[:3, 0], rtol=1e-6)
+    assert energy(matrix) - few[-1, 0] <= 100
+    assert len(core_energies(matrix, (200, None), np.random.default_rng(0), 10.0)) == 200
+
+
 def test_a_spectrums_steps_are_the_corners_of_its_hull() -> None:
     table = core_energies(noise(8, 9, 10), (8, 9, 10), np.random.default_rng(0))
     found = spectrum(table, float(table[-1, -1, -1]), (8, 9, 10), [False] * 3, 4096)

@@ -16,8 +16,9 @@ from .plan import MOST_RANKS, LevelSpec, Plan
 
 #: From this SNR in dB on, the error of the numbers themselves, by their bits, is not small beside what a level leaves.
 ROUNDED = {16: 55.0, 8: 33.0}
-#: Between so many dB numbers of eight bits and of sixteen may each take fewer bytes.
-EITHER = (36.0, 50.0)
+#: Between so many dB numbers of eight bits and of sixteen may each take fewer bytes, up to the latter below a level of
+#: rank one.
+EITHER, EITHER_BELOW = (36.0, 50.0), 60.0
 
 
 def alternatives(plan: Plan, plain: Organisation, snr: float, nbytes: int) -> Iterator[Plan]:
@@ -33,19 +34,36 @@ def alternatives(plan: Plan, plain: Organisation, snr: float, nbytes: int) -> It
     first, *others = plan.levels
     if len(others) == 1 and others[0].own and first.grid and first.cells > 1:
         yield replace(plan, levels=(_of_data(first, first.clusters), *others))
-    if EITHER[0] < snr < EITHER[1]:
-        yield with_bits(plan, sum(BITS) - plan.levels[-1].bits)
+    if first.bits == min(BITS) and EITHER[0] < snr < EITHER[1]:
+        yield with_bits(plan, max(BITS))
+    yield from narrower(plan, snr)
     if others or not first.own or all(rank is None for rank in first.ranks):
         return
     if snr > ROUNDED[first.bits]:
-        below = first if first.grid else replace(first, clusters=(1,) * first.order)
-        yield replace(plan, levels=(_of_rank_one(first), below))
+        yield replace(plan, levels=_below_rank_one(first))
         whole = whole_plan(plan, plain)
         yield replace(whole, levels=(_of_rank_one(whole.levels[0]), *whole.levels))
     if first.cells == 1 and not first.grid and is_coarse(plan, snr, nbytes):
         for n in (n for n, rank in enumerate(first.ranks) if rank is not None):
             halves = tuple(2 if m == n else 1 for m in range(first.order))
             yield replace(plan, levels=(_of_data(first, halves),))
+
+
+def narrower(plan: Plan, snr: float) -> Iterator[Plan]:
+    """The plan with bytes instead of float16 numbers, where they may do, also below a level of rank one.
+
+    >>> from hmkcta import parse_plan
+    >>> [str(each) for each in narrower(parse_plan("R<=8,*", (("y",), ("x",))), 45.0)]
+    ['R<=8,* bits=8', 'R=1,* / R<=8,* bits=8']
+    """
+    first, *below = plan.levels
+    if plan.levels[-1].bits == min(BITS) or not EITHER[0] < snr < EITHER_BELOW:
+        return
+    if below or snr < EITHER[1]:
+        yield with_bits(plan, min(BITS))
+    if not below and first.own and any(first.ranks):
+        carrier, own = _below_rank_one(first)
+        yield replace(plan, levels=(carrier, replace(own, bits=min(BITS))))
 
 
 def with_bits(plan: Plan, bits: int) -> Plan:
@@ -84,6 +102,11 @@ def whole_plan(plan: Plan, plain: Organisation) -> Plan:
 def _of_data(level: LevelSpec, clusters: tuple[int, ...]) -> LevelSpec:
     """The level with clusters of the data, each row in one, in the place of blocks."""
     return replace(level, clusters=clusters, mixture=(1,) * level.order, grid=(), fewest=(), cuts=())
+
+
+def _below_rank_one(level: LevelSpec) -> tuple[LevelSpec, LevelSpec]:
+    """A level of rank one, and the level for what that leaves: of nodes of its own where there were blocks."""
+    return _of_rank_one(level), level if level.grid else replace(level, clusters=(1,) * level.order)
 
 
 def _of_rank_one(level: LevelSpec) -> LevelSpec:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from math import prod
 
-from .alternatives import alternatives, whole_plan, with_bits, with_clusters_times
+from .alternatives import alternatives, narrower, whole_plan, with_bits, with_clusters_times
 from .axes import mode_sizes
 from .errors import HmkctaError
 from .finer import LARGE, finer, is_coarse
@@ -44,6 +44,9 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
         if (task.plan.snr or model.snr) > NEARLY:
             task, model = _best([(task, model), *_further(given, _in_two(given, others))])
         task, model = _with_other_clusters(task, model)
+    elif _is_held(task):
+        near = (plan for plan in narrower(task.plan, model.snr) if _may_be(task, plan))
+        task, model = _best([(task, model), *_further(task, near)])
     best, others = model, [plan for plan in others if plan not in rivals]
     if is_coarse(task.plan, model.snr, model.nbytes):
         task, model = _nearer(task, model, others)
@@ -69,10 +72,14 @@ def _may_be(task: Task, plan: Plan) -> bool:
 
 def _is_worth(task: Task) -> bool:
     """Whether other plans like it are fitted as well: where that takes seconds, unless it should be fast."""
-    elements = prod(task.source.shape)
+    return prod(task.source.shape) <= LARGE and _is_held(task)
+
+
+def _is_held(task: Task) -> bool:
+    """Whether memory holds the array, and plans are compared at all."""
     sizes = mode_sizes(task.source.axes, task.plan.organisation)
-    held = not is_streamed(elements, memory_limit(task.plan, sizes, task.memory))
-    return held and elements <= LARGE and task.run.effort.candidates > EFFORTS["fast"].candidates
+    streamed = is_streamed(prod(task.source.shape), memory_limit(task.plan, sizes, task.memory))
+    return not streamed and task.run.effort.candidates > EFFORTS["fast"].candidates
 
 
 def _best(followed: Sequence[tuple[Task, Model]]) -> tuple[Task, Model]:

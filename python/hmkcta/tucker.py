@@ -15,6 +15,8 @@ F64 = NDArray[np.float64]
 #: Up to this side a Gram matrix is decomposed exactly; beyond it by randomised subspace iteration, and already beyond
 #: the smaller one where few vectors of many are wanted.
 EXACT_SIDE, SMALL_SIDE = 768, 160
+#: Where few vectors may do, so many are found first, and then so many times as many.
+FEW, GROWING = 32, 4
 
 
 def unfold(tensor: NDArray[np.floating], n: int) -> NDArray[np.floating]:
@@ -31,10 +33,17 @@ def mode_product(tensor: NDArray[np.floating], matrix: NDArray[np.floating], n: 
     return np.moveaxis(np.tensordot(matrix, tensor, (1, n)), 0, n)
 
 
-def leading_subspace(tensor: F32, n: int, rank: int, rng: np.random.Generator) -> F32:
-    """Leading left singular vectors of the mode-n unfolding: `[I_n, min(rank, its rank at most)]`, orthonormal."""
+def leading_subspace(tensor: F32, n: int, rank: int, rng: np.random.Generator, enough: float = 0.0) -> F32:
+    """Leading left singular vectors of the mode-n unfolding: `[I_n, min(rank, its rank at most)]`, orthonormal.
+
+    Fewer where so many leave `enough` of the squared norm or less, and it takes less to find them alone.
+    """
     matrix = unfold(tensor, n)
     rank = min(rank, *matrix.shape)
+    if enough and rank > GROWING * FEW and len(matrix) > EXACT_SIDE < matrix.shape[1]:
+        fewer = leading_subspace(tensor, n, max(FEW, rank // GROWING), rng, enough)
+        if squared_norm(tensor) - squared_norm(_projected(matrix, fewer)) <= enough:
+            return fewer
     exact = EXACT_SIDE if 6 * rank > min(matrix.shape) else SMALL_SIDE
     if len(matrix) <= min(exact, matrix.shape[1]):
         _, vectors = np.linalg.eigh(_gram(matrix))
@@ -92,11 +101,13 @@ def st_hosvd(tensor: F32, ranks: Sequence[int | None], rng: np.random.Generator)
     return bases, np.ascontiguousarray(core)
 
 
-def core_energies(tensor: F32, limits: Sequence[int | None], rng: np.random.Generator) -> F64:
+def core_energies(
+    tensor: F32, limits: Sequence[int | None], rng: np.random.Generator, enough: float = 0.0
+) -> F64:
     """Energy that HOSVD captures at every choice of ranks up to the limits: ``table[R_1 - 1, .., R_N - 1]``.
 
     A mode of limit None is left undecomposed, and has one entry. The energy is that of the truncated core, the error of
-    the truncated reconstruction.
+    the truncated reconstruction. Errors of less than `enough` are not told apart: the table may end there.
 
     >>> core_energies(np.outer([1, 2], [2, 0]).astype(np.float32), (2, 1), np.random.default_rng(0)).round(3).tolist()
     [[20.0], [20.0]]
@@ -104,7 +115,7 @@ def core_energies(tensor: F32, limits: Sequence[int | None], rng: np.random.Gene
     decomposed = [n for n, limit in enumerate(limits) if limit is not None]
     if len(decomposed) == 1 and (found := _squares(unfold(tensor, n := decomposed[0]), limits[n] or 0)) is not None:
         return np.cumsum(found).reshape([-1 if m == n else 1 for m in range(tensor.ndim)])
-    core, scale = full_core(tensor, limits, rng)
+    core, scale = full_core(tensor, limits, rng, enough)
     kept = np.square(core[tuple(slice(limit) for limit in limits)])
     undecomposed = tuple(n for n, limit in enumerate(limits) if limit is None)
     table = scale * kept.sum(axis=undecomposed, keepdims=True, dtype=np.float64)
@@ -114,11 +125,14 @@ def core_energies(tensor: F32, limits: Sequence[int | None], rng: np.random.Gene
     return table
 
 
-def full_core(tensor: F32, limits: Sequence[int | None], rng: np.random.Generator) -> tuple[F32, float]:
+def full_core(
+    tensor: F32, limits: Sequence[int | None], rng: np.random.Generator, enough: float = 0.0
+) -> tuple[F32, float]:
     """The tensor rotated into the singular vectors of its unfoldings, the strongest first: its HOSVD core.
 
     A mode of limit None is left as it is; one longer than its unfolding has columns comes as long as those are many,
-    one that is long and of which few vectors are wanted with as many. Other modes keep their length.
+    one that is long and of which few vectors are wanted with as many, or with those that leave `enough`. Other modes
+    keep their length.
 
     Returns:
         The core, and the scale of its energies: the tensor's squared norm by that of its rotation.
@@ -140,7 +154,7 @@ def full_core(tensor: F32, limits: Sequence[int | None], rng: np.random.Generato
     # Rotations keep the norm: what float32 sums lose of it would look like error, or hide it.
     scale = squared_norm(tensor) / max(squared_norm(core), 1e-300)
     for at in left:
-        basis = leading_subspace(core, at, limits[turn[at]] or 0, rng)
+        basis = leading_subspace(core, at, limits[turn[at]] or 0, rng, enough)
         others = [size for n, size in enumerate(core.shape) if n != at]
         core = np.moveaxis(_projected(unfold(core, at), basis).reshape(-1, *others), 0, at)
     back = sorted(range(order), key=turn.__getitem__)

@@ -104,7 +104,7 @@ class Search:
         for number, (choice, ranked) in enumerate(zip(new, in_order(judge, new, workers), strict=True), start=1):
             self.seen[(*choice, sample, size)] = ranked
             told(number / len(new))
-        nothing = {choice: (0.0, Candidate(*choice)) for choice in choices}
+        nothing = {choice: (0.0, Candidate(*choice, carried=False)) for choice in choices}
         return [max(self.seen[(*each, sample, size)], key=worth_of, default=nothing[each]) for each in choices]
 
     def every(self, choices: Sequence[Choice], sample: int) -> Ranked:

@@ -13,7 +13,7 @@ from .trial import ROUNDING
 #: Up to so many dB bytes leave next to nothing more than float16 numbers, and from so many on too much. Between them
 #: both are looked at; where bytes end a race with more than so much, they are gone on with only if float16 numbers come
 #: to less.
-BYTES_DO, BYTES_HARDLY_DO, BYTES_FALL_SHORT = 38.0, 44.5, 52.0
+BYTES_DO, BYTES_HARDLY_DO, BYTES_FALL_SHORT = 38.0, 44.5, 60.0
 #: Where rounding to bytes is more than so much of the error it hides which organisation is better.
 TELLING = 0.8
 
@@ -38,7 +38,7 @@ def of_bits(search: Search, look: Look, bits: int | None, fixed: bool) -> tuple[
     if bits is not None or first == 16 or min(found[1], ceiling) < BYTES_DO:
         return found
     wide = search.anew(replace(search.goal, bits=16))
-    told = fixed or ROUNDING[8][found[2].carried] < TELLING * 10 ** (-min(found[1], ceiling) / 10)
+    told = fixed or found[2].carried or ROUNDING[8] < TELLING * 10 ** (-min(found[1], ceiling) / 10)
     wide = replace(wide, plain=found[2].organisation) if told else wide
     other = wide, *look(wide, told, inf)
     if found[1] > other[1] and own.highest > enough:

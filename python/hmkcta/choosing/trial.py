@@ -30,6 +30,8 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 #: Sets of modes left undecomposed.
 Kinds = tuple[tuple[int, ...], ...]
+#: Bytes and error of a sample's blocks, for a `limit` of bytes or an `error`.
+Spend = Callable[..., tuple[float, float]]
 
 #: Worse than any number of bytes, in octaves.
 OUT_OF_REACH = 1000.0
@@ -53,9 +55,9 @@ FINEST = 1e-14
 UNTOLD = 0.05
 #: Beyond so many dB Gram matrices are summed in float64.
 PRECISE = 50.0
-#: What bytes leave instead of float16 numbers, as a share of the energy, of numbers of so many bits: where blocks are
-#: cells of one level, and below a first level of rank one, which takes most of it.
-ROUNDING = {16: (0.0, 0.0), 8: (8e-5, 2e-5)}
+#: What numbers of so many bits leave by themselves, as a share of what their level is to hold: next to nothing if
+#: float16, of bytes less where a first level of rank one, of float16 numbers, takes most of the energy.
+ROUNDING = {16: 0.0, 8: 8e-5}
 #: What bytes leave of the values themselves, in dB.
 VERBATIM_BYTES = 36.0
 #: Bytes besides two float16 for each element, that no candidate worth a look takes.
@@ -157,9 +159,9 @@ class Trial:
         errors = np.concatenate([left for left, _ in found], axis=1)
         nbytes = np.concatenate([own for _, own in found])
         order = np.argsort(nbytes, kind="stable")
-        path = partial(ration, errors[:, order], nbytes[order], cut.blocks.weights)
-        least = float(nbytes.min() * cut.blocks.weights.sum())
-        return self._worth(path, cut, cut.blocks.overlap, candidate, least)[0]
+        errors, nbytes, weights = errors[:, order], nbytes[order], cut.blocks.weights
+        path, below = partial(ration, errors, nbytes, weights), _left_by_one(found[0][0], weights)
+        return self._worth(path, cut, cut.blocks.overlap, candidate, float(nbytes[0] * weights.sum()), below)[0]
 
     def _way(self, cut: Cut, flags: tuple[bool, ...], caps: Ranks, way: Sequence[int]) -> tuple[F64, F64]:
         """Error that each block is left with and bytes, at every choice of ranks, if all are cut in the same way."""
@@ -242,12 +244,16 @@ class Trial:
         worth, spent = self._worth(path, cut, 1.0, one, float(nbytes[1]))
         ranks = whole.ranks[best][max(1, int(np.searchsorted(nbytes[best], spent, side="right")) - 1)]
         found = [(worth, one)]
-        if prod(cut.clusters) > 1 and self.decode_cost > 1:
+        if self.decode_cost > 1 and (prod(cut.clusters) > 1 or (self.bits == 8 and not all(flags))):
             many = replace(one, carried=True)
             nodes = choices_of(meant, cut.edges, flags, self.decode_cost - 1, (1,) * order, self.bits)
-            path = partial(ration, _left(cut.energy, table, nodes, self.floor), nodes.nbytes, weights)
-            least = float(nodes.nbytes[0] * weights.sum())
-            found.append((self._worth(path, cut, cut.blocks.overlap, many, least)[0], many))
+            left = _left(cut.energy, table, nodes, self.floor)
+            below, least = _left_by_one(left, weights), float(nodes.nbytes[0] * weights.sum())
+            path = partial(ration, left, nodes.nbytes, weights)
+            if prod(cut.clusters) == 1:
+                best = pareto(nodes.nbytes, left[0])
+                path = partial(best_of_one, nodes.nbytes[best], left[0][best])
+            found.append((self._worth(path, cut, cut.blocks.overlap, many, least, below)[0], many))
         return found, [int(rank) for rank in ranks]
 
     def _caps(self, candidate: Candidate) -> Ranks | None:
@@ -269,13 +275,14 @@ class Trial:
         return cores(cut.batch, limits, self._precision, self._enough)
 
     def _worth(
-        self, spend: Callable[..., tuple[float, float]], cut: Cut, share: float, candidate: Candidate, least: float
+        self, spend: Spend, cut: Cut, share: float, candidate: Candidate, least: float, below: float = 1.0
     ) -> tuple[float, float]:
         blocks, thinned = cut.blocks, prod(cut.batch.shape[1:]) / prod(cut.edges)
-        return self.worth_of(spend, self.energy * blocks.seen * blocks.overlap * thinned, share, candidate, least)
+        energy = self.energy * blocks.seen * blocks.overlap * thinned
+        return self.worth_of(spend, energy, share, candidate, least, below)
 
     def worth_of(
-        self, spend: Callable[..., tuple[float, float]], energy: float, share: float, candidate: Candidate, least: float
+        self, spend: Spend, energy: float, share: float, candidate: Candidate, least: float, below: float = 1.0
     ) -> tuple[float, float]:
         """What bytes and error make a candidate worth, and the bytes spent on the blocks of the sample.
 
@@ -285,8 +292,9 @@ class Trial:
             share: what part of the whole they stand for.
             candidate: whose bytes are beside the blocks, and whose numbers are rounded.
             least: bytes of the sample's blocks at the least.
+            below: share of the energy that the last level is to hold.
         """
-        fixed, rounding = self.beside(candidate), ROUNDING[candidate.bits][candidate.carried]
+        fixed, rounding = self.beside(candidate), ROUNDING[candidate.bits] * below
         if (needed := fixed + least / share) > self.size:  # after all that fit, the smallest first
             return -OUT_OF_REACH - log2(needed), least
         spent, error = spend(limit=(self.size - fixed) * share)
@@ -332,6 +340,12 @@ def trial_of(source: Source, size: int | None, ceiling: float | None, decode_cos
 def decibels(signal: float, error: float) -> float:
     """SNR, bounded by what float32 can tell."""
     return snr_db(max(signal, 1e-300), max(error, FINEST * signal, 1e-300))
+
+
+def _left_by_one(left: F64, weights: F64) -> float:
+    """Share of the energy that the least ranks of all blocks leave: what follows a first level of these."""
+    whole, one = weights @ left[:, 0], weights @ left[:, min(1, left.shape[1] - 1)]
+    return float(one / max(whole, 1e-300))
 
 
 def _left(energy: F64, table: F64, choices: Choices, floor: float) -> F64:

@@ -240,7 +240,7 @@ def _starts(judged: Ranked, far: float) -> Ranked:
 
 def _cut_further(search: Search, best: Candidate, progress: Progress) -> tuple[float, Candidate]:
     """Let each block be cut in two along axes where that helps, or in twos from blocks twice as long; and the gain."""
-    if not best.carried or search.care.cuts == 0:
+    if not best.carried or _is_whole(best) or search.care.cuts == 0:
         return 0.0, best
     now, gained, worth = replace(best, cuts=(1,) * len(best.grid)), 0.0, search.trial.worth
     for n in reversed(range(len(best.grid))):
