@@ -79,7 +79,7 @@ def test_of_long_modes_few_vectors_are_found() -> None:
 def test_fewer_vectors_do_where_they_leave_next_to_nothing() -> None:
     rng = np.random.default_rng(0)
     low = (rng.standard_normal((900, 3)) @ rng.standard_normal((3, 1000))).astype(np.float32)
-    matrix = low + np.float32(0.01) * rng.standard_normal((900, 1000), np.float32)  # of energy 90
+    matrix = (low + 0.01 * rng.standard_normal((900, 1000))).astype(np.float32)  # of which 90 is noise
     every = core_energies(matrix, (200, None), np.random.default_rng(0))
     few = core_energies(matrix, (200, None), np.random.default_rng(0), 100.0)
     assert (len(every), len(few)) == (200, 50)

@@ -8,7 +8,7 @@ from math import isinf, prod
 
 from ._version import __version__
 from .axes import Axis, Organisation, mode_sizes
-from .hmkfile import ArrayInfo, coords_info, coords_name, file_size, is_needed, level_schema, narrowest, prefix
+from .hmkfile import ArrayInfo, coords_info, coords_name, file_size, level_schema, narrowest, prefix
 from .memberships import block_sizes
 from .packed import LevelBounds, LevelQuality, Metadata
 from .plan import LevelSpec, Plan
@@ -143,8 +143,8 @@ def _short_types(level: LevelSpec, shapes: Sequence[Sequence[tuple[int, int, int
     for n, mode in enumerate(shapes):
         c, k = (max(shape[of] for shape in mode) for of in range(2))
         apart = c > 1 and level.scheme == "uniform" and not level.grid  # rows do not go where their clusters are
-        types[f"cluster/{n}"] = narrowest(c - 1) if is_needed("cluster", c, k) else None
-        types[f"part/{n}"] = narrowest(c - 1) if is_needed("part", c, k) or apart else None
+        types[f"cluster/{n}"] = narrowest(c - 1) if c > 1 else None
+        types[f"part/{n}"] = narrowest(c - 1) if k > 1 or apart else None
         types[f"local/{n}"] = None
     return types
 

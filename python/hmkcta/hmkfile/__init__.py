@@ -17,7 +17,6 @@ from .reasons import Reason as Reason
 from .schema import ArrayInfo as ArrayInfo
 from .schema import level_schema as level_schema
 from .schema import prefix as prefix
-from .short import is_needed as is_needed
 from .short import narrowest as narrowest
 from .write import encode as encode
 from .write import encoded_size as encoded_size

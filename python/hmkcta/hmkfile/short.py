@@ -30,11 +30,6 @@ def narrowest(largest: int) -> str:
     return "U8" if largest < 2**8 else "U16" if largest < 2**16 else "U32"
 
 
-def is_needed(name: str, largest_c: int, largest_k: int) -> bool:
-    """Whether ``cluster`` or ``part`` of a mode tells something, if rows go where their only cluster is."""
-    return largest_c > 1 if name == "cluster" else largest_k > 1
-
-
 def shortened(packed: PackedLevel) -> Iterator[tuple[str, NDArray[Any]]]:
     """Names (without ``level/<l>/``) and arrays of a sound level's tables, in the order of `PackedLevel.tables`."""
     largest, rows = packed.shape.max(axis=0, initial=0), _rows_of(packed)
@@ -46,13 +41,13 @@ def shortened(packed: PackedLevel) -> Iterator[tuple[str, NDArray[Any]]]:
         if cluster is None:
             continue
         c, k = int(largest[0, n]), int(largest[1, n])
-        if is_needed("cluster", c, k):
+        if c > 1:
             yield f"cluster/{n}", _narrow(cluster, c - 1)
         part, local = packed.part[n], packed.local[n]
         if packed.child is None or part is None or local is None:
             continue
         mode = _Rows(packed.shape[:, :, n].astype(np.int64), rows[:, n], np.diff(packed.child.astype(np.int64)))
-        if is_needed("part", c, k) or not packed.shape.any() or not np.array_equal(part, mode.parts(cluster)):
+        if k != 1 or not np.array_equal(part, mode.parts(cluster)):
             yield f"part/{n}", _narrow(part, max(c, 1) - 1)
         if not np.array_equal(local, mode.places(part)):
             yield f"local/{n}", _narrow(local, int(local.max(initial=0)))
@@ -112,7 +107,7 @@ class _Level:
             self._own(f"basis_offset/{n}", f"basis/{n}", entries * others * self.ranks[:, n])
             # Bases have as many entries at the least, so that this is bounded by what the file holds.
             if (name := f"{self.name}cluster/{n}") not in self.whole:
-                if is_needed("cluster", int(self.clusters[:, n].max(initial=0)), 1):
+                if self.clusters[:, n].max(initial=0) > 1:
                     raise fault("array-missing", name, "no such array", "an array, as nodes have clusters")
                 self.whole[name] = np.zeros(int(entries.sum()), np.uint16)
             self._own(f"cluster_offset/{n}", f"cluster/{n}", entries)
@@ -144,11 +139,11 @@ class _Level:
         return np.stack(below, axis=1)
 
     def _part(self, n: int, mode: _Rows) -> U16:
-        name, clusters, most = f"{self.name}part/{n}", f"{self.name}cluster/{n}", int(self.mixture[:, n].max(initial=0))
+        name = f"{self.name}part/{n}"
         if name not in self.whole:
-            if is_needed("part", 1, most) or not self.shape.any():
+            if self.mixture[:, n].max(initial=0) != 1:
                 raise fault("array-missing", name, "no such array", "an array, as clusters do not tell parts")
-            self.whole[name] = mode.parts(self.whole[clusters])
+            self.whole[name] = mode.parts(self.whole[f"{self.name}cluster/{n}"])
         part, total = self.whole[name], self.rows[:, n].sum()
         if part.size != total:
             raise fault("array-shape", name, [part.size], f"[{total}], the rows of the level")
