@@ -33,7 +33,7 @@ test: .venv/.installed page
 	@for crate in $(CRATES); do cargo test --quiet --manifest-path $$crate || exit 1; done
 	$(WITH_NODE) npm run --silent test
 	$(WITH_NODE) npm run --silent e2e
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 8 --dist worksteal
 
 check: .venv/.installed viewer/node_modules/.installed
 	$(BIN)/ruff check .

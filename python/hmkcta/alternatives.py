@@ -40,7 +40,7 @@ def alternatives(plan: Plan, plain: Organisation, snr: float, nbytes: int) -> It
     if others or not first.own or all(rank is None for rank in first.ranks):
         return
     if snr > ROUNDED[first.bits]:
-        yield replace(plan, levels=_below_rank_one(first))
+        yield from below_rank_one(plan, first.bits)
         whole = whole_plan(plan, plain)
         yield replace(whole, levels=(_of_rank_one(whole.levels[0]), *whole.levels))
     if first.cells == 1 and not first.grid and is_coarse(plan, snr, nbytes):
@@ -56,14 +56,24 @@ def narrower(plan: Plan, snr: float) -> Iterator[Plan]:
     >>> [str(each) for each in narrower(parse_plan("R<=8,*", (("y",), ("x",))), 45.0)]
     ['R<=8,* bits=8', 'R=1,* / R<=8,* bits=8']
     """
-    first, *below = plan.levels
     if plan.levels[-1].bits == min(BITS) or not EITHER[0] < snr < EITHER_BELOW:
         return
-    if below or snr < EITHER[1]:
+    if len(plan.levels) > 1 or snr < EITHER[1]:
         yield with_bits(plan, min(BITS))
-    if not below and first.own and any(first.ranks):
-        carrier, own = _below_rank_one(first)
-        yield replace(plan, levels=(carrier, replace(own, bits=min(BITS))))
+    yield from below_rank_one(plan, min(BITS))
+
+
+def below_rank_one(plan: Plan, bits: int) -> Iterator[Plan]:
+    """The plan of one level with ranks of its own below a level of rank one: nodes where there were blocks.
+
+    >>> from hmkcta import parse_plan
+    >>> [str(each) for each in below_rank_one(parse_plan("R<=8,* C=4,1", (("y",), ("x",))), 8)]
+    ['R=1,* / R<=8,* bits=8']
+    """
+    first, *others = plan.levels
+    if not others and first.own and any(first.ranks):
+        below = first if first.grid else replace(first, clusters=(1,) * first.order)
+        yield replace(plan, levels=(_of_rank_one(first), replace(below, bits=bits)))
 
 
 def with_bits(plan: Plan, bits: int) -> Plan:
@@ -102,11 +112,6 @@ def whole_plan(plan: Plan, plain: Organisation) -> Plan:
 def _of_data(level: LevelSpec, clusters: tuple[int, ...]) -> LevelSpec:
     """The level with clusters of the data, each row in one, in the place of blocks."""
     return replace(level, clusters=clusters, mixture=(1,) * level.order, grid=(), fewest=(), cuts=())
-
-
-def _below_rank_one(level: LevelSpec) -> tuple[LevelSpec, LevelSpec]:
-    """A level of rank one, and the level for what that leaves: of nodes of its own where there were blocks."""
-    return _of_rank_one(level), level if level.grid else replace(level, clusters=(1,) * level.order)
 
 
 def _of_rank_one(level: LevelSpec) -> LevelSpec:

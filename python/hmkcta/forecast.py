@@ -29,8 +29,8 @@ _BASE, _KEPT = 56 * 2**20, 0.3
 #: Bytes for each element of a slab of a source that is checked, of the next one, and of a sample that plans are judged
 #: on; and what each further thread takes of the latter, as samples are seldom at their largest together.
 _CHECKED, _NEXT, _SAMPLED, _BESIDE = 17, 6, 18, 0.6
-#: Bytes for each element of a block that shares none with others, which is fitted in place.
-_BLOCK = 8
+#: Bytes for each element of a block that shares none with others, which is fitted in place; of a workset of one cell.
+_BLOCK, _ALONE = 8, 12
 #: Copies of a slab that are made while it is read and worked on, or cut into blocks; and of its projections.
 _SLAB_COPIES, _SLAB_CUT, _SLAB_SEEN = 4, 3, 1
 #: How much larger than the average the largest sub-tensors get for each mode of two, or of more clusters, where rows
@@ -103,8 +103,10 @@ def _outside(plan: Plan, sizes: Sequence[int], limit: int, threads: int, cut: in
         together = fitted * max(1, min(threads, limit // max(1, fitted)))
         if level.disjoint and fitted <= limit:
             each = _BLOCK * max(together, JUDGING * fitted if level.own else 0)
-        elif below or level.own or level.disjoint:
+        elif below or level.own:
             each = WORKING * (together if below else fitted)
+        elif level.disjoint:
+            each = (_ALONE if level.cells == 1 else WORKING) * fitted
         else:
             each = fitting_bytes(sizes, level, limit) + int(_KEPT * slabs)
         model = 2 * _numbers(sizes, level) if level.disjoint else 0

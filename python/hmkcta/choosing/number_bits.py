@@ -13,7 +13,7 @@ from .trial import ROUNDING
 #: Up to so many dB bytes leave next to nothing more than float16 numbers, and from so many on too much. Between them
 #: both are looked at; where bytes end a race with more than so much, they are gone on with only if float16 numbers come
 #: to less.
-BYTES_DO, BYTES_HARDLY_DO, BYTES_FALL_SHORT = 38.0, 44.5, 60.0
+BYTES_DO, BYTES_HARDLY_DO, BYTES_FALL_SHORT = 38.0, 44.5, 52.0
 #: Where rounding to bytes is more than so much of the error it hides which organisation is better.
 TELLING = 0.8
 
