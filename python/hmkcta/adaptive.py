@@ -33,6 +33,7 @@ from .hierarchy import (
 from .memberships import by_subspaces, start_candidates
 from .memory import check_memory, format_bytes, give_back_freed_memory
 from .metrics import snr_db, squared_norm
+from .narrow import LEFT
 from .plan import HIGHEST_RANK, LevelSpec
 from .predict import MODEL, PROCESS
 from .progress import Told, share_of
@@ -46,8 +47,8 @@ TABLE_ENTRIES, LONE_ENTRIES = 60_000, 400_000
 #: How far above an SNR goal a fit may end, in dB, how often a fit is repeated to land there, and how far above many
 #: nodes, whose choices come in small steps, aim; where promises too poor and too good are so near each other it ends.
 OVERSHOOT, ATTEMPTS, MARGIN, NARROW = 0.25, 16, 0.05, 0.03
-#: What numbers of a byte leave of a level's energy, and the most that is reckoned with of an error that is allowed.
-ROUNDING, MOST_ROUNDING = 1e-4, 0.3
+#: The most that is reckoned with of an error that is allowed for what numbers of a byte leave.
+MOST_ROUNDING = 0.3
 
 
 @dataclass
@@ -293,7 +294,7 @@ class _LastLevel:
     def _rounding(self, energy: float) -> float:
         """What bytes will leave of so much energy, but no more than a share of what an SNR allows."""
         allowed = inf if self.goal.snr is None else self.goal.energy * 10 ** (-self.goal.snr / 10)
-        return min(energy * ROUNDING, MOST_ROUNDING * allowed) if self.ways[0][0].bits == 8 else 0.0
+        return min(energy * LEFT, MOST_ROUNDING * allowed) if self.ways[0][0].bits == 8 else 0.0
 
     def to_size(self, size: int) -> None:
         """As much as fits into a file of `size` bytes."""

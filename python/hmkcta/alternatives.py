@@ -15,7 +15,7 @@ from .narrow import BITS
 from .plan import MOST_RANKS, LevelSpec, Plan
 
 #: From this SNR in dB on, the error of the numbers themselves, by their bits, is not small beside what a level leaves.
-ROUNDED = {16: 55.0, 8: 33.0}
+ROUNDING_FROM = {16: 55.0, 8: 33.0}
 #: Between so many dB numbers of eight bits and of sixteen may each take fewer bytes, up to the latter below a level of
 #: rank one.
 EITHER, EITHER_BELOW = (36.0, 50.0), 60.0
@@ -39,7 +39,7 @@ def alternatives(plan: Plan, plain: Organisation, snr: float, nbytes: int) -> It
     yield from narrower(plan, snr)
     if others or not first.own or all(rank is None for rank in first.ranks):
         return
-    if snr > ROUNDED[first.bits]:
+    if snr > ROUNDING_FROM[first.bits]:
         yield from below_rank_one(plan, first.bits)
         whole = whole_plan(plan, plain)
         yield replace(whole, levels=(_of_rank_one(whole.levels[0]), *whole.levels))

@@ -6,7 +6,15 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from math import prod
 
-from .alternatives import alternatives, below_rank_one, narrower, whole_plan, with_bits, with_clusters_times
+from .alternatives import (
+    ROUNDING_FROM,
+    alternatives,
+    below_rank_one,
+    narrower,
+    whole_plan,
+    with_bits,
+    with_clusters_times,
+)
 from .axes import mode_sizes
 from .errors import HmkctaError
 from .finer import LARGE, finer, is_coarse
@@ -55,7 +63,9 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
     if (deeper := _deeper(task, model)) is not None:
         further.insert(0, deeper)
     if task.plan.levels[-1].bits < BITS[0] and task.bits is None:
-        further[:0] = [*below_rank_one(task.plan, BITS[1]), with_bits(task.plan, BITS[0])]
+        further.insert(0, with_bits(task.plan, BITS[0]))
+        if model.snr > ROUNDING_FROM[BITS[1]]:
+            further[:0] = below_rank_one(task.plan, BITS[1])
     for plan in further:
         if task.plan.snr is None or best.snr >= task.plan.snr:
             break

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from math import inf
 
+from ..narrow import LEFT
 from .candidates import Candidate
 from .judging import Search
-from .trial import ROUNDING
 
 #: Up to so many dB bytes leave next to nothing more than float16 numbers, and from so many on too much. Between them
 #: both are looked at; where bytes end a race with more than so much, they are gone on with only if float16 numbers come
@@ -21,7 +21,7 @@ TELLING = 0.8
 Look = Callable[[Search, bool, float], tuple[float, Candidate]]
 
 
-def of_bits(search: Search, look: Look, bits: int | None, fixed: bool) -> tuple[Search, float, Candidate]:
+def searched_by_bits(search: Search, look: Look, bits: int | None, fixed: bool) -> tuple[Search, float, Candidate]:
     """The best candidate whose numbers have so many bits, of a fixed organisation or any.
 
     None: eight bits, or where what these leave tells, sixteen, which are looked at with the organisation of the best
@@ -38,7 +38,7 @@ def of_bits(search: Search, look: Look, bits: int | None, fixed: bool) -> tuple[
     if bits is not None or first == 16 or min(found[1], ceiling) < BYTES_DO:
         return found
     wide = search.anew(replace(search.goal, bits=16))
-    told = fixed or found[2].carried or ROUNDING[8] < TELLING * 10 ** (-min(found[1], ceiling) / 10)
+    told = fixed or found[2].carried or TELLING * 10 ** (-min(found[1], ceiling) / 10) > LEFT
     wide = replace(wide, plain=found[2].organisation) if told else wide
     other = wide, *look(wide, told, inf)
     if found[1] > other[1] and own.highest > enough:

@@ -16,6 +16,7 @@ from ..allocation import Choices, best_of_one, choices_of, pareto, plausible, ra
 from ..axes import Organisation, mode_sizes
 from ..filesize import planned_bytes
 from ..metrics import snr_db
+from ..narrow import LEFT
 from ..plan import MOST_RANKS_ALONE
 from ..source import Source
 from .blocks import Blocks, Samples, finer, organised, split
@@ -55,9 +56,9 @@ FINEST = 1e-14
 UNTOLD = 0.05
 #: Beyond so many dB Gram matrices are summed in float64.
 PRECISE = 50.0
-#: What numbers of so many bits leave by themselves, as a share of what their level is to hold: next to nothing if
-#: float16, of bytes less where a first level of rank one, of float16 numbers, takes most of the energy.
-ROUNDING = {16: 0.0, 8: 8e-5}
+#: What numbers of so many bits leave by themselves, as a share of what their level is to hold, which is little where a
+#: first level of rank one, of float16 numbers, takes most of the energy.
+ROUNDING = {16: 0.0, 8: LEFT}
 #: What bytes leave of the values themselves, in dB.
 VERBATIM_BYTES = 36.0
 #: Bytes besides two float16 for each element, that no candidate worth a look takes.

@@ -29,7 +29,7 @@ from .caps import Room, capped, check_room, room_of
 from .climbing import WORTHWHILE, climbed
 from .clustered import with_clusters
 from .judging import CARES, Ranked, Search, worth_of
-from .number_bits import of_bits
+from .number_bits import searched_by_bits
 from .organisations import organisations
 from .racing import finalists, near
 from .trial import OUT_OF_REACH, VERBATIM, trial_of
@@ -85,7 +85,7 @@ def tune(
     held = not is_streamed(elements, workset_limit(memory))
     search = Search(trial, trial, plain, run.threads, care, together, care.matrices // 2 if held else 0)
     look = partial(_searched, progress=run.progress, narrow=snr is not None)
-    search, worth, best = of_bits(search, look, bits, organisation is not None)
+    search, worth, best = searched_by_bits(search, look, bits, organisation is not None)
     if trial.ceiling is None and worth > -10 * log10(VERBATIM) - ALIKE:
         search = search.anew(replace(search.goal, ceiling=EXACT))
         worth, best = look(search, organisation is not None, inf)
