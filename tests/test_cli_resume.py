@@ -6,6 +6,7 @@ import json
 import os
 import random
 import signal
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -176,9 +177,20 @@ def await_size(path: Path, size: int) -> None:
         time.sleep(0.002)
 
 
+def a_moment(process: subprocess.Popen[str], nodes: Path, more: float, seconds: float) -> None:
+    """Wait until more bytes of nodes are kept than were, if the work does not end before, and then some seconds."""
+    kept = nodes.stat().st_size if nodes.exists() else 0
+    while process.poll() is None and not (nodes.exists() and nodes.stat().st_size >= kept + more):
+        time.sleep(0.002)
+    time.sleep(seconds)
+
+
 @pytest.mark.skipif(os.name != "posix", reason="needs kill -9")
 def test_killed_at_twenty_random_moments(source: Path, tmp_path: Path) -> None:
-    output = tmp_path / "a.hmk"
+    """Moments by the clock, before anything is kept too, in turn with moments by what is kept: that work has gone on
+    where a machine busy with other tests is slower or faster than it was.
+    """
+    output, nodes = tmp_path / "a.hmk", tmp_path / "a.hmk.partial" / NODES
     rng = random.Random(20)
     reference: dict[tuple[object, ...], bytes] = {}
     for words in (COMMAND, CHOSEN):
@@ -191,7 +203,10 @@ def test_killed_at_twenty_random_moments(source: Path, tmp_path: Path) -> None:
     while kills < 20:
         words = (COMMAND, CHOSEN)[ended % 2]
         process = start("compress", source, "-o", output, *words, "--quiet", "--resume")
-        time.sleep(rng.uniform(0.3, 1.0) * takes)
+        if kills % 2:
+            a_moment(process, nodes, rng.uniform(0, 0.5) * len(reference[words]), rng.uniform(0, 0.1) * takes)
+        else:
+            time.sleep(rng.uniform(0, 1) * takes)
         killed = process.poll() is None
         process.kill()
         code, _, err = finish(process)
@@ -202,7 +217,6 @@ def test_killed_at_twenty_random_moments(source: Path, tmp_path: Path) -> None:
             output.unlink()
             ended += 1
         else:
-            nodes = tmp_path / "a.hmk.partial" / NODES
             went_on += nodes.exists() and nodes.stat().st_size > 0
     words = (COMMAND, CHOSEN)[ended % 2]
     assert finish(start("compress", source, "-o", output, *words, "--quiet", "--resume"))[0] == 0
