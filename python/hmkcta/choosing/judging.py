@@ -159,7 +159,8 @@ class Search:
         if not self.care.matrices:
             return []
         whole = (1,) * len(self.trial.source.shape)
-        judged = self.best([(modes, whole) for modes in every], self.care.compare[0])
+        # Grids may have cut both modes of what was seen: that says nothing of leaving one undecomposed.
+        judged = self.best([(modes, whole) for modes in every], self.care.compare[0], kinds=((), (0,), (1,)))
         return [each.organisation for _, each in sorted(judged, key=worth_of, reverse=True)[: self.care.matrices]]
 
 

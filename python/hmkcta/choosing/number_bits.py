@@ -6,19 +6,17 @@ from collections.abc import Callable
 from dataclasses import replace
 from math import inf
 
-from ..narrow import LEFT
 from .candidates import Candidate
-from .judging import Search
+from .clustered import clustered
+from .judging import Search, worth_of
 
 #: Up to so many dB bytes leave next to nothing more than float16 numbers, and from so many on too much. Between them
 #: both are looked at; where bytes end a race with more than so much, they are gone on with only if float16 numbers come
 #: to less.
 BYTES_DO, BYTES_HARDLY_DO, BYTES_FALL_SHORT = 38.0, 44.5, 52.0
-#: Where rounding to bytes is more than so much of the error it hides which organisation is better.
-TELLING = 0.8
-#: Of the same blocks float16 numbers are an octave of bytes worse where rounding tells nothing; where they are so much
-#: worse, in octaves or dB, no other blocks make up for it.
-SURELY_WORSE = 0.75
+#: In the same blocks bytes are an octave better than float16 numbers where rounding tells nothing; where they are so
+#: much better, in octaves or dB, no other blocks make up for it.
+SURELY_BETTER = 0.75
 
 #: Looks for the best candidate: in a search, of a fixed organisation or any, to the end of a race where that is enough.
 Look = Callable[[Search, bool, float], tuple[float, Candidate]]
@@ -27,9 +25,9 @@ Look = Callable[[Search, bool, float], tuple[float, Candidate]]
 def searched_by_bits(search: Search, look: Look, bits: int | None, fixed: bool) -> tuple[Search, float, Candidate]:
     """The best candidate whose numbers have so many bits, of a fixed organisation or any.
 
-    None: eight bits, or where what these leave tells, sixteen, which are looked at with the blocks of the best, then
-    with its organisation unless bytes hide which that is; sixteen where memory sets bounds, as the ranks that bytes
-    afford take more of it to look at.
+    None: eight bits, or where what these leave tells, sixteen, which are looked at in the blocks of the best; then with
+    its organisation, or where they are better there, with all, as bytes hide which is best; sixteen where memory sets
+    bounds, as the ranks that bytes afford take more of it to look at.
     """
     if search.goal.memory is not None:
         bits = bits or 16
@@ -41,22 +39,22 @@ def searched_by_bits(search: Search, look: Look, bits: int | None, fixed: bool) 
     if bits is not None or first == 16 or min(found[1], ceiling) < BYTES_DO:
         return found
     wide = search.anew(replace(search.goal, bits=16))
-    if _is_surely_worse(wide, found[1], found[2]):
+    ahead = found[1] - _worth_of_same(wide, found[2])
+    if ahead > SURELY_BETTER:
         return found if own.highest <= enough else _to_the_end(own, look, fixed)
-    told = fixed or found[2].carried or TELLING * 10 ** (-min(found[1], ceiling) / 10) > LEFT
-    wide = replace(wide, plain=found[2].organisation) if told else wide
-    other = wide, *look(wide, told, inf)
+    wide = replace(wide, plain=found[2].organisation) if fixed or ahead > 0 else wide
+    other = wide, *look(wide, fixed or ahead > 0, inf)
     if found[1] > other[1] and own.highest > enough:
         found = _to_the_end(own, look, fixed)
     return max(found, other, key=lambda each: each[1])
 
 
-def _is_surely_worse(wide: Search, worth: float, best: Candidate) -> bool:
-    """Whether float16 numbers, in the blocks that are best with bytes, are worth too little to look at others."""
-    if not best.carried:
-        return False
-    (same, _), = wide.best([(best.organisation, best.grid)], wide.care.refine, kinds=(best.undecomposed,))
-    return same < worth - SURELY_WORSE
+def _worth_of_same(search: Search, best: Candidate) -> float:
+    """What a search's numbers are worth in the blocks, or with clusters, that are best with others."""
+    if best.clusters:
+        return max(map(worth_of, clustered(search.goal, best.organisation)))
+    blocks = [(best.organisation, best.grid)]
+    return search.best(blocks, search.care.refine, kinds=(best.undecomposed,))[0][0]
 
 
 def _to_the_end(own: Search, look: Look, fixed: bool) -> tuple[Search, float, Candidate]:
