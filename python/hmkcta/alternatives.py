@@ -34,7 +34,7 @@ def alternatives(plan: Plan, plain: Organisation, snr: float, nbytes: int) -> It
     first, *others = plan.levels
     if len(others) == 1 and others[0].own and first.grid and first.cells > 1:
         yield replace(plan, levels=(_of_data(first, first.clusters), *others))
-    if first.bits == min(BITS) and EITHER[0] < snr < EITHER[1]:
+    if first.bits == min(BITS) and EITHER[0] < _asked(plan, snr) < EITHER[1]:
         yield with_bits(plan, max(BITS))
     yield from narrower(plan, snr)
     if others or not first.own or all(rank is None for rank in first.ranks):
@@ -56,11 +56,16 @@ def narrower(plan: Plan, snr: float) -> Iterator[Plan]:
     >>> [str(each) for each in narrower(parse_plan("R<=8,*", (("y",), ("x",))), 45.0)]
     ['R<=8,* bits=8', 'R=1,* / R<=8,* bits=8']
     """
-    if plan.levels[-1].bits == min(BITS) or not EITHER[0] < snr < EITHER_BELOW:
+    if plan.levels[-1].bits == min(BITS) or not EITHER[0] < _asked(plan, snr) < EITHER_BELOW:
         return
-    if len(plan.levels) > 1 or snr < EITHER[1]:
+    if len(plan.levels) > 1 or _asked(plan, snr) < EITHER[1]:
         yield with_bits(plan, min(BITS))
     yield from below_rank_one(plan, min(BITS))
+
+
+def _asked(plan: Plan, snr: float) -> float:
+    """What numbers have to do, in dB: a rank may be a step far beyond it."""
+    return snr if plan.snr is None else min(snr, plan.snr)
 
 
 def below_rank_one(plan: Plan, bits: int) -> Iterator[Plan]:

@@ -39,11 +39,13 @@ def searched_by_bits(search: Search, look: Look, bits: int | None, fixed: bool) 
     if bits is not None or first == 16 or min(found[1], ceiling) < BYTES_DO:
         return found
     wide = search.anew(replace(search.goal, bits=16))
-    ahead = found[1] - _worth_of_same(wide, found[2])
-    if ahead > SURELY_BETTER:
+    # What bytes end at far up, and blocks that sixteen bits have no room for, tell nothing of the best with those.
+    same = _worth_of_same(wide.anew(wide.goal), found[2]) if min(found[1], ceiling) < enough else -inf
+    if 0.0 < same < found[1] - SURELY_BETTER:
         return found if own.highest <= enough else _to_the_end(own, look, fixed)
-    wide = replace(wide, plain=found[2].organisation) if fixed or ahead > 0 else wide
-    other = wide, *look(wide, fixed or ahead > 0, inf)
+    alike = fixed or 0.0 < same < found[1]
+    wide = replace(wide, plain=found[2].organisation) if alike else wide
+    other = wide, *look(wide, alike, inf)
     if found[1] > other[1] and own.highest > enough:
         found = _to_the_end(own, look, fixed)
     return max(found, other, key=lambda each: each[1])
