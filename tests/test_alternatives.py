@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -9,7 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hmkcta import compress
+from hmkcta import compress, parse_plan
+from hmkcta.alternatives import alternatives
 
 
 def temperatures(mean: float) -> NDArray[np.float64]:
@@ -75,6 +77,14 @@ def test_bytes_below_a_level_of_rank_one_do_for_an_snr_that_bytes_alone_fall_sho
     assert model.snr >= snr
     assert model.nbytes < 0.75 * wide.nbytes
     assert wide.nbytes < 8_000
+
+
+def test_bytes_are_tried_for_the_snr_that_is_asked_not_the_one_a_rank_came_to() -> None:
+    plain = (("y",), ("x",))
+    plan = replace(parse_plan("R<=8,*", plain), snr=50.0)
+    tried = [str(each) for each in alternatives(plan, plain, 70.8, 1000)]
+    assert "R=1,* / R<=8,* bits=8" in tried
+    assert not any("bits=8" in str(each) for each in alternatives(replace(plan, snr=70.0), plain, 70.8, 1000))
 
 
 def test_an_snr_beyond_what_float16_keeps_takes_few_bytes_more() -> None:

@@ -47,12 +47,12 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
     rivals = [plan for plan in others if task.plan.size is not None or not _is_verbatim(plan)] if doubtful else []
     task, model = _best([(task, follow(task)), *_further(task, rivals)])
     if _is_worth(task):
-        clustered = _with_other_clusters(task, model)
-        near = alternatives(task.plan, task.source.organisation(None), model.snr, model.nbytes)
-        task, model = _best([(task, model), *_further(task, (plan for plan in near if _may_be(task, plan)))])
+        own, near = (task, model), alternatives(task.plan, task.source.organisation(None), model.snr, model.nbytes)
+        task, model = _best([own, *_further(task, (plan for plan in near if _may_be(task, plan)))])
         if (task.plan.snr or model.snr) > NEARLY:
             task, model = _best([(task, model), *_further(given, _in_two(given, others))])
-        task, model = (task, model) if task is clustered else _with_other_clusters(task, model)
+        starts = [own] if model is own[1] else [own, (task, model)]
+        task, model = _best([_with_other_clusters(*start) for start in starts])
     elif _is_held(task):
         near = (plan for plan in narrower(task.plan, model.snr) if _may_be(task, plan))
         task, model = _best([(task, model), *_further(task, near)])
