@@ -11,8 +11,8 @@ from .clustered import clustered
 from .judging import Search, worth_of
 
 #: Up to so many dB bytes leave next to nothing more than float16 numbers, and from so many on too much. Between them
-#: both are looked at; where bytes end a race with more than so much, they are gone on with only if float16 numbers come
-#: to less.
+#: both are looked at; where bytes end a race with more than so much, what they leave hides which blocks are best, and
+#: they are gone on with only if float16 numbers come to less.
 BYTES_DO, BYTES_HARDLY_DO, BYTES_FALL_SHORT = 38.0, 44.5, 52.0
 #: In the same blocks bytes are an octave better than float16 numbers where rounding tells nothing; where they are so
 #: much better, in octaves or dB, no other blocks make up for it.
@@ -25,9 +25,9 @@ Look = Callable[[Search, bool, float], tuple[float, Candidate]]
 def searched_by_bits(search: Search, look: Look, bits: int | None, fixed: bool) -> tuple[Search, float, Candidate]:
     """The best candidate whose numbers have so many bits, of a fixed organisation or any.
 
-    None: eight bits, or where what these leave tells, sixteen, which are looked at in the blocks of the best; then with
-    its organisation, or where they are better there, with all, as bytes hide which is best; sixteen where memory sets
-    bounds, as the ranks that bytes afford take more of it to look at.
+    None: eight bits, or where what these leave tells, sixteen. These are looked at in the blocks of the best, and if
+    not much worse there with its organisation; where they are better, or what bytes leave hides which is best, with
+    all. Sixteen also where memory sets bounds, as the ranks that bytes afford take more of it to look at.
     """
     if search.goal.memory is not None:
         bits = bits or 16
