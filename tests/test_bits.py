@@ -119,6 +119,19 @@ def test_the_bytes_of_a_plan_are_known_before(text: str) -> None:
     assert planned_bytes(plan, source) == fitted(plan=plan).nbytes
 
 
+def test_bytes_known_before_are_enough_whatever_scheme_is_best(tmp_path: Path) -> None:
+    """Of uniform blocks it is stored which rows they have, of other schemes it follows."""
+    np.save(source := tmp_path / "noise.npy", np.random.default_rng(9).standard_normal((40, 36, 30), np.float32))
+    text = "R=3,3,3 C=3,2,2 bits=8 / R=2,2,2 bits=8"
+    planned = {scheme: report("plan", source, "--plan", text, "--scheme", scheme)["predicted_bytes"]
+               for scheme in ("most", "uniform", "auto")}
+    assert planned["auto"] == planned["uniform"] > planned["most"]
+    for scheme in planned:
+        run("compress", source, "-o", tmp_path / scheme, "--plan", text, "--scheme", scheme, "--quiet")
+        assert (tmp_path / scheme).stat().st_size <= planned[scheme]
+    assert (tmp_path / "most").stat().st_size == planned["most"]
+
+
 def test_a_second_level_of_bytes_takes_up_what_the_first_rounds_off() -> None:
     """At the edge of what bytes keep of one level, two levels of the same ranks end far beyond."""
     tensor = smooth(12, 20, 20, 20)

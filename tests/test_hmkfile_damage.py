@@ -160,6 +160,16 @@ def bombs() -> dict[str, bytes]:
             "array-missing": deeper.join(), "ok": zero_root_with_rows(2**32 - 1), "ok too": short}
 
 
+def test_a_merged_mode_has_no_more_rows_than_offsets_tell() -> None:
+    parts = Parts.split(zero_root_with_rows(2**16, bits=8))
+    metadata = json.loads(parts.text)
+    axes = [{**metadata["axes"][0], "name": name, "size": 2**16} for name in "uv"]
+    parts.text = json.dumps(metadata | {"axes": axes, "organisation": [["u", "v"]]})
+    with pytest.raises(HmkctaError) as told:
+        loads(parts.join())
+    assert (told.value.reason, told.value.where) == ("array-shape", "level/1/shape")
+
+
 def frame(header: bytes) -> bytes:
     """A file with this header and no arrays."""
     header += b" " * (-len(header) % 8)

@@ -122,10 +122,15 @@ def test_same_model_same_bytes() -> None:
 
 
 def test_loaded_arrays_are_read_only(tmp_path: Path) -> None:
+    """Also what a file leaves out."""
     save(tmp_path / "a.hmk", *small_model())
     _, levels = load(tmp_path / "a.hmk")
     with pytest.raises(ValueError, match="read-only"):
         levels[0].core[0] = 0
+    save(tmp_path / "b.hmk", *lone_model())
+    for level in load(tmp_path / "b.hmk")[1]:
+        for name, array in (*level.tables(), *level.wide()):
+            assert not array.flags.writeable, name
 
 
 def test_safetensors_opens_bytes() -> None:
@@ -196,11 +201,14 @@ def payload(data: bytes) -> int:
 
 
 @pytest.mark.parametrize(("eight_from", "version"), [(None, "1.0"), (1, "1.2"), (2, "1.2")])
-def test_the_version_hangs_on_number_types(eight_from: int | None, version: str) -> None:
+def test_the_version_hangs_on_number_types(eight_from: int | None, version: str, tmp_path: Path) -> None:
     model = random_model(np.random.default_rng(0), (4, 5), 2, eight_from=eight_from)
     data = encoded(model)
     assert json.loads(header_of(data)[1]["__metadata__"]["hmkcta"])["version"] == version
-    assert payload(data) == sum(table_bytes(model[1])) + sum(level.number_bytes for level in model[1])
+    (tmp_path / "a.hmk").write_bytes(data)
+    tables = table_bytes(tmp_path / "a.hmk")
+    assert len(tables) == len(model[1])
+    assert payload(data) == sum(tables) + sum(level.number_bytes for level in model[1])
 
 
 def test_what_follows_is_left_out() -> None:

@@ -45,12 +45,12 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
     doubtful = task.plan.size is not None or task.source.value_transform.name != "identity" or _is_worth(task)
     given = task
     rivals = [plan for plan in others if task.plan.size is not None or not _is_verbatim(plan)] if doubtful else []
-    task, model = _best([(task, follow(task)), *_further(task, rivals)])
+    followed = [(task, follow(task)), *_further(task, rivals)]
+    own = task, model = _best(followed)
     if _is_worth(task):
-        own, near = (task, model), alternatives(task.plan, task.source.organisation(None), model.snr, model.nbytes)
-        task, model = _best([own, *_further(task, (plan for plan in near if _may_be(task, plan)))])
+        task, model = _best([own, *_further(task, _near(followed))])
         if (task.plan.snr or model.snr) > NEARLY:
-            task, model = _best([(task, model), *_further(given, _in_two(given, others))])
+            task, model = _best([(task, model), *_further(given, dict.fromkeys(_in_two(given, others)))])
         starts = [own] if model is own[1] else [own, (task, model)]
         task, model = _best([_with_other_clusters(*start) for start in starts])
     elif _is_held(task):
@@ -63,10 +63,9 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
     further = list(others)
     if (deeper := _deeper(task, model)) is not None:
         further.insert(0, deeper)
-    if task.plan.levels[-1].bits < BITS[0] and task.bits is None:
-        further.insert(0, with_bits(task.plan, BITS[0]))
-        if model.snr > ROUNDING_FROM[BITS[1]]:
-            further[:0] = below_rank_one(task.plan, BITS[1])
+    if task.plan.levels[-1].bits < BITS[0]:
+        further[:0] = [with_bits(task.plan, BITS[0])] if task.bits is None else []
+        further[:0] = below_rank_one(task.plan, BITS[1]) if model.snr > ROUNDING_FROM[BITS[1]] else []
     for plan in further:
         if task.plan.snr is None or best.snr >= task.plan.snr:
             break
@@ -74,6 +73,17 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
         for _, model in _further(task, [plan]):
             best = max(best, model, key=lambda each: each.snr)
     return best if task.plan.snr is None else _unless_verbatim(task, best, others)
+
+
+def _near(followed: Sequence[tuple[Task, Model]]) -> Sequence[Plan]:
+    """Alternatives of the best with each number of bits: which of these is better may hang on them."""
+    plans, tried = dict[Plan, None](), {task.plan for task, _ in followed}
+    for bits in BITS:
+        if of_bits := [each for each in followed if each[0].plan.levels[-1].bits == bits]:
+            task, model = _best(of_bits)
+            near = alternatives(task.plan, task.source.organisation(None), model.snr, model.nbytes)
+            plans |= {plan: None for plan in near if _may_be(task, plan) and plan not in tried}
+    return list(plans)
 
 
 def _may_be(task: Task, plan: Plan) -> bool:
@@ -164,7 +174,7 @@ def _in_two(task: Task, others: Sequence[Plan]) -> Iterator[Plan]:
             continue
         goal = replace(plan, size=None, snr=ROUNDED)
         firsts = list(_further(task, [goal]))
-        firsts += _further(task, [replace(goal, snr=model.snr - 1) for _, model in firsts if model.snr < ROUNDED])
+        firsts += _further(task, [replace(goal, snr=model.snr - 1) for _, model in firsts if 1 < model.snr < ROUNDED])
         deeper = [_deeper(*each) for each in firsts]
         yield from (replace(each, snr=task.plan.snr, size=task.plan.size) for each in deeper if each is not None)
 

@@ -160,6 +160,8 @@ class Search:
             return []
         whole = (1,) * len(self.trial.source.shape)
         # Grids may have cut both modes of what was seen: that says nothing of leaving one undecomposed.
+        for modes in every:
+            self.seen.pop((modes, whole, min(self.care.compare[0], self.most), self.trial.size), None)
         judged = self.best([(modes, whole) for modes in every], self.care.compare[0], kinds=((), (0,), (1,)))
         return [each.organisation for _, each in sorted(judged, key=worth_of, reverse=True)[: self.care.matrices]]
 

@@ -48,7 +48,9 @@ def searched_by_bits(search: Search, look: Look, bits: int | None, fixed: bool) 
     other = wide, *look(wide, alike, inf)
     if found[1] > other[1] and own.highest > enough:
         found = _to_the_end(own, look, fixed)
-    return max(found, other, key=lambda each: each[1])
+    best, next_best = sorted((found, other), key=lambda each: -each[1])
+    best[0].rivals.append(next_best[2])  # a trial knows of rounding how large it is, not where
+    return best
 
 
 def _worth_of_same(search: Search, best: Candidate) -> float:

@@ -108,7 +108,7 @@ def tune(
     if may_be and (snr is not None or worth > verbatim[0] - ROUNDED > 0):
         spare.append(verbatim[1])
     if best == verbatim[1]:
-        spare = [] if source.value_transform.name == "identity" else [found, *search.rivals]
+        spare = search.rivals if source.value_transform.name == "identity" else [found, *search.rivals]
     plans = [plan_of(source, each, snr, size, decode_cost) for each in (best, *spare)]
     return _held(plans, source, room_of(elements, memory))  # anew, as what is free varies
 

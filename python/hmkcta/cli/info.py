@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from math import inf
 from typing import Any, cast
 
@@ -28,7 +29,7 @@ EXAMPLES = ("hmkcta info wood.hmk", "hmkcta info wood.hmk --json", "hmkcta info 
 @verbose_option
 def info_command(file: str, as_json: bool, verbose: bool) -> None:
     """Show axes, levels, quality and sizes of FILE, whose checksums are verified."""
-    report = describe(open_model(file), os.path.getsize(file))
+    report = describe(open_model(file), os.path.getsize(file), table_bytes(file))
     if as_json:
         emit({"file": file, **report})
     else:
@@ -36,11 +37,10 @@ def info_command(file: str, as_json: bool, verbose: bool) -> None:
         click.echo(as_text(report, verbose))
 
 
-def describe(model: Model, size: int) -> dict[str, Any]:
-    """The facts of a model whose file has `size` bytes."""
+def describe(model: Model, size: int, tables: Sequence[int]) -> dict[str, Any]:
+    """The facts of a model whose file has `size` bytes, so many of them `tables` of each level."""
     metadata = model.metadata
     numbers = sum(level.number_bytes for level in model.levels)
-    tables = sum(table_bytes(model.levels))
     source_bytes = model.size * np.dtype(metadata.source_dtype).itemsize
     return {
         "kind": metadata.kind,
@@ -50,15 +50,16 @@ def describe(model: Model, size: int) -> dict[str, Any]:
         "organisation": format_organisation(metadata.organisation),
         "undecomposed": list(metadata.undecomposed),
         "transform": metadata.transform,
-        "levels": [_level(model, number) for number in range(1, len(model.levels) + 1)],
+        "levels": [_level(model, number, tables[number - 1]) for number in range(1, len(model.levels) + 1)],
         "decode_cost": model.decode_cost,
-        "bytes": {"file": size, "numbers": numbers, "tables": tables, "header": size - numbers - tables},
+        "bytes": {"file": size, "numbers": numbers, "tables": sum(tables),
+                  "header": size - numbers - sum(tables)},
         "ratio": source_bytes / size,
         "source": metadata.source, "seed": metadata.seed, "writer": metadata.writer,
     }
 
 
-def _level(model: Model, number: int) -> dict[str, Any]:
+def _level(model: Model, number: int, tables: int) -> dict[str, Any]:
     bounds, level, quality = model.bounds[number - 1], model.levels[number - 1], model.quality[number - 1]
     cells, zero_cells = cells_of(level)
     return {
@@ -66,7 +67,7 @@ def _level(model: Model, number: int) -> dict[str, Any]:
         "bits": level.bits, "subdivision": bounds.scheme,
         "nodes": level.nodes, "nodes_that_carry_nothing": int((~level.shape.any(axis=(1, 2))).sum()),
         "clusters": cells, "clusters_that_carry_nothing": zero_cells,
-        "bytes": level.number_bytes + table_bytes(model.levels)[number - 1],
+        "bytes": level.number_bytes + tables,
         "snr_db": quality.snr_db, "transformed_snr_db": transformed_snr(model)[number - 1],
         "rmse": quality.rmse, "max_abs_error": quality.max_abs_error,
     }

@@ -95,11 +95,19 @@ def describe(plan: Plan, source: Source, goal: Goal, choosing: float | None) -> 
         "levels": [{"level": number, "text": str(level), "search": level.search, "decode_cost": cost}
                    for number, (level, cost) in enumerate(zip(plan.levels, costs, strict=True), start=1)],
         "snr": plan.snr, "size": plan.size,
-        "predicted_bytes": predicted_bytes(plan, source, goal.kind, goal.settings["seed"]),
+        "predicted_bytes": predicted_bytes(_largest(plan, goal), source, goal.kind, goal.settings["seed"]),
         "decode_cost": sum(costs), "memory": cost.memory, "scratch": cost.scratch,
         "fitting_seconds": round(cost.seconds, 1),
         "choosing_seconds": None if choosing is None else round(choosing, 3), "source_bytes_float32": 4 * prod(sizes),
     }
+
+
+def _largest(plan: Plan, goal: Goal) -> Plan:
+    """The plan with the scheme that takes most bytes, of those that `compress` may take."""
+    if goal.settings["scheme"] != "auto":
+        return plan
+    return replace(plan, levels=tuple(level if level.grid else replace(level, scheme="uniform")
+                                      for level in plan.levels))
 
 
 def as_text(report: dict[str, Any]) -> str:

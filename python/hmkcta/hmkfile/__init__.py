@@ -11,6 +11,7 @@ from .publish import check_output as check_output
 from .publish import published as published
 from .read import load as load
 from .read import loads as loads
+from .read import table_bytes as table_bytes
 from .reasons import REASONS as REASONS
 from .reasons import WRITER_REASONS as WRITER_REASONS
 from .reasons import Reason as Reason
@@ -22,4 +23,3 @@ from .write import encode as encode
 from .write import encoded_size as encoded_size
 from .write import file_size as file_size
 from .write import save as save
-from .write import table_bytes as table_bytes

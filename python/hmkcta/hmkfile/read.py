@@ -10,6 +10,7 @@ import mmap
 import os
 import stat
 import zlib
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any, TypeAlias
 
@@ -26,7 +27,7 @@ from .limits import DEFAULT_LIMITS, Limits
 from .lookalikes import START, recognised
 from .metadata import ArrayRecord, Parsed, from_json
 from .reasons import fault
-from .schema import NUMPY_TYPES, SHORT, ArrayInfo, check_order, check_schema, level_of
+from .schema import NUMBERS, NUMPY_TYPES, SHORT, ArrayInfo, check_order, check_schema, level_of
 from .short import completed
 
 Loaded: TypeAlias = tuple[Metadata, tuple[PackedLevel, ...]]
@@ -44,6 +45,26 @@ def load(path: str | os.PathLike[str], *, verify: bool = True, limits: Limits = 
     Raises:
         HmkctaError: the file cannot be read, or violates the format in any way; see `REASONS`.
     """
+    data = _mapped(path)
+    try:
+        return loads(data, verify=verify, limits=limits)
+    except HmkctaError as error:
+        told = recognised(error, bytes(data[:START]))
+        told.args = (f"{path}: {told}",)  # `where` is a place in the file; people have several files
+        raise told from error.__cause__
+
+
+def table_bytes(path: str | os.PathLike[str]) -> list[int]:
+    """Bytes that each level's arrays but core and basis numbers have in a file that `load` accepts."""
+    entries = read_header(memoryview(_mapped(path)), DEFAULT_LIMITS).entries
+    counted = Counter[int]()
+    for name, entry in entries.items():
+        if name.startswith("level/") and entry.dtype not in NUMBERS:
+            counted[int(name.split("/")[1])] += entry.end - entry.begin
+    return [counted[level] for level in sorted(counted)]
+
+
+def _mapped(path: str | os.PathLike[str]) -> bytes | mmap.mmap:
     try:
         # A pipe would block on opening, a device may have no end.
         if not stat.S_ISREG(os.stat(path).st_mode):
@@ -51,15 +72,9 @@ def load(path: str | os.PathLike[str], *, verify: bool = True, limits: Limits = 
         with open(path, "rb") as file:
             size = os.fstat(file.fileno()).st_size
             # An empty file cannot be mapped.
-            data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) if size else b""
+            return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) if size else b""
     except (OSError, ValueError) as error:
         raise fault("unreadable", str(path), getattr(error, "strerror", None) or error, "a readable file") from error
-    try:
-        return loads(data, verify=verify, limits=limits)
-    except HmkctaError as error:
-        told = recognised(error, bytes(data[:START]))
-        told.args = (f"{path}: {told}",)  # `where` is a place in the file; people have several files
-        raise told from error.__cause__
 
 
 def loads(data: bytes | bytearray | mmap.mmap, *, verify: bool = True, limits: Limits = DEFAULT_LIMITS) -> Loaded:

@@ -23,12 +23,12 @@ _RAGGED = -1  # a length that the tables decide
 
 #: The number types that core and basis numbers may have, by the version of the file; the newest version comes last.
 NUMBER_TYPES: Mapping[str, tuple[str, ...]] = {"1.0": ("F16",), "1.1": ("F16", "I8"), "1.2": ("F16", "I8")}
-#: The versions that leave out what follows from other arrays (`short.py`).
-SHORT = ("1.2",)
-#: Arrays that these may leave out, and the types that tables may have there, by the one in memory.
-OPTIONAL, NARROWER = ("cluster", "part", "local"), {"U32": ("U8", "U16", "U32"), "U16": ("U8", "U16")}
-#: All of them: no table has one.
+#: Those of all versions: no table has one.
 NUMBERS = tuple(dict.fromkeys(name for names in NUMBER_TYPES.values() for name in names))
+#: The versions that leave out what follows from other arrays (`short.py`), and the last that has all of them.
+SHORT, WHOLE = ("1.2",), "1.1"
+#: Arrays that short versions may leave out, and the types that tables may have there, by the one in memory.
+OPTIONAL, NARROWER = ("cluster", "part", "local"), {"U32": ("U8", "U16", "U32"), "U16": ("U8", "U16")}
 
 
 class ArrayInfo(NamedTuple):

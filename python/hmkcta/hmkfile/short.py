@@ -77,6 +77,8 @@ def completed(
         made = _Level(whole, prefix(level), rows, undecomposed)
         made.complete_ragged()
         rows = rows if below is None else made.complete_tree(len(below))
+    for array in whole.values():
+        array.setflags(write=False)  # as views of the file are
     return whole
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import zlib
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
 from math import prod
 from typing import Any, TypeAlias, cast
@@ -24,7 +24,18 @@ from .metadata import ArrayRecord, coords_array, coords_name, to_json
 from .publish import check_output, published
 from .read import loads
 from .reasons import fault
-from .schema import LEVEL_TYPES, NUMBERS, NUMPY_TYPES, TYPE_NAMES, ArrayInfo, file_order, in_file_order, prefix
+from .schema import (
+    LEVEL_TYPES,
+    NUMBERS,
+    NUMPY_TYPES,
+    TYPE_NAMES,
+    WHOLE,
+    ArrayInfo,
+    check_schema,
+    file_order,
+    in_file_order,
+    prefix,
+)
 from .short import shortened
 
 Piece: TypeAlias = bytes | memoryview
@@ -43,9 +54,9 @@ def encode(metadata: Metadata, levels: Sequence[PackedLevel]) -> list[Piece]:
         coords = _coords(metadata)
         _check_types(levels)
         if _is_short(levels):
-            check_levels(metadata, levels)  # what is wrong might be left out
-        infos = _infos(levels, coords)
-        arrays = _arrays(levels, coords)
+            _check_whole(metadata, levels, coords)
+        infos = _infos(levels, coords, short=_is_short(levels))
+        arrays = _arrays(levels, coords, short=_is_short(levels))
         _check_bytes(arrays, levels)
         pieces = [_bytes_of(array, infos[name].dtype) for name, array in arrays.items()]
         records = {name: ArrayRecord(zlib.crc32(piece), infos[name])
@@ -61,7 +72,7 @@ def encoded_size(metadata: Metadata, levels: Sequence[PackedLevel]) -> int:
     """Exact number of bytes of the file that `save` writes; neither checksums nor quality change it."""
     with _as_invalid_argument():
         _check_types(levels)
-        return file_size(metadata, _infos(levels, _coords(metadata)))
+        return file_size(metadata, _infos(levels, _coords(metadata), short=_is_short(levels)))
 
 
 def file_size(metadata: Metadata, arrays: Mapping[str, ArrayInfo]) -> int:
@@ -136,34 +147,32 @@ def _coords(metadata: Metadata) -> dict[str, NDArray[Any]]:
     return {name: coords_array(axis) for axis in metadata.axes if (name := coords_name(axis)) is not None}
 
 
-def table_bytes(levels: Sequence[PackedLevel]) -> list[int]:
-    """Bytes in the file of each level's arrays but core and basis numbers."""
-    return [sum(array.nbytes for _, array in _tables(packed, short=_is_short(levels))) for packed in levels]
-
-
 def _is_short(levels: Sequence[PackedLevel]) -> bool:
     """Whether the file leaves out what follows from other arrays: readers that know bytes know that as well."""
     return any(packed.bits == 8 for packed in levels)
 
 
-def _tables(packed: PackedLevel, *, short: bool) -> Iterator[tuple[str, NDArray[Any]]]:
-    return shortened(packed) if short else packed.tables()
+def _check_whole(metadata: Metadata, levels: Sequence[PackedLevel], coords: Mapping[str, NDArray[Any]]) -> None:
+    """A model is checked with all that short tables leave out: what is wrong might be among it."""
+    names = {n: name for n, axis in enumerate(metadata.axes) if (name := coords_name(axis)) is not None}
+    check_schema(metadata, WHOLE, names, _infos(levels, coords, short=False), DEFAULT_LIMITS)
+    check_levels(metadata, levels)
 
 
-def _arrays(levels: Sequence[PackedLevel], coords: Mapping[str, NDArray[Any]], *, wide: bool = False
+def _arrays(levels: Sequence[PackedLevel], coords: Mapping[str, NDArray[Any]], *, short: bool, wide: bool = False
             ) -> dict[str, NDArray[Any]]:
     """Names and arrays in the order of the file; if `wide`, core and basis numbers as they are in memory."""
-    short = _is_short(levels)
     stored = [(prefix(level) + name, array) for level, packed in enumerate(levels, 1)
-              for name, array in (*_tables(packed, short=short), *(packed.wide() if wide else packed.coefficients()))]
+              for name, array in (*(shortened(packed) if short else packed.tables()),
+                                  *(packed.wide() if wide else packed.coefficients()))]
     return file_order([*coords.items(), *stored])
 
 
-def _infos(levels: Sequence[PackedLevel], coords: Mapping[str, NDArray[Any]]) -> dict[str, ArrayInfo]:
+def _infos(levels: Sequence[PackedLevel], coords: Mapping[str, NDArray[Any]], *, short: bool) -> dict[str, ArrayInfo]:
     """Number types and shapes in the order of the file, for which no number is narrowed."""
     narrow = tuple(prefix(level) for level, packed in enumerate(levels, 1) if packed.bits == 8)
     infos = {name: ArrayInfo(TYPE_NAMES[array.dtype.newbyteorder("<")], array.shape)
-             for name, array in _arrays(levels, coords, wide=True).items()}
+             for name, array in _arrays(levels, coords, short=short, wide=True).items()}
     return {name: info._replace(dtype="I8") if info.dtype in NUMBERS and name.startswith(narrow) else info
             for name, info in infos.items()}
 
