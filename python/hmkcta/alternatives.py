@@ -19,6 +19,8 @@ ROUNDING_FROM = {16: 55.0, 8: 33.0}
 #: Between so many dB numbers of eight bits and of sixteen may each take fewer bytes, up to the latter below a level of
 #: rank one.
 EITHER, EITHER_BELOW = (36.0, 50.0), 60.0
+#: Blocks of a mode up to which clusters of the data take their place: finding more takes minutes.
+FEW_CLUSTERS = 512
 
 
 def alternatives(plan: Plan, plain: Organisation, snr: float, nbytes: int) -> Iterator[Plan]:
@@ -32,7 +34,7 @@ def alternatives(plan: Plan, plain: Organisation, snr: float, nbytes: int) -> It
     ['R=1,* / R<=8,*', 'R=1,1 / R<=160,160']
     """
     first, *others = plan.levels
-    if len(others) == 1 and others[0].own and first.grid and first.cells > 1:
+    if len(others) == 1 and others[0].own and first.grid and 1 < max(first.clusters) <= FEW_CLUSTERS:
         yield replace(plan, levels=(_of_data(first, first.clusters), *others))
     if first.bits == min(BITS) and EITHER[0] < _asked(plan, snr) < EITHER[1]:
         yield with_bits(plan, max(BITS))
