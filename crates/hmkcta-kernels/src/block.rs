@@ -37,8 +37,8 @@ pub struct Block {
 }
 
 impl Block {
-    /// The block of a cell that is not empty.
-    pub fn new(node: &Node, cell: &Cell) -> Block {
+    /// The block of a cell that is not empty, and whether threads may share the work on it, if it is large.
+    pub fn new(node: &Node, cell: &Cell, shared: bool) -> Block {
         let rows = node.cell_rows(cell);
         let sizes: Vec<usize> = rows.iter().map(|rows| rows.len()).collect();
         let ranks = node.ranks.clone();
@@ -55,7 +55,7 @@ impl Block {
             pick: Pick::new(&node.sizes[leading..], &rows[leading..]),
             group,
             whole: sizes == node.sizes,
-            parallel: trailing(0) >= PARALLEL,
+            parallel: shared && trailing(0) >= PARALLEL,
             sizes,
             ranks,
         }
@@ -63,13 +63,6 @@ impl Block {
 
     pub fn order(&self) -> usize {
         self.sizes.len()
-    }
-
-    /// The strides of a tensor that hold rows of the block, one for each of `tuples`.
-    pub fn places<'t>(&self, tensor: &'t mut [f32]) -> Vec<&'t mut [f32]> {
-        let mut tuples = self.tuples.iter().copied().peekable();
-        let strides = tensor.chunks_exact_mut(self.stride).enumerate();
-        strides.filter_map(|(number, stride)| tuples.next_if_eq(&number).map(|_| stride)).collect()
     }
 
     /// Sizes of the block with the modes of one side of `split` still or already reduced to their ranks.

@@ -80,6 +80,11 @@ impl<'a> Node<'a> {
         self.clusters.iter().product()
     }
 
+    /// Whether no element belongs to two cells: each row is in one subset of its mode.
+    pub fn is_disjoint(&self) -> bool {
+        self.mixture.iter().all(|&k| k == 1)
+    }
+
     pub fn core_size(&self) -> usize {
         self.ranks.iter().product()
     }

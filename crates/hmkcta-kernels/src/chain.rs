@@ -3,9 +3,12 @@
 //! A tensor is a slice and its mode sizes. Seen from mode n it is `[before, I_n, after]`. Bases are kept transposed,
 //! `[R_n, m_n]`.
 
-use crate::dots::dots;
-use crate::gemm::{Matrix, multiply};
-use crate::threads::room;
+use crate::dots::dots_on;
+use crate::gemm::{Matrix, multiply_on};
+use crate::threads::{PARALLEL, PIECES, for_each, room};
+
+/// Rows of a matrix transposed at a time, and the fewest columns that a thread shall transpose.
+const TILE: usize = 32;
 
 /// `x x_n U^T` (project) or `z x_n U` (expand).
 struct Step<'a> {
@@ -21,6 +24,7 @@ struct Step<'a> {
 pub struct Chain<'a> {
     steps: Vec<Step<'a>>,
     input: usize,
+    parallel: bool,
 }
 
 impl<'a> Chain<'a> {
@@ -56,7 +60,12 @@ impl<'a> Chain<'a> {
             sizes[n] = other;
             steps.push(Step { before, rows, rank, after, basis, expand });
         }
-        Chain { steps, input }
+        Chain { steps, input, parallel: false }
+    }
+
+    /// The same, each step by several threads if `parallel` and if it is worth it.
+    pub fn on(self, parallel: bool) -> Chain<'a> {
+        Chain { parallel, ..self }
     }
 
     /// Whether nothing is to be done.
@@ -84,10 +93,10 @@ impl<'a> Chain<'a> {
         let (mut from, mut to) = (ping, pong);
         for (number, step) in first.iter().enumerate() {
             let input = if number == 0 { x } else { &from[..times * first[number - 1].output()] };
-            step.run(times, input, room(to, times * step.output()), false);
+            step.run(times, input, room(to, times * step.output()), false, self.parallel);
             std::mem::swap(&mut from, &mut to);
         }
-        last.run(times, first.last().map_or(x, |step| &from[..times * step.output()]), out, add);
+        last.run(times, first.last().map_or(x, |step| &from[..times * step.output()]), out, add, self.parallel);
     }
 }
 
@@ -96,41 +105,50 @@ impl Step<'_> {
         self.before * self.after * if self.expand { self.rows } else { self.rank }
     }
 
-    fn run(&self, times: usize, x: &[f32], out: &mut [f32], add: bool) {
+    fn run(&self, times: usize, x: &[f32], out: &mut [f32], add: bool, parallel: bool) {
         let &Step { rows, rank, after, basis, expand, .. } = self;
         let basis = Matrix::new(basis, rank, rows);
         match (expand, after) {
-            (false, 1) => dots(x, self.basis, rows, out, add),
-            (true, 1) => multiply(Matrix::new(x, times * self.before, rank), basis, add, out),
-            (false, _) => multiply(basis, Matrix::new(x, rows, after), add, out),
-            (true, _) => multiply(basis.transposed(), Matrix::new(x, rank, after), add, out),
+            (false, 1) => dots_on(parallel, x, self.basis, rows, add, out),
+            (true, 1) => multiply_on(parallel, Matrix::new(x, times * self.before, rank), basis, add, out),
+            (false, _) => multiply_on(parallel, basis, Matrix::new(x, rows, after), add, out),
+            (true, _) => multiply_on(parallel, basis.transposed(), Matrix::new(x, rank, after), add, out),
         }
     }
 }
 
-/// The mode-n unfolding `[I_n, rest]`, rest in C order.
-pub fn unfold(x: &[f32], sizes: &[usize], n: usize, out: &mut [f32]) {
-    let (rows, after) = (sizes[n], sizes[n + 1..].iter().product());
+/// The mode-n unfolding `[I_n, rest]`, rest in C order; by several threads if `parallel` and if it is worth it.
+pub fn unfold(parallel: bool, x: &[f32], sizes: &[usize], n: usize, out: &mut [f32]) {
+    let (rows, after) = (sizes[n], sizes[n + 1..].iter().product::<usize>());
     let rest = x.len() / rows;
-    if after == 1 {
-        return transpose(x, rows, out);
-    }
-    for (i, row) in out.chunks_exact_mut(rest).enumerate() {
-        for (a, piece) in row.chunks_exact_mut(after).enumerate() {
-            piece.copy_from_slice(&x[(a * rows + i) * after..][..after]);
+    let parallel = parallel && x.len() >= PARALLEL;
+    let some = if parallel { rows.div_ceil(PIECES).max(TILE.div_ceil(after)) } else { rows };
+    for_each(parallel, out.chunks_mut(some * rest).enumerate().collect(), |(number, out)| {
+        let first = number * some;
+        if after == 1 {
+            return transpose_columns(x, rows, first, out);
         }
-    }
+        for (i, row) in (first..).zip(out.chunks_exact_mut(rest)) {
+            for (a, piece) in row.chunks_exact_mut(after).enumerate() {
+                piece.copy_from_slice(&x[(a * rows + i) * after..][..after]);
+            }
+        }
+    });
 }
 
 /// The transpose of a matrix of `columns` columns.
 pub fn transpose(x: &[f32], columns: usize, out: &mut [f32]) {
-    const TILE: usize = 32;
+    transpose_columns(x, columns, 0, out);
+}
+
+/// As many columns as there is room for, from `first` on.
+fn transpose_columns(x: &[f32], columns: usize, first: usize, out: &mut [f32]) {
     let rows = x.len() / columns;
     for top in (0..rows).step_by(TILE) {
         let tile = TILE.min(rows - top);
-        for j in 0..columns {
+        for (j, out) in (first..).zip(out.chunks_exact_mut(rows)) {
             let column = x[top * columns + j..].iter().step_by(columns);
-            out[j * rows + top..][..tile].iter_mut().zip(column).for_each(|(to, &value)| *to = value);
+            out[top..][..tile].iter_mut().zip(column).for_each(|(to, &value)| *to = value);
         }
     }
 }
@@ -187,9 +205,22 @@ mod tests {
     fn unfolding_brings_a_mode_to_the_front() {
         let x: Vec<f32> = (0..24).map(|i| i as f32).collect();
         let mut y = vec![0.0; 24];
-        unfold(&x, &[2, 3, 4], 1, &mut y);
+        unfold(false, &x, &[2, 3, 4], 1, &mut y);
         assert_eq!(y[..10], [0.0, 1.0, 2.0, 3.0, 12.0, 13.0, 14.0, 15.0, 4.0, 5.0]);
-        unfold(&x, &[2, 3, 4], 2, &mut y);
+        unfold(false, &x, &[2, 3, 4], 2, &mut y);
         assert_eq!(y[..8], [0.0, 4.0, 8.0, 12.0, 16.0, 20.0, 1.0, 5.0]);
+    }
+
+    #[test]
+    fn threads_unfold_as_one_does() {
+        for (sizes, n) in [([1, 450, 450], 2), ([70, 50, 60], 1), ([3, 500, 140], 0)] {
+            let x = numbers(sizes.iter().product(), 1);
+            let unfolded = |parallel| {
+                let mut out = vec![0.0; x.len()];
+                unfold(parallel, &x, &sizes, n, &mut out);
+                out
+            };
+            assert_eq!(unfolded(true), unfolded(false));
+        }
     }
 }

@@ -1,6 +1,7 @@
 //! Matrix products `C = A B^T`: inner products of contiguous rows, the lanes run along the rows.
 
 use crate::machine::dispatch;
+use crate::threads::{PIECES, PRODUCTS, for_each};
 use pulp::{MemMask, Simd, WithSimd};
 
 /// Numbers of a row worked off before the next rows: eight such pieces fit the level 1 or 2 cache.
@@ -16,6 +17,17 @@ pub fn dots(a: &[f32], b: &[f32], k: usize, out: &mut [f32], add: bool) {
     let (m, n) = (a.len() / k, b.len() / k);
     assert!(a.len() == m * k && b.len() == n * k && out.len() == m * n);
     dispatch(Run { a, b, k, out, add });
+}
+
+/// The same, by several threads if `parallel` and if it is worth it: each has some rows of A.
+pub fn dots_on(parallel: bool, a: &[f32], b: &[f32], k: usize, add: bool, out: &mut [f32]) {
+    if !parallel || out.len() * k < PRODUCTS {
+        return dots(a, b, k, out, add);
+    }
+    let (m, n) = (a.len() / k, b.len() / k);
+    let rows = m.div_ceil(PIECES).next_multiple_of(ROWS);
+    let tasks = a.chunks(rows * k).zip(out.chunks_mut(rows * n)).collect();
+    for_each(true, tasks, |(a, out)| dots(a, b, k, out, add));
 }
 
 struct Run<'a> {
@@ -138,7 +150,7 @@ unsafe fn read<S: Simd, const MASKED: bool>(simd: S, from: *const f32, mask: Mem
 mod tests {
     use super::*;
     use crate::machine::tests::on_all_machines;
-    use crate::testing::{close, numbers};
+    use crate::testing::{close, numbers, on_any_threads, same_bits};
 
     #[test]
     fn agrees_with_the_definition() {
@@ -160,5 +172,18 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn threads_change_nothing() {
+        let (m, n, k) = (333, 3, 2100);
+        let (a, b) = (numbers(m * k, 1), numbers(n * k, 2));
+        let product = |parallel| {
+            let mut out = numbers(m * n, 3);
+            dots_on(parallel, &a, &b, k, true, &mut out);
+            out
+        };
+        assert!(m * n * k >= PRODUCTS);
+        assert!(same_bits(&on_any_threads(|| product(true)), &product(false)));
     }
 }

@@ -2,6 +2,8 @@
 //! the columns. Tiles of the result stay in registers. The instruction set is chosen at run time by `pulp`.
 
 use crate::machine::{dispatch, prefetch_from};
+use crate::shared::Shared;
+use crate::threads::{PIECES, PRODUCTS, for_each};
 use pulp::{MemMask, Simd, WithSimd};
 use std::ops::Range;
 
@@ -14,6 +16,8 @@ const NEAR: usize = 1 << 14;
 /// Rows of a tile and vectors of each, where there are 32 registers, and where there are 16.
 const WIDE: (usize, usize) = (4, 4);
 const NARROW: (usize, usize) = (6, 2);
+/// Columns of which several make up the part of a thread: whole tiles and cache lines.
+const COLUMNS: usize = 64;
 
 /// A matrix within a slice.
 #[derive(Clone, Copy)]
@@ -57,6 +61,11 @@ impl<'a> Matrix<'a> {
 ///
 /// Where `out` has room for several C, there are as many B one behind the other, and each is multiplied.
 pub fn multiply(a: Matrix, b: Matrix, add: bool, out: &mut [f32]) {
+    multiply_on(false, a, b, add, out);
+}
+
+/// The same, by several threads if `parallel` and if it is worth it.
+pub fn multiply_on(parallel: bool, a: Matrix, b: Matrix, add: bool, out: &mut [f32]) {
     let size = a.rows * b.columns;
     assert!(a.columns == b.rows && b.column_step == 1 && out.len().is_multiple_of(size.max(1)));
     if out.is_empty() {
@@ -66,16 +75,44 @@ pub fn multiply(a: Matrix, b: Matrix, add: bool, out: &mut [f32]) {
         out.fill(if add { return } else { 0.0 });
         return;
     }
-    let last = (out.len() / size - 1) * b.rows * b.row_step + b.last();
+    let times = out.len() / size;
+    let last = (times - 1) * b.rows * b.row_step + b.last();
     assert!(a.last() < a.data.len() && last < b.data.len());
-    dispatch(Run { a, b, add, out });
+    let run = Run { a, b, add, times, out: out.as_mut_ptr(), out_row: b.columns };
+    if parallel && out.len() * a.columns >= PRODUCTS {
+        run.in_pieces(Shared::new(out));
+    } else {
+        dispatch(run);
+    }
 }
 
+/// Several products, `times` of them.
+#[derive(Clone, Copy)]
 struct Run<'a> {
     a: Matrix<'a>,
     b: Matrix<'a>,
     add: bool,
-    out: &'a mut [f32],
+    times: usize,
+    /// Where C starts, and numbers from one of its rows to the next.
+    out: *mut f32,
+    out_row: usize,
+}
+
+impl Run<'_> {
+    /// Threads share the products or, where these are few, columns of each. That changes nothing in any sum.
+    fn in_pieces(self, out: Shared) {
+        let Run { a, b, add, times, out_row, .. } = self;
+        let some = times.div_ceil(PIECES);
+        let width = b.columns.div_ceil(PIECES.div_ceil(times)).next_multiple_of(COLUMNS);
+        let columns = || (0..b.columns).step_by(width);
+        let tasks = (0..times).step_by(some).flat_map(|first| columns().map(move |from| (first, from))).collect();
+        for_each(true, tasks, |(first, from): (usize, usize)| {
+            let part = b.columns(from, width.min(b.columns - from));
+            let b = Matrix { data: &part.data[first * b.rows * b.row_step..], ..part };
+            let out = out.place(first * a.rows * out_row + from);
+            dispatch(Run { a, b, add, times: some.min(times - first), out, out_row });
+        });
+    }
 }
 
 impl WithSimd for Run<'_> {
@@ -83,8 +120,8 @@ impl WithSimd for Run<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Run { a, b, add, out } = self;
-        for (number, out) in out.chunks_exact_mut(a.rows * b.columns).enumerate() {
+        let Run { a, b, add, times, out, out_row } = self;
+        for number in 0..times {
             for k in (0..a.columns).step_by(DEPTH) {
                 let depth = DEPTH.min(a.columns - k);
                 let panel = Panel {
@@ -92,14 +129,15 @@ impl WithSimd for Run<'_> {
                     a_steps: (a.row_step, a.column_step),
                     b: b.data[(number * b.rows + k) * b.row_step..].as_ptr(),
                     b_row: b.row_step,
-                    out: out.as_mut_ptr(),
+                    out: out.wrapping_add(number * a.rows * out_row),
+                    out_row,
                     m: a.rows,
                     n: b.columns,
                     depth,
                     add: add || k > 0,
                     ahead: ahead(a.rows, b.columns, depth),
                 };
-                // SAFETY: `multiply` has checked that all rows and columns lie within the slices.
+                // SAFETY: all rows and columns lie within the slices, as has been checked, and no other thread has these.
                 unsafe {
                     match S::REGISTER_COUNT {
                         32.. => panel.run::<S, { WIDE.0 }, { WIDE.1 }>(simd),
@@ -119,6 +157,7 @@ struct Panel {
     b: *const f32,
     b_row: usize,
     out: *mut f32,
+    out_row: usize,
     m: usize,
     n: usize,
     depth: usize,
@@ -183,7 +222,7 @@ impl Panel {
         if row < self.m {
             let rest = Panel {
                 a: self.a.wrapping_add(row * self.a_steps.0),
-                out: self.out.wrapping_add(row * self.n),
+                out: self.out.wrapping_add(row * self.out_row),
                 m: self.m - row,
                 ..self
             };
@@ -229,13 +268,13 @@ impl Panel {
     ) {
         let mut sums = [[simd.splat_f32s(0.0); V]; M];
         unsafe {
-            let out = self.out.add(row * self.n + column);
+            let out = self.out.add(row * self.out_row + column);
             if self.ahead > 0 {
-                (0..M).for_each(|i| prefetch_from(out.wrapping_add(i * self.n + self.ahead), V * S::F32_LANES));
+                (0..M).for_each(|i| prefetch_from(out.wrapping_add(i * self.out_row + self.ahead), V * S::F32_LANES));
             }
             if self.add {
                 for (i, line) in sums.iter_mut().enumerate() {
-                    *line = load::<S, V, MASKED>(simd, out.add(i * self.n), last);
+                    *line = load::<S, V, MASKED>(simd, out.add(i * self.out_row), last);
                 }
             }
             let mut a = self.a.add(row * self.a_steps.0);
@@ -253,7 +292,7 @@ impl Panel {
                 b = b.wrapping_add(self.b_row);
             }
             for (i, line) in sums.iter().enumerate() {
-                store::<S, V, MASKED>(simd, out.add(i * self.n), line, last);
+                store::<S, V, MASKED>(simd, out.add(i * self.out_row), line, last);
             }
         }
     }
@@ -296,7 +335,7 @@ unsafe fn store<S: Simd, const V: usize, const MASKED: bool>(
 mod tests {
     use super::*;
     use crate::machine::tests::on_all_machines;
-    use crate::testing::{close, numbers};
+    use crate::testing::{close, numbers, on_any_threads, same_bits};
 
     #[test]
     fn agrees_with_the_definition() {
@@ -333,6 +372,21 @@ mod tests {
                     close(value, if add { sum + f64::from(before[at]) } else { sum });
                 }
             }
+        }
+    }
+
+    #[test]
+    fn threads_change_nothing() {
+        // One wide product, a few, and many small ones.
+        for (m, k, n, times) in [(5, 300, 1500, 1), (3, 100, 2000, 4), (4, 50, 60, 200)] {
+            let (a, b) = (numbers(m * k, 1), numbers(times * k * n, 2));
+            let product = |parallel| {
+                let mut out = numbers(times * m * n, 3);
+                multiply_on(parallel, Matrix::new(&a, m, k), Matrix::new(&b, k, n), true, &mut out);
+                out
+            };
+            assert!(m * k * n * times >= PRODUCTS);
+            assert!(same_bits(&on_any_threads(|| product(true)), &product(false)));
         }
     }
 }

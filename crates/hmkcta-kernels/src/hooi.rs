@@ -8,6 +8,7 @@
 use crate::block::Block;
 use crate::chain::{Chain, unfold};
 use crate::gemm::{Matrix, multiply};
+use crate::shared::Shared;
 use crate::subspace::Buffers;
 use crate::threads::{Scratch, for_each, room, with_scratch};
 use crate::tucker::{ModelBuffers, Tucker};
@@ -31,24 +32,31 @@ pub struct Workspace {
 }
 
 /// Fit `part` to `residual + own`, where `own` is the part the residual was computed with, and update the residual.
-pub fn round(
+///
+/// # Safety
+/// Nobody else uses the elements of the block meanwhile.
+pub unsafe fn round(
     block: &Block,
     part: &mut Tucker,
     own: Option<&Tucker>,
-    residual: &mut [f32],
+    residual: Shared,
     iterations: usize,
     ws: &mut Workspace,
 ) {
     if block.whole {
-        take(block, part, own, None, residual, ws);
+        // SAFETY: all elements are the block's.
+        let residual = unsafe { residual.all() };
+        take(block, part, own, residual, ws, |_, _| ());
         update_all(block, part, residual, iterations, ws);
-        return part.add_onto(block, -1.0, residual, &mut ws.model);
+        return part.add_onto_all(block, -1.0, residual, &mut ws.model);
     }
     let mut buffer = std::mem::take(&mut ws.block);
     let data = room(&mut buffer, block.tuples.len() * block.pick.len());
-    take(block, part, own, Some(residual), data, ws);
+    // SAFETY: all elements are the block's, and nobody writes to them before the new model is known.
+    take(block, part, own, data, ws, |tuples, slab| unsafe { residual.copy(block, tuples, slab) });
     update_all(block, part, data, iterations, ws);
-    give(block, part, residual, data, ws);
+    // SAFETY: all elements are the block's, and each slab has tuples of its own.
+    give(block, part, data, ws, |tuples, slab| unsafe { residual.put(block, tuples, slab) });
     ws.block = buffer;
 }
 
@@ -72,14 +80,14 @@ fn update_all(block: &Block, part: &mut Tucker, data: &[f32], iterations: usize,
 
 /// Pass 1: data = residual + own, and the pair tensor, its projection on the second half of the modes.
 ///
-/// Without a residual the data are the residual already. Where nothing is projected no pair tensor is made.
+/// `fill` puts the residual in a slab's place. Where nothing is projected no pair tensor is made.
 fn take(
     block: &Block,
     part: &Tucker,
     own: Option<&Tucker>,
-    residual: Option<&[f32]>,
     data: &mut [f32],
     ws: &mut Workspace,
+    fill: impl Fn(&[usize], &mut [f32]) + Sync + Send,
 ) {
     let own = own.unwrap_or(part);
     let known = !own.is_zero();
@@ -92,11 +100,7 @@ fn take(
     let targets = data.chunks_mut(block.group * row).map(|slab| (slab, pairs.next().unwrap_or_default()));
     for_each(block.parallel, slabs.zip(targets).collect(), |((number, tuples), (slab, pair))| {
         with_scratch(|scratch| {
-            if let Some(residual) = residual {
-                for (&tuple, row) in tuples.iter().zip(slab.chunks_exact_mut(row)) {
-                    block.pick.copy(&residual[tuple * block.stride..][..block.stride], row);
-                }
-            }
+            fill(tuples, slab);
             if known {
                 head.expand(number * block.group, tuples.len(), true, slab, scratch);
             }
@@ -123,13 +127,13 @@ fn project_first(block: &Block, part: &Tucker, data: &[f32], pair: &mut Vec<f32>
         });
     });
     // Panels become rows of the pair tensor.
+    let panels = &*panels;
     let pair = room(pair, rows * columns);
-    for (number, panel) in panels.chunks(rows * COLUMNS).enumerate() {
-        let width = panel.len() / rows;
-        for (pair, panel) in pair.chunks_exact_mut(columns).zip(panel.chunks_exact(width)) {
-            pair[number * COLUMNS..][..width].copy_from_slice(panel);
+    for_each(block.parallel, pair.chunks_exact_mut(columns).enumerate().collect(), |(row, pair)| {
+        for (to, panel) in pair.chunks_mut(COLUMNS).zip(panels.chunks(rows * COLUMNS)) {
+            to.copy_from_slice(&panel[row * to.len()..][..to.len()]);
         }
-    }
+    });
 }
 
 /// The block seen as `[m_1, .., m_half, columns]`.
@@ -188,7 +192,7 @@ fn update(
     for n in modes.clone() {
         let Some(mut basis) = part.bases[n].take() else { continue };
         let mut left = sizes.clone();
-        let chain = Chain::project(&mut left, modes.clone().filter(|&m| m != n), &part.bases);
+        let chain = Chain::project(&mut left, modes.clone().filter(|&m| m != n), &part.bases).on(block.parallel);
         let mut e = pair;
         if !chain.is_identity() {
             let out = room(reduced, chain.output());
@@ -197,25 +201,28 @@ fn update(
         }
         if left[..n].iter().any(|&size| size > 1) {
             let out = room(unfolded, e.len());
-            unfold(e, &left, n, out);
+            unfold(block.parallel, e, &left, n, out);
             e = out;
         }
-        subspace.iterate(e, &mut basis, block.ranks[n], iterations);
+        subspace.iterate(e, &mut basis, block.ranks[n], iterations, block.parallel);
         part.bases[n] = Some(basis);
     }
-    Chain::project(&mut sizes.clone(), modes, &part.bases).run(pair, &mut part.core, steps);
+    Chain::project(&mut sizes.clone(), modes, &part.bases).on(block.parallel).run(pair, &mut part.core, steps);
 }
 
-/// Pass 3: residual = data - model.
-fn give(block: &Block, part: &Tucker, residual: &mut [f32], data: &mut [f32], ws: &mut Workspace) {
+/// Pass 3: residual = data - model. `put` takes what becomes of a slab.
+fn give(
+    block: &Block,
+    part: &Tucker,
+    data: &mut [f32],
+    ws: &mut Workspace,
+    put: impl Fn(&[usize], &[f32]) + Sync + Send,
+) {
     let head = part.expand_head(block, -1.0, &mut ws.model);
-    let row = block.pick.len();
-    let slabs = data.chunks_mut(block.group * row).enumerate();
-    let mut targets = block.places(residual);
-    for_each(block.parallel, slabs.zip(targets.chunks_mut(block.group)).collect(), |((number, slab), targets)| {
-        with_scratch(|scratch| head.expand(number * block.group, slab.len() / row, true, slab, scratch));
-        for (target, row) in targets.iter_mut().zip(slab.chunks_exact(row)) {
-            block.pick.put(target, row);
-        }
+    let slabs = data.chunks_mut(block.group * block.pick.len());
+    let tasks = slabs.zip(block.tuples.chunks(block.group)).enumerate().collect();
+    for_each(block.parallel, tasks, |(number, (slab, tuples))| {
+        with_scratch(|scratch| head.expand(number * block.group, tuples.len(), true, slab, scratch));
+        put(tuples, slab);
     });
 }

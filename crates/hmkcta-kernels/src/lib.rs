@@ -1,5 +1,6 @@
 //! Native kernels of hmkcta. Each has a readable NumPy twin in `hmkcta.backends.reference`.
 
+mod apart;
 mod binding;
 mod block;
 mod bundle;
@@ -35,6 +36,7 @@ mod project;
 mod real;
 mod reconstruct;
 mod scattered;
+mod shared;
 mod shuffle;
 mod sorting;
 mod steps;
@@ -82,9 +84,8 @@ fn fit_cells(
     iterations: usize,
 ) -> PyResult<()> {
     let node = node(shape, &members)?;
-    let residual = residual.as_slice_mut()?;
+    let (residual, cores) = (residual.as_slice_mut()?, cores.as_slice_mut()?);
     let mut bases = bases.iter_mut().map(|b| b.as_slice_mut()).collect::<Result<Vec<_>, _>>()?;
-    let cores = cores.as_slice_mut()?;
     check_tensor(&node, residual.len())?;
     check_bases(&node, &bases)?;
     check_cores(&node, cores.len())?;
@@ -360,8 +361,7 @@ fn decode_block<'py>(
     mut out: PyReadwriteArray1<'py, f32>,
 ) -> PyResult<()> {
     let levels = binding::levels(&levels)?;
-    let rows = slices(&rows)?;
-    let out = out.as_slice_mut()?;
+    let (rows, out) = (slices(&rows)?, out.as_slice_mut()?);
     check_length("the list of rows", rows.len(), levels[0].order())?;
     check_length("out", out.len(), rows.iter().map(|rows| rows.len()).product())?;
     if out.is_empty() {

@@ -14,7 +14,7 @@ pub fn orthonormalise(node: &Node, n: usize, stored: &mut [f32], cores: &mut [f3
         }
         let before = node.load_basis(&cell, n, stored);
         let mut basis = before.clone();
-        buffers.orthonormalise(&mut basis, node.ranks[n]);
+        buffers.orthonormalise(&mut basis, node.ranks[n], true);
         node.store_basis(&cell, n, &basis, stored);
         let factor = factor(&basis, &before, node.ranks[n]);
         mode_product(core, &factor, node.ranks[n + 1..].iter().product(), &mut mixed);

@@ -47,6 +47,11 @@ impl Pick {
         self.lines.len() * self.length
     }
 
+    /// Elements from the start of the tensor on that it must have.
+    pub fn end(&self) -> usize {
+        self.end
+    }
+
     /// `block = x[rows]`
     pub fn copy(&self, x: &[f32], block: &mut [f32]) {
         assert!(x.len() >= self.end);
@@ -66,14 +71,7 @@ impl Pick {
         dispatch(Visit::<_, false> { pick: self, places });
     }
 
-    /// `x[rows] = block`
-    pub fn put(&self, x: &mut [f32], block: &[f32]) {
-        assert!(x.len() >= self.end);
-        // SAFETY: as in `copy`.
-        unsafe { self.put_into(x.as_mut_ptr(), block) };
-    }
-
-    /// The same from where a tensor starts.
+    /// `x[rows] = block` from where a tensor starts.
     ///
     /// # Safety
     /// The tensor holds all elements of the pick, and nobody else uses these meanwhile.
@@ -85,7 +83,16 @@ impl Pick {
     pub fn add_onto(&self, x: &mut [f32], block: &[f32]) {
         assert!(x.len() >= self.end);
         // SAFETY: as in `copy`.
-        unsafe { self.onto::<true>(x.as_mut_ptr(), block) };
+        unsafe { self.add_into(x.as_mut_ptr(), block) };
+    }
+
+    /// The same from where a tensor starts.
+    ///
+    /// # Safety
+    /// As for `put_into`.
+    pub unsafe fn add_into(&self, x: *mut f32, block: &[f32]) {
+        // SAFETY: the caller answers for what `onto` needs.
+        unsafe { self.onto::<true>(x, block) };
     }
 
     unsafe fn onto<const ADD: bool>(&self, x: *mut f32, block: &[f32]) {
@@ -220,7 +227,8 @@ mod tests {
         assert!(places.iter().zip(&block).all(|(&at, &value)| x[at] == value));
         block.iter_mut().for_each(|value| *value *= 2.0);
         let mut y = x.clone();
-        pick.put(&mut y, &block);
+        // SAFETY: `y` is as large as `x`, which `copy` has checked.
+        unsafe { pick.put_into(y.as_mut_ptr(), &block) };
         pick.add_onto(&mut y, &block);
         for at in 0..x.len() {
             assert_eq!(y[at], if places.contains(&at) { 4.0 * x[at] } else { x[at] });

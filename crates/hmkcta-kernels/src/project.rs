@@ -32,7 +32,7 @@ pub fn project_cells(node: Node, tensor: &[f32], bases: &[&[f32]], n: usize) -> 
         let mut y = vec![0.0; group.len() * size];
         projection.descend(0, 0, group, &mut vec![Level::default(); tree.depth], &mut y);
         for (target, y) in targets.into_iter().zip(y.chunks_exact(size)) {
-            unfold(y, &projection.sizes, n, target);
+            unfold(false, y, &projection.sizes, n, target);
         }
     });
     all

@@ -1,11 +1,13 @@
 //! Reconstruction of all cells onto a tensor.
 
+use crate::apart::{self, Turn, each_cell};
 use crate::block::Block;
-use crate::cells::Node;
+use crate::cells::{Cell, Node};
 use crate::chain::Chain;
 use crate::gemm::{Matrix, multiply};
 use crate::lines;
 use crate::permuted;
+use crate::shared::Shared;
 use crate::threads::{PARALLEL, Scratch, for_each, room, with_scratch};
 use crate::tree::Tree;
 use crate::tucker::{ModelBuffers, Tucker};
@@ -33,12 +35,40 @@ pub fn accumulate(node: Node, tensor: &mut [f32], bases: &[&[f32]], cores: &[f32
 
 /// Slab by slab of each cell, which is best for long rows and bases.
 pub fn by_cells(node: &Node, tensor: &mut [f32], bases: &[&[f32]], cores: &[f32], weight: f32) {
+    let tensor = Shared::new(tensor);
+    let cores = cores.chunks_exact(node.core_size());
+    if apart::pays(node) {
+        return each_cell(node, cores.collect(), |turn: Turn<&[f32]>, buffers| {
+            // SAFETY: no other cell has the elements of this one, whose turn comes once.
+            unsafe { add_cell(node, &turn.cell, (bases, turn.item), weight, tensor, turn.shared, buffers) };
+        });
+    }
     let mut buffers = ModelBuffers::default();
-    for (cell, core) in (0..node.cells()).map(|number| node.cell(number)).zip(cores.chunks_exact(node.core_size())) {
-        let part = Tucker::load(node, &cell, bases, core);
-        if !part.is_zero() && !node.is_empty(&cell) {
-            part.add_onto(&Block::new(node, &cell), weight, tensor, &mut buffers);
+    for (cell, core) in (0..node.cells()).map(|number| node.cell(number)).zip(cores) {
+        if !node.is_empty(&cell) {
+            // SAFETY: cells come one after the other.
+            unsafe { add_cell(node, &cell, (bases, core), weight, tensor, true, &mut buffers) };
         }
+    }
+}
+
+/// `tensor += weight * model` of a cell that is not empty.
+///
+/// # Safety
+/// Nobody else uses its elements meanwhile.
+unsafe fn add_cell(
+    node: &Node,
+    cell: &Cell,
+    (bases, core): (&[&[f32]], &[f32]),
+    weight: f32,
+    tensor: Shared,
+    shared: bool,
+    buffers: &mut ModelBuffers,
+) {
+    let part = Tucker::load(node, cell, bases, core);
+    if !part.is_zero() {
+        // SAFETY: the caller has the elements of the cell alone.
+        unsafe { part.add_onto(&Block::new(node, cell, shared), weight, tensor, buffers) };
     }
 }
 
@@ -139,5 +169,38 @@ impl<'a> Expansion<'a> {
                 sorting.restore(x, sorted);
             }
         });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{Example, numbers, on_any_threads, same_bits};
+
+    #[test]
+    fn disjoint_cells_are_added_as_if_one_after_the_other() {
+        compare_with_single_cells(&[30, 90, 80], &[6, 5, 7], &[2, 2, 2], None);
+        compare_with_single_cells(&[600, 700], &[2, 1], &[3, 3], None);
+        compare_with_single_cells(&[5, 300, 200], &[1, 7, 2], &[5, 2, 2], Some(0));
+    }
+
+    fn compare_with_single_cells(sizes: &[usize], c: &[usize], ranks: &[usize], undecomposed: Option<usize>) {
+        let example = Example::new(sizes, c, &vec![1; sizes.len()], ranks, undecomposed);
+        let node = example.node();
+        let (bases, cores) = example.numbers();
+        let bases: Vec<&[f32]> = bases.iter().map(Vec::as_slice).collect();
+        let before = numbers(node.sizes.iter().product(), 8);
+        let mut expected = before.clone();
+        for (number, core) in cores.chunks_exact(node.core_size()).enumerate() {
+            let (cell, tensor) = (node.cell(number), Shared::new(&mut expected));
+            // SAFETY: nobody else knows of the tensor.
+            unsafe { add_cell(&node, &cell, (&bases, core), 0.5, tensor, false, &mut ModelBuffers::default()) };
+        }
+        let found = on_any_threads(|| {
+            let mut tensor = before.clone();
+            accumulate(example.node(), &mut tensor, &bases, &cores, 0.5);
+            tensor
+        });
+        assert!(same_bits(&found, &expected));
     }
 }

@@ -2,6 +2,8 @@
 
 use crate::cells::{Node, Shape};
 use crate::reconstruct::by_cells;
+use crate::threads::set_threads;
+use std::sync::{Mutex, PoisonError};
 
 /// Deterministic numbers in -0.5..0.5.
 pub fn numbers(count: usize, seed: u64) -> Vec<f32> {
@@ -19,6 +21,23 @@ pub fn numbers(count: usize, seed: u64) -> Vec<f32> {
 #[track_caller]
 pub fn close(value: f32, expected: f64) {
     assert!((f64::from(value) - expected).abs() < 2e-5 * (1.0 + expected.abs()), "{value} instead of {expected}");
+}
+
+/// What comes out, which must be the same, bit by bit, whatever the number of threads.
+pub fn on_any_threads(work: impl Fn() -> Vec<f32>) -> Vec<f32> {
+    static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+    let _guard = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
+    let [first, rest @ ..] = [1, 2, 5].map(|threads| {
+        set_threads(threads);
+        work()
+    });
+    set_threads(0);
+    rest.iter().for_each(|other| assert!(same_bits(&first, other), "threads change the result"));
+    first
+}
+
+pub fn same_bits(a: &[f32], b: &[f32]) -> bool {
+    a.len() == b.len() && a.iter().zip(b).all(|(x, y)| x.to_bits() == y.to_bits())
 }
 
 /// More than a vector has lanes, and no multiple of them.
@@ -71,12 +90,18 @@ impl Example {
         Node::new(self.shape.clone(), self.members.iter().map(|m| m.as_slice()).collect()).unwrap()
     }
 
+    /// Bases and cores.
+    pub fn numbers(&self) -> (Vec<Vec<f32>>, Vec<f32>) {
+        let node = self.node();
+        let bases = (0..node.order()).map(|n| numbers(node.basis_size(n), n as u64)).collect();
+        (bases, numbers(node.cells() * node.core_size(), 7))
+    }
+
     /// Compare a reconstruction with that cell by cell.
     pub fn compare(&self, accumulate: impl Fn(&Node, &mut [f32], &[&[f32]], &[f32], f32)) {
         let node = self.node();
-        let bases: Vec<Vec<f32>> = (0..node.order()).map(|n| numbers(node.basis_size(n), n as u64)).collect();
+        let (bases, cores) = self.numbers();
         let bases: Vec<&[f32]> = bases.iter().map(|b| b.as_slice()).collect();
-        let cores = numbers(node.cells() * node.core_size(), 7);
         let mut found = numbers(node.sizes.iter().product(), 8);
         let mut expected = found.clone();
         by_cells(&node, &mut expected, &bases, &cores, -0.5);

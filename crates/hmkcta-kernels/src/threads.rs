@@ -8,6 +8,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 /// Tensors from this size on are worth several threads.
 pub const PARALLEL: usize = 200_000;
 
+/// Sums of so many products are worth several threads.
+pub const PRODUCTS: usize = 2_000_000;
+/// Pieces that large work is cut into, for threads to share; not as many as there are threads, for results not to depend
+/// on their number.
+pub const PIECES: usize = 64;
+
 /// The pool, of which process (threads do not survive a fork), and how many threads were asked for (0: all cores).
 struct State {
     pool: Option<(u32, Arc<ThreadPool>)>,
@@ -50,6 +56,19 @@ pub fn for_each<T: Send>(parallel: bool, tasks: Vec<T>, work: impl Fn(T) + Sync 
         Some(pool) => pool.install(|| tasks.into_par_iter().with_max_len(1).for_each(work)),
         None => tasks.into_iter().for_each(work),
     }
+}
+
+/// The same with buffers that a thread uses for one task after the other. Tasks are begun in the order they stand in.
+pub fn for_each_with<T: Send, B: Default>(parallel: bool, tasks: Vec<T>, work: impl Fn(T, &mut B) + Sync + Send) {
+    let threads = if parallel { count().min(tasks.len()) } else { 1 };
+    let queue = Mutex::new(tasks.into_iter());
+    let next = || queue.lock().unwrap_or_else(PoisonError::into_inner).next();
+    for_each(parallel, (0..threads).collect(), |_| {
+        let mut buffers = B::default();
+        while let Some(task) = next() {
+            work(task, &mut buffers);
+        }
+    });
 }
 
 /// Buffers for results between the steps of a chain of mode products, for a slab and what it is made from, for sorted

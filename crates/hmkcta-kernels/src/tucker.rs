@@ -4,6 +4,7 @@ use crate::block::Block;
 use crate::cells::{Cell, Node};
 use crate::chain::Chain;
 use crate::gemm::{Matrix, multiply};
+use crate::shared::Shared;
 use crate::threads::{Scratch, for_each, room, with_scratch};
 
 /// One cell's bases `[R_n, m_n]` (None for an undecomposed mode) and core.
@@ -25,6 +26,16 @@ impl Tucker {
     pub fn load<B: AsRef<[f32]>>(node: &Node, cell: &Cell, bases: &[B], core: &[f32]) -> Tucker {
         let basis = |n: usize| (!node.undecomposed[n]).then(|| node.load_basis(cell, n, bases[n].as_ref()));
         Tucker { bases: (0..node.order()).map(basis).collect(), core: core.to_vec() }
+    }
+
+    /// Store the bases and the core of one cell.
+    pub fn store(&self, node: &Node, cell: &Cell, bases: &mut [&mut [f32]], core: &mut [f32]) {
+        core.copy_from_slice(&self.core);
+        for (n, basis) in self.bases.iter().enumerate() {
+            if let Some(basis) = basis {
+                node.store_basis(cell, n, basis, bases[n]);
+            }
+        }
     }
 
     /// Whether the model is zero everywhere.
@@ -59,26 +70,35 @@ impl Tucker {
     }
 
     /// Add `weight * model` to a tensor.
-    pub fn add_onto(&self, block: &Block, weight: f32, tensor: &mut [f32], buffers: &mut ModelBuffers) {
-        let head = self.expand_head(block, weight, buffers);
-        let (row, group) = (block.pick.len(), block.group);
+    ///
+    /// # Safety
+    /// Nobody else uses the elements of the block meanwhile.
+    pub unsafe fn add_onto(&self, block: &Block, weight: f32, tensor: Shared, buffers: &mut ModelBuffers) {
         if block.whole {
-            let slabs = tensor.chunks_mut(group * row).enumerate().collect();
-            return for_each(block.parallel, slabs, |(number, slab)| {
-                with_scratch(|scratch| head.expand(number * group, slab.len() / row, true, slab, scratch))
-            });
+            // SAFETY: all elements are the block's.
+            return self.add_onto_all(block, weight, unsafe { tensor.all() }, buffers);
         }
-        let mut targets = block.places(tensor);
-        for_each(block.parallel, targets.chunks_mut(group).enumerate().collect(), |(number, targets)| {
+        let head = self.expand_head(block, weight, buffers);
+        let group = block.group;
+        for_each(block.parallel, block.tuples.chunks(group).enumerate().collect(), |(number, tuples)| {
             with_scratch(|scratch| {
                 let mut buffer = std::mem::take(&mut scratch.slab);
-                let slab = room(&mut buffer, targets.len() * row);
-                head.expand(number * group, targets.len(), false, slab, scratch);
-                for (target, row) in targets.iter_mut().zip(slab.chunks_exact(row)) {
-                    block.pick.add_onto(target, row);
-                }
+                let slab = room(&mut buffer, tuples.len() * block.pick.len());
+                head.expand(number * group, tuples.len(), false, slab, scratch);
+                // SAFETY: no two slabs have a tuple in common, and all elements are the block's.
+                unsafe { tensor.add(block, tuples, slab) };
                 scratch.slab = buffer;
             });
+        });
+    }
+
+    /// The same where the block is the whole tensor.
+    pub fn add_onto_all(&self, block: &Block, weight: f32, tensor: &mut [f32], buffers: &mut ModelBuffers) {
+        let head = self.expand_head(block, weight, buffers);
+        let (row, group) = (block.pick.len(), block.group);
+        let slabs = tensor.chunks_mut(group * row).enumerate().collect();
+        for_each(block.parallel, slabs, |(number, slab)| {
+            with_scratch(|scratch| head.expand(number * group, slab.len() / row, true, slab, scratch))
         });
     }
 }
