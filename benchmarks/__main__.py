@@ -1,8 +1,8 @@
-"""``python -m benchmarks [small|paper|kernels|decode|profile]``: measure, print, write to benchmarks/results.
+"""``python -m benchmarks [small|paper|kernels|decode|gpu|profile]``: measure, print, write to benchmarks/results.
 
 `small` (the default) takes minutes; `paper` makes the data of the paper's sizes in a scratch folder (8 GB, kept for the
-next time) and takes an hour or two; `profile` only tells where the time of a fit goes. The rate-distortion table is a
-program of its own, `benchmarks/rate_distortion.py`.
+next time) and takes an hour or two; `gpu` fits without and with an NVIDIA GPU; `profile` only tells where the time of a
+fit goes. The rate-distortion table is a program of its own, `benchmarks/rate_distortion.py`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from benchmarks import compressing, data, decoding, kernels, stages
-from benchmarks.compressing import SHEET, TVVD, VOLUME, WH2, WH4, WM1, Case
+from benchmarks.compressing import FOR_GPU, SHEET, TVVD, VOLUME, WH2, WH4, WM1, Case
 from benchmarks.machine import limits
 from benchmarks.report import RESULTS, Row, write
 from hmkcta.backends import Device, find_device
@@ -30,7 +30,7 @@ def main() -> None:
     if given.set == "profile":
         sys.stdout.write(_profile(given))
         return
-    device = _device(given.device)
+    device = _device("cuda" if given.set == "gpu" else given.device)
     count = given.threads or os.cpu_count() or 1
     threads = sorted({1, count})
     machine = limits(threads)
@@ -40,6 +40,7 @@ def main() -> None:
             list(kernels.NODES), threads[:1] if device else threads, readable=given.reference, device=device),
         "decode": lambda: decoding.rows(threads),
         "small": lambda: _small(scratch, given.data, threads),
+        "gpu": lambda: _on_gpu(scratch, given.data, count),
         "paper": lambda: _paper(scratch, given.data, threads, given.only),
     }
     rows: list[Row] = []
@@ -52,7 +53,8 @@ def main() -> None:
 
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=str(__doc__).partition("\n")[0], prog="python -m benchmarks")
-    parser.add_argument("set", nargs="?", default="small", choices=["small", "paper", "kernels", "decode", "profile"])
+    parser.add_argument("set", nargs="?", default="small",
+                        choices=["small", "paper", "kernels", "decode", "gpu", "profile"])  # fmt: skip
     parser.add_argument("--threads", type=int, help="beside one thread; default: all cores")
     parser.add_argument("--data", type=Path, help=f"folder with {data.SHEET_FILE}; default: ${data.SHEET_VARIABLE}")
     parser.add_argument("--scratch", type=Path, help="where data is made; default: a folder for temporary files")
@@ -99,6 +101,16 @@ def _small(scratch: Path, folder: Path | None, threads: list[int]) -> Iterator[R
     name = data.turbulence(path, (52, 64, 64), 20)
     yield compressing.run(Case("compress, TVVD", str(path), TVVD, VOLUME, backfits=0, threads=threads[-1]),
                           f"{name}, 20 x 52 x 64 x 64")
+
+
+def _on_gpu(scratch: Path, folder: Path | None, threads: int) -> Iterator[Row]:
+    """Fits by plans with large levels, on the CPU alone and with a GPU."""
+    path = scratch / "sheet-96.npy"
+    name = data.sheet(path, 96, 90, folder)
+    for label, plan in FOR_GPU.items():
+        for device in ("cpu", "cuda"):
+            case = Case(f"compress, {label}, {device}", str(path), plan, SHEET, 0, threads, device=device)
+            yield compressing.run(case, f"{name}, 58 x 58 x 96 x 90 rgb")
 
 
 def _paper(scratch: Path, folder: Path | None, threads: list[int], only: list[str]) -> Iterator[Row]:

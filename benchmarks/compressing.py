@@ -21,13 +21,19 @@ VOLUME = ("time,z,y,x", "time, z, y, x")
 WH2 = "R=2,2,3,3 C=4,3,4,4 K=2 / R=2,2,3,3 C=3,3,4,4 K=2"
 WH4 = "R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2 / R=2,2,3,3 C=3,3,4,4 K=2"
 WM1 = "R=2,2,3,3 C=12,9,16,16 K=2"
+#: Plans for fits without and with a GPU: high ranks, overlapping clusters, disjoint ones, and several levels.
+FOR_GPU = {"HOSVD, R=64": "R=64,32,48,48", "MK-CTA, K=2": "R=6,6,8,8 C=4,3,4,4 K=2", "CTA, K=1": "R=4 C=4,3,4,4 K=1",
+           "WH4": WH4}  # fmt: skip
 #: Table 4 with modes in the order of the array: the paper has x, y, z, time.
 TVVD = "R=*,2,2,2 / R=*,1,1,1 C=1,8,6,6 K=1,2,2,2 / R=*,1,1,1 C=1,8,6,6 K=1,2,2,2"
 
 
 @dataclass(frozen=True)
 class Case:
-    """One fit: `backfits` rounds of back-fitting by the otherwise default effort, most bytes of memory if limited."""
+    """One fit: `backfits` rounds of back-fitting by the otherwise default effort, most bytes of memory if limited.
+
+    `device` is where the kernels work.
+    """
 
     name: str
     path: str
@@ -36,6 +42,7 @@ class Case:
     backfits: int
     threads: int
     memory: int | None = None
+    device: str = "cpu"
 
 
 def run(case: Case, data: str) -> Row:
@@ -67,7 +74,7 @@ def _fit(case: Case) -> dict[str, float | int | None]:
     start, before = time.perf_counter(), _read()
     model = hmkcta.compress(
         source, case.plan, axes=case.data[0].split(","), organisation=case.data[1], scheme="most",
-        threads=case.threads, max_memory=case.memory, progress=_progress,
+        threads=case.threads, max_memory=case.memory, progress=_progress, device=case.device,
     )  # fmt: skip
     seconds, used = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_SELF)
     read = None if before is None else (_read() or 0) - before

@@ -87,7 +87,7 @@ def rows(
     names: Sequence[str], threads: Sequence[int], *, readable: bool = False, device: Device | None = None
 ) -> Iterator[Row]:
     """All kernels on several nodes, with each number of threads; of the reference, or on a GPU."""
-    kernels: Kernels = reference if readable else native if device is None else Cuda(device, native, least=0)
+    kernels: Kernels = reference if readable else native if device is None else Cuda(device, native, always=True)
     for name in names:
         for count in threads:
             yield from measure(name, count, kernels)

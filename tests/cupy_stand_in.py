@@ -1,8 +1,8 @@
 """A stand-in for CuPy where there is no GPU: as strict as CuPy, or stricter, computing by NumPy.
 
-Arrays of the two libraries do not mix: nothing but `array` takes NumPy's, nothing but `asnumpy` gives them, and NumPy's
-functions fail on the stand-in's with the TypeError of CuPy's. Only functions are there that the kernels need and CuPy
-has, with CuPy's arguments. What is allocated is counted, so that the memory of a device can run out.
+Arrays of the two libraries do not mix: nothing but `array` takes NumPy's, nothing but `asnumpy` and `get` gives them,
+and NumPy's functions fail on the stand-in's with the TypeError of CuPy's. Only functions are there that the kernels
+need and CuPy has, with CuPy's arguments. What is allocated is counted, so that the memory of a device can run out.
 """
 
 from __future__ import annotations
@@ -82,6 +82,13 @@ class Array:
         if made._owner is not self._owner:
             self._memory.take(made._owner)
         return made
+
+    def get(self, out: NDArray[Any]) -> None:
+        """To the host, into an array that is there."""
+        assert out.flags.c_contiguous
+        assert out.dtype == self._values.dtype
+        assert out.shape == self._values.shape
+        np.copyto(out, self._values)
 
     def reshape(self, *shape: Any) -> Array:
         """Of another shape."""

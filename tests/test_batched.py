@@ -20,6 +20,7 @@ from cupy_stand_in import StandIn
 from hmkcta.backends import Kernels, batched, batches, reference
 from hmkcta.backends.batched import Arrays
 from hmkcta.backends.batches import MOST_PADDED, Batch, projection_batches, sweep_batches
+from hmkcta.backends.cuda import arrays
 from hmkcta.cells import Cells, dense_basis
 from hmkcta.errors import HmkctaError
 from hmkcta.plan import LevelSpec
@@ -42,12 +43,12 @@ BUDGETS = (1, 100, 4000, 1 << 25)
 
 
 def on_numpy(budget: int) -> Arrays:
-    return Arrays(np, np.array, budget)
+    return Arrays(np, np.array, np.copyto, budget)
 
 
 def on_stand_in(budget: int) -> Arrays:
     device = StandIn()
-    return Arrays(device, device.asnumpy, budget)
+    return arrays(device, budget)
 
 
 LIBRARIES = pytest.mark.parametrize("library", [on_numpy, on_stand_in], ids=["numpy", "stand-in"])
@@ -193,7 +194,7 @@ def peak(budget: int) -> float:
     sizes = (32, 32, 32, 16)
     spec = LevelSpec((2, 2, 2, 2), (2, 2, 4, 4), (1, 1, 1, 1))
     cells, data = random_cells(sizes, spec, 10), smooth_data(sizes, 10)
-    on = Arrays(device, device.asnumpy, budget)
+    on = arrays(device, budget)
     batched.fit_cells(on, cells, data, 1, 2)
     batched.accumulate(on, cells, data, 1.0)
     for n in range(4):
@@ -214,7 +215,7 @@ def test_grams_are_made_in_parts() -> None:
     cells = random_cells((30, 30, 30), LevelSpec((2, 2, 2), (4, 4, 4), (1, 1, 1)), 11)
     device = StandIn()
     whole = 8 * cells.spec.cells**2 * prod(cells.ranks)
-    batched.dictionary_gram(Arrays(device, device.asnumpy, 1 << 12), cells, all_products(cells), 0)
+    batched.dictionary_gram(arrays(device, 1 << 12), cells, all_products(cells), 0)
     assert device.memory.peak < whole / 2
 
 
@@ -257,7 +258,7 @@ def test_cupy_has_what_the_stand_in_has() -> None:
             assert set(arguments) <= set(inspect.signature(function).parameters), name
     own = {name for name, value in vars(StandIn).items() if inspect.isfunction(value) and not name.startswith("_")}
     assert own == set(cupy_stand_in.FUNCTIONS)
-    for name in ("reshape", "transpose", "astype"):
+    for name in ("reshape", "transpose", "astype", "get"):
         assert callable(getattr(cupy.ndarray, name))
     for name in ("getDeviceCount", "runtimeGetVersion", "memGetInfo", "getDeviceProperties"):
         assert callable(getattr(cupy.cuda.runtime, name))

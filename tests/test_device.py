@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -18,11 +16,10 @@ import pytest
 from benchmarks import kernels
 
 import hmkcta
-from cli_tools import PYTHON, finish, refused, report, run, saved, start
+from cli_tools import refused, report, run, saved
 from cupy_stand_in import CUDARuntimeError, StandIn
 from hmkcta import backends, predict, streamed
 from hmkcta.backends import batched, cuda, find_device, reference
-from hmkcta.backends.batched import Arrays
 from hmkcta.errors import HmkctaError
 from hmkcta.executors import Pool
 from hmkcta.plan import LevelSpec
@@ -35,10 +32,16 @@ NAMES = ["light", "view", "y", "x", "rgb"]
 AXES = ("--axes", ",".join(NAMES), "--organisation", MODES)
 
 
+def estimate(monkeypatch: pytest.MonkeyPatch, **speeds: float) -> None:
+    """Have calls shared out by other speeds."""
+    for name, speed in speeds.items():
+        monkeypatch.setattr(cuda, name, speed)
+
+
 def put_in_place(stand_in: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Have `import cupy` find this; None: nothing."""
     monkeypatch.setitem(sys.modules, "cupy", stand_in)
-    monkeypatch.setattr(cuda, "LEAST", 0)
+    estimate(monkeypatch, CORES=1e-9)  # all calls go to the GPU
     cuda._looked_for.cache_clear()  # pyright: ignore[reportPrivateUsage]
 
 
@@ -130,7 +133,7 @@ def test_the_same_bytes_each_time_whatever_the_threads(gpu: StandIn, tmp_path: P
 
 
 def test_kernels_are_measured_on_the_device(gpu: StandIn, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cuda, "LEAST", 1 << 40)
+    estimate(monkeypatch, CORES=1e300)
     monkeypatch.setattr(kernels, "SECONDS", 0.0)
     monkeypatch.setattr(kernels, "RUNS", 1)
     device = find_device("cuda")
@@ -186,7 +189,7 @@ def test_one_call_at_a_time_is_on_the_device(gpu: StandIn, monkeypatch: pytest.M
 
 def test_small_calls_do_not_wait_for_the_device(gpu: StandIn, monkeypatch: pytest.MonkeyPatch) -> None:
     del gpu
-    monkeypatch.setattr(cuda, "LEAST", 1000)
+    estimate(monkeypatch, CORES=1000.0, LINK=1e300, BEGUN=1.0)
     small, large = (random_cells(sizes, LevelSpec((2, 2), (2, 1), (1, 1)), 1) for sizes in ((6, 5), (60, 50)))
     begun, ended = Event(), Event()
 
@@ -207,8 +210,8 @@ def test_small_calls_do_not_wait_for_the_device(gpu: StandIn, monkeypatch: pytes
 
 
 def test_small_calls_stay_on_the_cpu(gpu: StandIn, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of the elements of a batch, not of the tensor: cells that must come one by one are small."""
-    monkeypatch.setattr(cuda, "LEAST", 1000)
+    """Cells that must come one by one take as often as long to begin with."""
+    estimate(monkeypatch, CORES=999.5, LINK=1e300, BEGUN=1.0, SWEPT=5.0)
     device = find_device("cuda")
     taken = gpu.memory.peak
     with backends.use(device):
@@ -221,6 +224,18 @@ def test_small_calls_stay_on_the_cpu(gpu: StandIn, monkeypatch: pytest.MonkeyPat
             assert device.calls - before == 2 * large
     assert device.calls_on_cpu == 4
     assert gpu.memory.peak > taken
+
+
+@pytest.mark.parametrize(("link", "calls"), [(1e300, 2), (1e-300, 0)])
+def test_what_is_moved_counts(link: float, calls: int, gpu: StandIn, monkeypatch: pytest.MonkeyPatch) -> None:
+    del gpu
+    estimate(monkeypatch, CORES=1e-200, LINK=link)
+    device = find_device("cuda")
+    cells, data = random_cells((6, 5), LevelSpec((2, 2), (2, 1), (1, 1)), 1), smooth_data((6, 5), 1)
+    with backends.use(device):
+        backends.project_cells(cells, data, 0)
+        backends.project_pair(cells, data, (0, 1))
+    assert (device.calls, device.calls_on_cpu) == (calls, 2 - calls)
 
 
 def test_names_of_devices() -> None:
@@ -338,40 +353,6 @@ def test_interrupted_work_is_of_one_device(gpu: StandIn, source: Path, tmp_path:
         output.unlink()
 
 
-# The environment
-
-
-def test_a_backend_that_is_none_ends_in_a_sentence(source: Path, tmp_path: Path) -> None:
-    before = "import os; os.environ['HMKCTA_BACKEND'] = 'cuda'"
-    code, out, err = finish(start("compress", source, "-o", tmp_path / "a.hmk", "--plan", "R=2", before=before))
-    assert (code, out) == (2, "")
-    assert "HMKCTA_BACKEND: found 'cuda', allowed native or reference." in err
-    assert "Traceback" not in err
-    assert not list(tmp_path.iterdir())
-    code, out, _ = finish(start("--version", before=before))
-    assert code == 0
-    assert "cupy" in out
-
-
-def test_a_backend_that_is_missing_ends_in_a_sentence(source: Path, tmp_path: Path) -> None:
-    before = ("import os, sys; os.environ['HMKCTA_BACKEND'] = 'native'; sys.modules['hmkcta._native'] = None")
-    code, _, err = finish(start("compress", source, "-o", tmp_path / "a.hmk", "--plan", "R=2", before=before))
-    assert code == 2
-    assert "HMKCTA_BACKEND: found 'native', which is missing" in err
-
-
-def test_nobody_loads_cupy_who_does_not_ask_for_it(tmp_path: Path) -> None:
-    (tmp_path / "cupy.py").write_text("raise SystemExit('CuPy was loaded')")
-    program = ("import numpy, hmkcta, hmkcta.cli\n"
-               "print(hmkcta.compress(numpy.ones((4, 5)), 'R=1').snr)\n"
-               "hmkcta.compress(numpy.ones((4, 5)), 'R=1', device='cuda')")  # fmt: skip
-    path = os.pathsep.join([str(tmp_path), str(PYTHON)])
-    done = subprocess.run([sys.executable, "-c", program], env=os.environ | {"PYTHONPATH": path}, text=True,
-                          capture_output=True, check=False, timeout=60)  # fmt: skip
-    assert float(done.stdout) > 60
-    assert done.stderr.strip() == "CuPy was loaded"
-
-
 # A real one
 
 
@@ -381,10 +362,10 @@ def test_on_a_real_gpu(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         pytest.skip(f"no GPU: {device.missing}")
     import cupy  # pyright: ignore[reportMissingImports]
 
-    on = Arrays(cupy, cupy.asnumpy, 1 << 16)  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
+    on = cuda.arrays(cupy, 1 << 16)
     for spec in (LevelSpec((3, 9, 4), (3, 2, 4), (2, 2, 2)), LevelSpec((3, None, 4), (3, 1, 4), (1, 1, 1))):
         check_same(random_cells((70, 40, 90), spec, 1), smooth_data((70, 40, 90), 2), kernels_of(on))
-    monkeypatch.setattr(cuda, "LEAST", 0)
+    estimate(monkeypatch, CORES=1e-9)
     found, again, expected = (fitted(TWO_LEVELS, where) for where in (device, device, "cpu"))
     assert abs(found.snr - expected.snr) < 0.02
     assert json.loads(json.dumps(device.calls)) > 10

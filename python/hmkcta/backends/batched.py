@@ -36,11 +36,13 @@ class Arrays:
     Attributes:
         xp: functions with the names and arguments of NumPy's; `xp.array` takes NumPy's arrays.
         to_host: a NumPy array out of one of the library's.
+        fill: copies one of the library's into a NumPy array in C order: new pages would take longer than the copy.
         budget: most elements of a batch. A cell that has more is worked on alone.
     """
 
     xp: Any
     to_host: Callable[[Array], NDArray[Any]]
+    fill: Callable[[NDArray[Any], Array], None]
     budget: int = 1 << 25
 
 
@@ -58,7 +60,7 @@ def fit_cells(on: Arrays, cells: Cells, residual: F32, sweeps: int, iterations: 
             bases, core = _hooi(on, block, bases, iterations)
             tensor.put(batch, block - _reconstructed(on, core, bases))
             model.put(batch, bases, core)
-    residual[...] = tensor.on_host(residual.shape)
+    tensor.fill(residual)
     cells.bases, cells.cores = model.on_host(cells)
 
 
@@ -69,7 +71,7 @@ def accumulate(on: Arrays, cells: Cells, tensor: F32, weight: float) -> None:
     for batch in _loaded(on, sweep_batches(cells, on.budget)):
         bases, core = model.take(batch)
         total.put(batch, total.take(batch) + weight * _reconstructed(on, core, bases))
-    tensor[...] = total.on_host(tensor.shape)
+    total.fill(tensor)
 
 
 def project_cells(on: Arrays, cells: Cells, tensor: F32, n: int) -> F32:
@@ -90,15 +92,16 @@ def project_pair(on: Arrays, cells: Cells, tensor: F32, pair: tuple[int, int]) -
     clusters, ranks = [cells.spec.clusters[m] for m in pair], [cells.ranks[m] for m in pair]
     rows = [cells.sizes[m] for m in kept]
     lanes = cells.spec.cells // prod(clusters)
-    p = np.zeros((prod(rows), *clusters, ranks[0], lanes, ranks[1]), np.float32)
+    shape = (prod(rows), *clusters, ranks[0], lanes, ranks[1])
+    together, p = on.xp.zeros(shape, np.float32), np.empty(shape, np.float32)
     data, model = _Tensor(on, tensor), _Model(on, cells)
     for batch in _loaded(on, projection_batches(cells, kept, on.budget // 2)):
         x, bases = _spread(on, data.take(batch), model.take_bases(batch), lanes)
         x = on.xp.moveaxis(_projected(on, x, bases), [m + 1 for m in pair], [-2, -1])
-        x = x.reshape(batch.count, lanes, prod(rows), *ranks).transpose(0, 2, 3, 1, 4)
+        x = x.reshape(batch.count, lanes, prod(rows), *ranks).transpose(2, 0, 3, 1, 4)
         subsets = np.unravel_index(batch.table.numbers[:, 0], cells.spec.clusters)
-        for block, a, b in zip(on.to_host(x), subsets[pair[0]], subsets[pair[1]], strict=True):
-            p[:, a, b] = block
+        together[:, on.xp.array(subsets[pair[0]]), on.xp.array(subsets[pair[1]])] = x
+    on.fill(p, together)
     return p.reshape(*rows, *clusters, ranks[0], *(cells.spec.clusters[m] for m in kept), ranks[1])
 
 
@@ -185,9 +188,12 @@ class _Tensor:
         else:
             self._flat[batch.elements()] = blocks.reshape(batch.count, -1)
 
-    def on_host(self, shape: tuple[int, ...]) -> F32:
-        """All elements."""
-        return self._on.to_host(self._flat[: self._size]).reshape(shape)
+    def fill(self, tensor: F32) -> None:
+        """Put all elements there."""
+        if tensor.flags.c_contiguous:
+            self._on.fill(tensor.reshape(-1), self._flat[: self._size])
+        else:
+            tensor[...] = self._on.to_host(self._flat[: self._size]).reshape(tensor.shape)
 
 
 class _Model:

@@ -32,9 +32,10 @@ from .reference import F64, Rows
 T = TypeVar("T")
 
 INSTALL = 'pip install "hmkcta[cuda]"'
-#: Fewer elements a batch stay on the CPU. In a sweep over four modes a batch takes 160 operations and 20 exchanges with
-#: the host, some 3 milliseconds whatever its size, in which one core does one or two million elements of a cell.
-LEAST = 1 << 21
+#: Calls go where they take less time by this estimate: multiply-adds a second of eight cores; bytes a second to the GPU
+#: or from it, out of memory that is not pinned; seconds until the operations of a batch of cells have begun in a
+#: Gauss-Seidel sweep, and in anything else. Measured on an H100 beside 16 cores.
+CORES, LINK, SWEPT, BEGUN = 1.6e11, 8e9, 1e-2, 1e-3
 #: Most elements of a batch: at first, and after the device's memory ran out.
 BUDGETS = (1 << 25, 1 << 21, 1 << 17)
 
@@ -55,39 +56,43 @@ class Cuda:
     Args:
         device: keeps count of the calls.
         cpu: the kernels for small calls.
-        least: elements a batch below which a call is small; None: `LEAST`.
+        always: do every call that can be done on the GPU there, as benchmarks want.
     """
 
     name = "cuda"
 
-    def __init__(self, device: Device, cpu: Kernels, least: int | None = None) -> None:
-        self._device, self._cpu, self._cupy = device, cpu, _cupy()
-        self._least = LEAST if least is None else least
+    def __init__(self, device: Device, cpu: Kernels, *, always: bool = False) -> None:
+        self._device, self._cpu, self._always, self._cupy = device, cpu, always, _cupy()
 
     def fit_cells(self, cells: Cells, residual: F32, sweeps: int, iterations: int) -> None:
         """Gauss-Seidel sweeps of HOOI over the cells, in place."""
-        if self._worthwhile(_batch_size(cells)):
+        # A cell's model is taken back in and away, and each mode projected on what is left of the others.
+        work = 5.0 * max(cells.ranks) * _visits(cells) * sweeps
+        if self._pays(work, 8 * residual.size, SWEPT * sweeps * _batches(cells)):
             self._run(cells, lambda on: batched.fit_cells(on, cells, residual, sweeps, iterations))
         else:
             self._cpu.fit_cells(cells, residual, sweeps, iterations)
 
     def accumulate(self, cells: Cells, tensor: F32, weight: float) -> None:
         """`tensor += weight * model`, in place."""
-        if self._worthwhile(_batch_size(cells)):
+        if self._pays(float(cells.ranks[-1] * _visits(cells)), 8 * tensor.size, BEGUN * _batches(cells)):
             self._run(cells, lambda on: batched.accumulate(on, cells, tensor, weight))
         else:
             self._cpu.accumulate(cells, tensor, weight)
 
     def project_cells(self, cells: Cells, tensor: F32, n: int) -> F32:
         """The tensor projected on the cells' bases of all modes but n."""
-        if self._worthwhile(tensor.size * prod(cells.spec.mixture) // cells.spec.mixture[n]):
+        rows = _visits(cells) * cells.spec.clusters[n] // cells.spec.mixture[n]
+        if self._pays(float(rows * cells.ranks[-1]), 4 * tensor.size, BEGUN):
             return self._run(cells, lambda on: batched.project_cells(on, cells, tensor, n))
         return self._cpu.project_cells(cells, tensor, n)
 
     def project_pair(self, cells: Cells, tensor: F32, pair: tuple[int, int]) -> F32:
         """The tensor projected on the bases of all cells in two modes."""
-        a, b = pair
-        if self._worthwhile(tensor.size * cells.spec.mixture[a] * cells.spec.mixture[b]):
+        kept = [m for m in range(cells.order) if m not in pair]
+        each = cells.spec.cells * prod(cells.spec.mixture[m] / cells.spec.clusters[m] for m in pair)
+        numbers = cells.spec.cells * prod(cells.sizes[m] for m in kept) * prod(cells.ranks[m] for m in pair)
+        if self._pays(tensor.size * each * cells.ranks[pair[1]], 4 * (tensor.size + numbers), BEGUN):
             return self._run(cells, lambda on: batched.project_pair(on, cells, tensor, pair))
         return self._cpu.project_pair(cells, tensor, pair)
 
@@ -109,7 +114,8 @@ class Cuda:
 
     def dictionary_gram(self, cells: Cells, products: Sequence[Products | None], n: int) -> F64:
         """Inner products of all dictionary columns of mode n."""
-        if self._worthwhile(cells.spec.cells**2 * prod(cells.ranks)):
+        pairs, side = cells.spec.cells**2, cells.spec.cells * cells.ranks[n]
+        if self._pays(float(pairs * prod(cells.ranks) * sum(cells.ranks)), 8 * side**2, BEGUN):
             return self._run(cells, lambda on: batched.dictionary_gram(on, cells, products, n))
         return self._cpu.dictionary_gram(cells, products, n)
 
@@ -144,19 +150,20 @@ class Cuda:
         self._cupy.get_default_memory_pool().free_all_blocks()
         self._cupy.get_default_pinned_memory_pool().free_all_blocks()
 
-    def _worthwhile(self, elements: int) -> bool:
-        large = elements >= self._least
+    def _pays(self, work: float, moved: int, begun: float) -> bool:
+        """Whether the GPU takes less time for so many multiply-adds, bytes moved and seconds until it has begun."""
+        pays = self._always or moved / LINK + begun < work / CORES
         with _counting:
-            self._device.calls += large
-            self._device.calls_on_cpu += not large
-        return large
+            self._device.calls += pays
+            self._device.calls_on_cpu += not pays
+        return pays
 
     def _run(self, cells: Cells, work: Callable[[Arrays], T]) -> T:
         """Do it in batches as large as the device has memory for; what it works on changes only when it succeeds."""
         with _turn:
             for budget in BUDGETS:
                 try:
-                    return work(Arrays(self._cupy, self._cupy.asnumpy, budget))
+                    return work(arrays(self._cupy, budget))
                 except self._cupy.cuda.memory.OutOfMemoryError:
                     pass  # outside of this clause, where the failed call's arrays are gone
                 except Exception as error:
@@ -175,10 +182,19 @@ class Cuda:
             hint="use --device cpu, or give --max-memory so that the tensor is streamed")  # fmt: skip
 
 
-def _batch_size(cells: Cells) -> int:
-    """About how many elements a batch of a sweep has: cells that differ in a mode of K = 1 go together."""
-    apart = prod(c for c, k in zip(cells.spec.clusters, cells.spec.mixture, strict=True) if k > 1)
-    return prod(cells.sizes) * prod(cells.spec.mixture) // apart
+def _visits(cells: Cells) -> int:
+    """How many elements all cells have together."""
+    return prod(cells.sizes) * prod(cells.spec.mixture)
+
+
+def _batches(cells: Cells) -> int:
+    """About how many batches a sweep has: cells that differ in a mode of K = 1 go together."""
+    return prod(c for c, k in zip(cells.spec.clusters, cells.spec.mixture, strict=True) if k > 1)
+
+
+def arrays(cupy: Any, budget: int) -> Arrays:
+    """CuPy's arrays, so many elements at once."""
+    return Arrays(cupy, cupy.asnumpy, lambda target, values: values.get(out=target), budget)
 
 
 def _cupy() -> Any:
@@ -202,7 +218,7 @@ def _looked_for() -> tuple[str, str]:
     try:
         if not cupy.cuda.runtime.getDeviceCount():
             return "", "CuPy is installed but finds no NVIDIA GPU"
-        _try(Arrays(cupy, cupy.asnumpy))
+        _try(arrays(cupy, BUDGETS[0]))
         about = cupy.cuda.runtime.getDeviceProperties(0)
         runtime = cupy.cuda.runtime.runtimeGetVersion()
     except Exception as error:
