@@ -5,7 +5,7 @@
 const TURNS = 256u;
 
 @compute @workgroup_size(64)
-fn multiply_add(@builtin(global_invocation_id) place: vec3u) {
+fn multiply_add(@builtin(global_invocation_id) place: vec3u, @builtin(num_workgroups) groups: vec3u) {
   let seed = f32(place.x) * 1e-9;
   var a = vec4f(seed, seed + 0.1, seed + 0.2, seed + 0.3);
   var b = a + 0.5;
@@ -17,5 +17,5 @@ fn multiply_add(@builtin(global_invocation_id) place: vec3u) {
     c = fma(c, vec4f(0.997), vec4f(seed));
     d = fma(d, vec4f(0.996), vec4f(seed));
   }
-  results[place.x] = a + b + c + d;
+  results[place.y * 64u * groups.x + place.x] = a + b + c + d;
 }
