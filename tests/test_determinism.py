@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_info, threadpool_limits  # pyright: ignore[
 
 from hmkcta import Model, choose_plan, compress
 from hmkcta import open as open_model
+from hmkcta.measure import measure
 from hmkcta.synthetic import light_field, material
 
 DATA = material(lights=4, views=6, size=24, seed=2)
@@ -27,6 +28,8 @@ CASES: dict[str, dict[str, Any]] = {
     "many clusters": {"plan": "R=1 C=12,1,12,12 K=2,1,2,2", "quality": "fast"},
     "greedy": {"plan": "R=1 C=9,1,1,2 K=4,1,1,1", "quality": "fast"},
     "own ranks": {"plan": "R=1 grid=y:2,x:2 / R<=8", "snr": 20.0},
+    "own ranks, blocks": {"plan": "R<=8 grid=y:2,x:2", "size": 8000},
+    "own ranks, clusters": {"plan": "R<=8 C=2,1,3,1", "snr": 20.0},
     "own ranks, size": {"plan": "R=2,1,2,2 C=2,1,2,2 / R<=8", "size": 20000},
 }
 
@@ -86,6 +89,13 @@ def test_the_file_is_as_large_as_the_model_says(name: str, tmp_path: Path) -> No
         back = open_model(path)
         assert back.nbytes == coarse.nbytes
         assert np.array_equal(np.asarray(back), np.asarray(coarse))
+
+
+def test_measuring_does_not_depend_on_threads() -> None:
+    model = fitted(plan="R=3,1,2,2 / R=2,1,2,2", quality="fast", threads=1)
+    found = [measure(model, DATA.values, slab=3000, threads=threads) for threads in (1, 3)]
+    assert found[0] == found[1]
+    assert found[0][-1].snr_db == pytest.approx(model.snr, abs=1e-6)
 
 
 def blas_threads() -> set[int]:

@@ -17,7 +17,7 @@ PACKAGE = ROOT / "python" / "hmkcta"
 
 #: Modules and subpackages from the lowest layer up; an import goes to a lower layer, or stays in its subpackage.
 LAYERS = (
-    ("_version", "errors", "executors", "metrics", "narrow", "progress", "recordlog", "slabs", "subspaces",
+    ("_version", "errors", "executors", "lazy", "metrics", "narrow", "progress", "recordlog", "slabs", "subspaces",
      "temporaries", "_native"),
     ("axes", "conventions", "goals", "grids", "memory", "transform", "tucker", "indexing"),
     ("plan", "packed", "scratch"),
@@ -30,6 +30,7 @@ LAYERS = (
     ("disjoint",),
     ("hierarchy",),
     ("pack", "allocation", "filesize", "finer", "model", "verbatim"),
+    ("examining",),
     ("adaptive", "alternatives", "measure"),
     ("choosing", "measure_streamed"),
     ("follow", "forecast"),

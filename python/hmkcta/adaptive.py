@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from math import inf, isfinite, prod
+from collections.abc import Sequence
+from dataclasses import replace
+from math import inf, isfinite
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .allocation import Allocation, Spectrum, allocate, merged, spectrum, trimmed
+from .allocation import Allocation, Spectrum, allocate, merged, trimmed
 from .cells import zero_cells
-from .disjoint import energies, summed
 from .errors import invalid
+from .examining import EXAMINING, Goal, Way, examined
 from .fit import Labels
 from .hierarchy import (
     Hierarchy,
@@ -21,29 +21,19 @@ from .hierarchy import (
     Run,
     backfit,
     fit_nodes,
-    gather,
-    in_parallel,
-    level_within,
     restore,
-    sampled,
     saved,
-    streamed,
-    within,
 )
 from .memberships import by_subspaces, start_candidates
 from .memory import check_memory, format_bytes, give_back_freed_memory
-from .metrics import snr_db, squared_norm
+from .metrics import snr_db
 from .narrow import LEFT
-from .plan import HIGHEST_RANK, LevelSpec
+from .plan import LevelSpec
 from .predict import MODEL, PROCESS
-from .progress import Told, share_of
 from .streamed import Streamed
-from .tucker import core_energies
 
 F32 = NDArray[np.float32]
 
-#: Most entries of the table of choices of a node, and of one alone in its level.
-TABLE_ENTRIES, LONE_ENTRIES = 60_000, 400_000
 #: How far above an SNR goal a fit may end, in dB, how often a fit is repeated to land there, and how far above many
 #: nodes, whose choices come in small steps, aim; where promises too poor and too good are so near each other it ends.
 OVERSHOOT, ATTEMPTS, MARGIN, NARROW = 0.25, 16, 0.05, 0.03
@@ -51,152 +41,20 @@ OVERSHOOT, ATTEMPTS, MARGIN, NARROW = 0.25, 16, 0.05, 0.03
 MOST_ROUNDING = 0.3
 
 
-@dataclass
-class Goal:
-    """What the last level is cut to: bytes of the whole file, or an SNR in dB; with how both are measured.
-
-    Attributes:
-        size: largest file size in bytes, or None.
-        snr: least SNR in dB, or None.
-        energy: squared norm of the tensor.
-        file_bytes: exact size of the file that a hierarchy would make.
-        snr_now: SNR in dB of a hierarchy in the domain of the source values.
-        memory: bytes to work in, if they are given.
-        untold: squared error that is little beside what the SNR allows.
-    """
-
-    size: int | None
-    snr: float | None
-    energy: float
-    file_bytes: Callable[[Hierarchy], int]
-    snr_now: Callable[[Hierarchy], float]
-    memory: int | None = None
-    untold: float = 0.0
-
-
-def table_limits(
-    sizes: Sequence[int],
-    spec: LevelSpec,
-    nbytes: float = inf,
-    stored: Sequence[int] | None = None,
-    entries: int = TABLE_ENTRIES,
-) -> list[int | None]:
-    """Ranks to examine of each mode: up to R, what the node has, what the table holds, and what `nbytes` can store.
-
-    `stored` are the sizes that bytes are counted by, where the node is thinned.
-    """
-    limits: list[int | None] = []
-    for n, rank in enumerate(spec.ranks):
-        rest = int(min(prod(float(size) for m, size in enumerate(sizes) if m != n), 2.0**31))
-        affordable = int(min(nbytes / (spec.bits / 8 * (stored or sizes)[n]), HIGHEST_RANK)) + 1
-        limits.append(None if rank is None else min(rank, sizes[n], rest, HIGHEST_RANK, affordable))
-    while prod(limit or 1 for limit in limits) > entries:
-        longest = max(range(len(limits)), key=lambda n: limits[n] or 0)
-        limits[longest] = max(1, (limits[longest] or 1) * 7 // 8)
-    return limits
-
-
-def node_spectrum(
-    tensor: F32,
-    spec: LevelSpec,
-    decode_cost: int,
-    seed: int,
-    labels: Labels | None = None,
-    *,
-    alone: bool = False,
-    nbytes: float = inf,
-    untold: float = 0.0,
-    sample_of: tuple[Sequence[int], float] | None = None,
-) -> Spectrum | None:
-    """The node's choices of ranks, its cells' being the same; None where there is nothing to store.
-
-    `labels` are the disjoint memberships of its cells; a node that is `alone` in its level needs no convex choices.
-    The tensor may be a `sample_of` a node of these sizes and this squared norm. Errors below `untold` may be left out.
-    """
-    own = squared_norm(tensor)
-    if tensor.size == 0 or own == 0:
-        return None
-    full, energy = (tensor.shape, own) if sample_of is None else sample_of
-    blocks = [tensor] if labels is None else cell_blocks(tensor, labels, spec.clusters)
-    sizes = [max(block.shape[n] for block in blocks) for n in range(tensor.ndim)]
-    stored = [-(-size * long // max(1, short)) for size, long, short in zip(sizes, full, tensor.shape, strict=True)]
-    limits = table_limits(sizes, spec, nbytes, stored, LONE_ENTRIES if alone else TABLE_ENTRIES)
-    # Shares of the sample's energy are taken for those of the node's: as errors they would miss what it has more of.
-    enough = untold * own / energy / len(blocks)
-    tables = (core_energies(block, limits, np.random.default_rng(seed), enough) for block in blocks if block.size)
-    table = energy / own * summed(tables)
-    undecomposed = [r is None for r in spec.ranks]
-    return spectrum(
-        table, energy, full, undecomposed, decode_cost, spec.clusters if labels else None, hull=not alone,
-        bits=spec.bits,
-    )
-
-
-def outside_spectrum(
-    outside: Streamed, number: int, spec: LevelSpec, labels: Labels, decode_cost: int, seed: int, told: Told,
-    *, alone: bool, nbytes: float,
-) -> Spectrum | None:
-    """As `node_spectrum`, of a node whose blocks, which share no element, are read one by one."""
-
-    def limits(sizes: Sequence[int]) -> list[int | None]:
-        return table_limits(sizes, spec, nbytes, entries=LONE_ENTRIES if alone else TABLE_ENTRIES)
-
-    table, energy = energies(outside, number, spec, labels, limits, seed, told)
-    undecomposed = [r is None for r in spec.ranks]
-    choices = spectrum(
-        table, energy, outside.shape, undecomposed, decode_cost, spec.clusters, hull=not alone, bits=spec.bits
-    )
-    return choices if energy else None
-
-
-def cell_blocks(tensor: F32, labels: Labels, clusters: Sequence[int]) -> list[F32]:
-    """The disjoint sub-tensors of a node's cells."""
-    blocks = [tensor]
-    for n, (part, count) in enumerate(zip(labels, clusters, strict=True)):
-        if count > 1:
-            rows = [np.flatnonzero(part == c) for c in range(count)]
-            blocks = [block.take(chosen, axis=n) for block in blocks for chosen in rows]
-    return blocks
-
-
-#: The stage before the fit.
-EXAMINING = "ranks of each node"
-#: A way to fit a node: ranks up to which, clusters, and the memberships that its cells start from.
-Way = tuple[LevelSpec, LabelsOf]
-
-
 def fit_to_goal(tree: Hierarchy, ways: Sequence[Way], goal: Goal, decode_cost: int, run: Run) -> None:
     """Fit the deepest level with node shapes of its own, again with corrected ranks until the goal is met."""
     nodes = tree.levels[-1]
     run.progress(EXAMINING, 0.0)  # finding the clusters to start from takes its time already
     ways = [each for spec, labels in ways for each in _starts(tree, spec, labels, run)]
-    spectra = _examined(tree, ways, goal, decode_cost, run)
+    spectra = examined(tree, ways, goal, decode_cost, run)
     further = _parted_anew(tree, ways, spectra[0], goal, run)
     if further:
-        spectra[0] += _examined(tree, further, goal, decode_cost, run)[0]
+        spectra[0] += examined(tree, further, goal, decode_cost, run)[0]
         ways += further
     found = [(s, merged(own, hull=len(nodes) > 1)) for s, own in enumerate(spectra) if own]
     if found:
         level = _LastLevel(tree, found, ways, goal, run)
         level.to_size(goal.size) if goal.size is not None else level.to_snr(goal.snr or 0.0)
-
-
-def _examined(
-    tree: Hierarchy, ways: Sequence[Way], goal: Goal, decode_cost: int, run: Run
-) -> list[list[Spectrum]]:
-    """Of every node its choices in each way; none where there is nothing to store."""
-    nodes = tree.levels[-1]
-    spectra: list[list[Spectrum]] = [[] for _ in nodes]
-    told = within(nodes, EXAMINING, run)
-
-    def examine(s: int) -> None:
-        for number, way in enumerate(ways):
-            own = _spectrum_of(tree, nodes[s], way, goal, decode_cost, run.seed, share_of(told, number, len(ways)))
-            spectra[s] += [] if own is None else [own]
-
-    if ways:
-        in_parallel(examine, nodes, EXAMINING, run, tree.residual)
-    return spectra
 
 
 def _parted_anew(
@@ -221,26 +79,6 @@ def _with_ranks(spec: LevelSpec, ranks: NDArray[np.int32]) -> LevelSpec:
     """The level with these ranks instead of those it may choose among."""
     given = tuple(None if most is None else int(rank) for rank, most in zip(ranks, spec.ranks, strict=True))
     return replace(spec, ranks=given, own=False)
-
-
-def _spectrum_of(
-    tree: Hierarchy, node: Node, way: Way, goal: Goal, decode_cost: int, seed: int, told: Told
-) -> Spectrum | None:
-    """A node's choices of ranks if it is fitted in this way; None where there is nothing to store."""
-    (spec, labels), alone, nbytes = way, len(tree.levels[-1]) == 1, goal.size or inf
-    part, outside = labels(node), streamed(tree, node)
-    if outside is not None and part is not None and spec.disjoint:
-        level = level_within(node, len(tree.levels))
-        return outside_spectrum(outside, level, spec, part, decode_cost, seed, told, alone=alone, nbytes=nbytes)
-    sample = sampled(tree, node, spec)
-    if outside is None or sample is None:
-        values, untold = gather(tree.residual, node), goal.untold / len(tree.levels[-1])
-        return node_spectrum(values, spec, decode_cost, seed, part, alone=alone, nbytes=nbytes, untold=untold)
-    tensor, steps = sample
-    part = None if part is None else [own[::step] for own, step in zip(part, steps, strict=True)]
-    energy = goal.energy if len(tree.levels) == 1 else outside.error
-    whole = (node.sizes, energy)
-    return node_spectrum(tensor, spec, decode_cost, seed, part, alone=alone, nbytes=nbytes, sample_of=whole)
 
 
 def _starts(tree: Hierarchy, spec: LevelSpec, labels: LabelsOf, run: Run) -> list[Way]:

@@ -45,7 +45,7 @@ class Pool(ThreadPoolExecutor):
 
 def in_order(work: Callable[[S], T], items: Sequence[S], workers: int) -> Iterator[T]:
     """What the work makes of the items, in their order, few of them ahead of what is taken."""
-    if workers == 1:
+    if min(workers, len(items)) <= 1:
         yield from map(work, items)
         return
     waiting: deque[Future[T]] = deque()

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..allocation import best_of_one, choices_of, pareto
 from ..axes import Organisation, mode_sizes
+from ..executors import in_order
 from ..memberships import CANDIDATES, SOME_DIMENSIONS, balanced_clusters, normalised, row_features
 from ..plan import MOST_RANKS
 from ..slabs import thinning
@@ -59,7 +60,7 @@ def with_clusters(search: Search, found: tuple[float, Candidate]) -> tuple[float
     best = sorted((modes for modes in worth if worth[modes] > found[0] - SURPASSED), key=lambda modes: -worth[modes])
     judged: Ranked = []
     for modes in dict.fromkeys([*best[: search.clustered], *_likely(search, list(worth), found[0] - LACKING)]):
-        for item in clustered(search.goal, modes):
+        for item in clustered(search.goal, modes, threads=search.threads):
             judged.append(item)
             if max(worth[modes], *map(worth_of, judged)) < found[0] - LACKING:
                 break
@@ -81,13 +82,17 @@ def _likely(search: Search, matrices: Sequence[Organisation], least: float) -> l
     """
     if len(matrices) < 2 or not search.clustered:
         return []
-    worth = {modes: next(clustered(search.goal, modes, few=True), (-OUT_OF_REACH, None))[0] for modes in matrices}
+
+    def worth_with(modes: Organisation) -> float:
+        return next(clustered(search.goal, modes, few=True), (-OUT_OF_REACH, None))[0]
+
+    worth = dict(zip(matrices, in_order(worth_with, matrices, search.threads), strict=True))
     likely = sorted((modes for modes in worth if worth[modes] > least), key=lambda modes: -worth[modes])
     return likely[: search.clustered]
 
 
 def clustered(
-    trial: Trial, organisation: Organisation, *, few: bool = False
+    trial: Trial, organisation: Organisation, *, few: bool = False, threads: int = 1
 ) -> Iterator[tuple[float, Candidate]]:
     """What the matrices of two modes are worth with so many clusters of the rows of the longer one, at the best ranks.
 
@@ -104,12 +109,13 @@ def clustered(
         return
     first = min(len(possible) - 1, COUNTS.index(FIRST))
     features = normalised(row_features(rows, 0), LIKELIEST[0])
-    begun = _judged(trial, organisation, rows, features, possible[first], long, few)
+    judged = partial(_judged, trial, organisation, rows, features, long=long, few=few, threads=threads)
+    begun = judged(possible[first])
     yield begun
     for way in (possible[first + 1 :], possible[:first][::-1]):
         reached = begun[0]
         for count in way:
-            item = _judged(trial, organisation, rows, features, count, long, few)
+            item = judged(count)
             yield item
             if item[0] <= reached:
                 break
@@ -117,7 +123,8 @@ def clustered(
 
 
 def _judged(
-    trial: Trial, organisation: Organisation, rows: F32, features: F64, count: int, long: int, few: bool
+    trial: Trial, organisation: Organisation, rows: F32, features: F64, count: int,
+    *, long: int, few: bool, threads: int,
 ) -> tuple[float, Candidate]:
     """What so many clusters of the long mode are worth, told from some of its rows: by k-means, and unless `few`
     also by subspaces, as the fit has both."""
@@ -132,13 +139,15 @@ def _judged(
     if (needed := trial.beside(each) + least) > trial.size:
         return -OUT_OF_REACH - log2(needed), each
     energy = float(np.square(rows, dtype=np.float64).sum())
-    labels = balanced_clusters(features, count, LIKELIEST[1], np.random.default_rng(trial.seed))
-    reached = _left(rows, labels, limit, trial.seed)
-    for dimension in () if few else SOME_DIMENSIONS:
-        if dimension < rows.shape[1]:
-            rng = np.random.default_rng(trial.seed)
-            parted = subspace_clusters(rows, count, dimension, rng, restarts=1)
-            reached = np.minimum(reached, _left(rows, parted, limit, trial.seed))
+
+    def left_by(dimension: int) -> F64:
+        rng = np.random.default_rng(trial.seed)
+        labels = (subspace_clusters(rows, count, dimension, rng, restarts=1) if dimension
+                  else balanced_clusters(features, count, LIKELIEST[1], rng))  # fmt: skip
+        return _left(rows, labels, limit, trial.seed)
+
+    dimensions = [0, *(d for d in (() if few else SOME_DIMENSIONS) if d < rows.shape[1])]
+    reached = np.minimum.reduce(list(in_order(left_by, dimensions, threads)))
     left = np.concatenate([[energy], reached[choices.entry]])
     kept = pareto(choices.nbytes, left)
     spend = partial(best_of_one, choices.nbytes[kept], left[kept])

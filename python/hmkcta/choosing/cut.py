@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..axes import Axis, Organisation
+from ..lazy import lazy
 from .blocks import Blocks, halved, organised, split
 from .growth import Growth, growth_of
 from .spectra import cores
@@ -45,12 +45,12 @@ class Cut:
     precision: Any
     enough: float
 
-    @cached_property
+    @lazy
     def core(self) -> F32:
         """Their truncated HOSVD cores, no mode shorter than its entry of `limits`."""
         return cores(self.batch, self.limits, self.precision, self.enough)
 
-    @cached_property
+    @lazy
     def growth(self) -> Growth | None:
         """What ranks of whole blocks are told by; None where no rows were left out."""
         return self.growth_of(self.batch, self.core, (1,) * len(self.grid), self.edges)

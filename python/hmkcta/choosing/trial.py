@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..allocation import Choices, best_of_one, choices_of, pareto, plausible, ration
 from ..axes import Organisation, mode_sizes
+from ..executors import in_order
 from ..filesize import planned_bytes
 from ..metrics import snr_db
 from ..narrow import LEFT
@@ -139,8 +140,8 @@ class Trial:
             return reached, candidate
         return self.ceiling + log2(self.size / nbytes), candidate
 
-    def worth(self, candidate: Candidate, sample: int, around: tuple[int, ...]) -> float:
-        """What a carried candidate is worth whose blocks may be cut further, each as pays.
+    def worth(self, candidate: Candidate, sample: int, around: tuple[int, ...], workers: int = 1) -> float:
+        """What a carried candidate is worth whose blocks may be cut further, each as pays; on so many threads.
 
         The sample is of blocks of the grid `around`, of which its own are parts: candidates are compared on one.
         """
@@ -151,12 +152,12 @@ class Trial:
         if caps is None:
             return _too_large(cut.edges)
         flags = tuple(n in candidate.undecomposed for n in range(len(cut.sizes)))
-        found: list[tuple[F64, F64]] = []
-        for way in product(*map(_divisors, candidate.cuts)):
-            key = (organisation, candidate.grid, flags, way, sample, around)
-            if key not in self._ways:
-                self._ways[key] = self._way(cut, flags, caps, way)
-            found.append(self._ways[key])
+        key = (organisation, candidate.grid, flags, sample, around)
+        ways = list(product(*map(_divisors, candidate.cuts)))
+        new = [way for way in ways if (key, way) not in self._ways]
+        for way, made in zip(new, in_order(partial(self._way, cut, flags, caps), new, workers), strict=True):
+            self._ways[key, way] = made
+        found = [self._ways[key, way] for way in ways]
         errors = np.concatenate([left for left, _ in found], axis=1)
         nbytes = np.concatenate([own for _, own in found])
         order = np.argsort(nbytes, kind="stable")
