@@ -22,7 +22,7 @@ WH2 = "R=2,2,3,3 C=4,3,4,4 K=2 / R=2,2,3,3 C=3,3,4,4 K=2"
 WH4 = "R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2 / R=2,2,3,3 C=3,3,4,4 K=2"
 WM1 = "R=2,2,3,3 C=12,9,16,16 K=2"
 #: Plans for fits without and with a GPU: high ranks, overlapping clusters, disjoint ones, and several levels.
-FOR_GPU = {"HOSVD, R=64": "R=64,32,48,48", "MK-CTA, K=2": "R=6,6,8,8 C=4,3,4,4 K=2", "CTA, K=1": "R=4 C=4,3,4,4 K=1",
+FOR_GPU = {"HOSVD, R=32": "R=32,16,32,32", "MK-CTA, K=2": "R=6,6,8,8 C=4,3,4,4 K=2", "CTA, K=1": "R=4 C=4,3,4,4 K=1",
            "WH4": WH4}  # fmt: skip
 #: Table 4 with modes in the order of the array: the paper has x, y, z, time.
 TVVD = "R=*,2,2,2 / R=*,1,1,1 C=1,8,6,6 K=1,2,2,2 / R=*,1,1,1 C=1,8,6,6 K=1,2,2,2"
