@@ -211,6 +211,16 @@ def test_batches_bound_the_memory() -> None:
     assert peaks[2] < 7.5
 
 
+def test_a_projection_on_two_modes_is_on_the_device() -> None:
+    cells = random_cells((32, 32, 32, 16), LevelSpec((2, 2, 4, 4), (2, 2, 4, 4), (1, 1, 1, 1)), 10)
+    data = smooth_data(cells.sizes, 10)
+    for budget in (1 << 10, 1 << 25):
+        device = StandIn()
+        found = batched.project_pair(arrays(device, budget), cells, data, (2, 3))
+        assert device.memory.peak < data.nbytes + 2 * found.nbytes + 24 * min(budget, data.size)
+        assert device.memory.used == 0
+
+
 def test_grams_are_made_in_parts() -> None:
     cells = random_cells((30, 30, 30), LevelSpec((2, 2, 2), (4, 4, 4), (1, 1, 1)), 11)
     device = StandIn()

@@ -40,8 +40,8 @@ EXAMINING = "ranks of each node"
 Way = tuple[LevelSpec, LabelsOf]
 #: Most entries of the table of choices of a node, and of one alone in its level.
 TABLE_ENTRIES, LONE_ENTRIES = 60_000, 400_000
-#: Ways are examined side by side that copy no more elements together.
-BESIDE = 1 << 24
+#: Ways, and blocks of one, are examined side by side that have no more elements together.
+BESIDE = 1 << 23
 
 
 @dataclass
@@ -73,13 +73,15 @@ def examined(
     """Of every node its choices in each way; none where there is nothing to store."""
     nodes, told = tree.levels[-1], within(tree.levels[-1], EXAMINING, run)
     spectra: list[list[Spectrum]] = [[] for _ in nodes]
+    # What is streamed shares out its own work, and where memory is given there is none for more at once.
+    alone = isinstance(tree.residual, Streamed) or goal.memory is not None
+    threads = 1 if alone else max(1, run.threads // len(nodes))
 
     def examine(s: int) -> None:
         def of(way: int) -> Spectrum | None:
             part = share_of(told, way, len(ways))
             return _spectrum_of(tree, nodes[s], ways[way], goal, decode_cost, run.seed, part, threads // workers)
 
-        threads = max(1, run.threads // len(nodes))
         workers = max(1, min(threads, len(ways), BESIDE // max(1, nodes[s].elements)))
         spectra[s] += [own for own in in_order(of, range(len(ways)), workers) if own is not None]
 
@@ -164,7 +166,8 @@ def node_spectrum(
     def judged(block: F32) -> F64:
         return core_energies(block, limits, np.random.default_rng(seed), enough)
 
-    table = energy / own * summed(in_order(judged, [block for block in blocks if block.size], threads))
+    workers = max(1, min(threads, BESIDE // prod(sizes)))
+    table = energy / own * summed(in_order(judged, [block for block in blocks if block.size], workers))
     undecomposed = [r is None for r in spec.ranks]
     return spectrum(
         table, energy, full, undecomposed, decode_cost, spec.clusters if labels else None, hull=not alone,

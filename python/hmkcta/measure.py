@@ -82,7 +82,7 @@ def measure(model: Model, source: Any, *, nan: float | None = None, progress: Pr
             once, in slabs.
         nan: value that stands for NaN and infinity in the source.
         progress: called with a stage's name and the fraction done.
-        slab: elements to work on at once.
+        slab: elements to work on at once, by all threads.
         threads: how many to work on, which changes no result.
 
     Raises:

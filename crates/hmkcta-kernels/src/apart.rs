@@ -8,8 +8,10 @@ use crate::cells::{Cell, Node};
 use crate::threads::{PARALLEL, count, for_each_with};
 use std::cmp::Reverse;
 
-/// Larger cells are never left to one thread, for each thread has a copy of what it works on.
-const LARGEST: usize = 16 * PARALLEL;
+/// Elements that threads work on together at the most, unless their cells are small: each has copies of its own.
+const TOGETHER: usize = 1 << 22;
+/// Elements of each cell, on average, from which on cells are shared out: what is kept for each takes memory, too.
+const FEWEST: usize = 256;
 /// Tasks for each thread, if there are as many cells, so that they end at about the same time.
 const TASKS: usize = 2;
 
@@ -24,7 +26,8 @@ pub struct Turn<T> {
 
 /// Whether threads shall share the cells of a node.
 pub fn pays(node: &Node) -> bool {
-    node.is_disjoint() && node.cells() > 1 && node.sizes.iter().product::<usize>() >= PARALLEL && count() > 1
+    let elements = node.sizes.iter().product::<usize>();
+    node.is_disjoint() && node.cells() > 1 && elements >= PARALLEL.max(FEWEST * node.cells()) && count() > 1
 }
 
 /// Work on all cells of a node of disjoint cells that have elements, with an item for each cell of the node.
@@ -58,7 +61,7 @@ fn largest_for_one(mut sizes: Vec<usize>, threads: usize) -> usize {
     sizes.sort_unstable();
     let mut rest: usize = sizes.iter().sum();
     while let Some(largest) = sizes.pop() {
-        if largest < PARALLEL || largest <= LARGEST && largest * threads <= rest + rest / 2 {
+        if largest < PARALLEL || largest * threads <= TOGETHER.min(rest + rest / 2) {
             return largest;
         }
         rest -= largest;
@@ -116,7 +119,8 @@ mod tests {
         assert_eq!(shared(&[1, 12, 1, 1], 2), 1);
         assert_eq!(shared(&[2; 6], 4), 0);
         assert_eq!(shared(&[2; 6], 16), 6);
-        assert_eq!(shared(&[17; 40], 4), 40);
+        assert_eq!(shared(&[5; 40], 4), 0);
+        assert_eq!(shared(&[6; 40], 4), 40);
         assert_eq!(shared(&[], 4), 0);
         assert_eq!(largest_for_one(vec![PARALLEL - 1, 5], 16), PARALLEL - 1);
     }

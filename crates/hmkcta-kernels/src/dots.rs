@@ -25,6 +25,7 @@ pub fn dots_on(parallel: bool, a: &[f32], b: &[f32], k: usize, add: bool, out: &
         return dots(a, b, k, out, add);
     }
     let (m, n) = (a.len() / k, b.len() / k);
+    assert!(a.len() == m * k && out.len() == m * n);
     let rows = m.div_ceil(PIECES).next_multiple_of(ROWS);
     let tasks = a.chunks(rows * k).zip(out.chunks_mut(rows * n)).collect();
     for_each(true, tasks, |(a, out)| dots(a, b, k, out, add));

@@ -78,11 +78,12 @@ pub fn multiply_on(parallel: bool, a: Matrix, b: Matrix, add: bool, out: &mut [f
     let times = out.len() / size;
     let last = (times - 1) * b.rows * b.row_step + b.last();
     assert!(a.last() < a.data.len() && last < b.data.len());
-    let run = Run { a, b, add, times, out: out.as_mut_ptr(), out_row: b.columns };
+    let out_row = b.columns;
     if parallel && out.len() * a.columns >= PRODUCTS {
-        run.in_pieces(Shared::new(out));
+        let shared = Shared::new(out);
+        Run { a, b, add, times, out: shared.place(0), out_row }.in_pieces(shared);
     } else {
-        dispatch(run);
+        dispatch(Run { a, b, add, times, out: out.as_mut_ptr(), out_row });
     }
 }
 

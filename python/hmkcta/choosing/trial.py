@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import combinations, product
 from math import inf, log2, log10, prod
 from typing import Any
@@ -87,22 +87,16 @@ class Trial:
     room: float = inf
     memory: Room | None = None
     bits: int = 16
+    #: What `beside` found before: of each candidate, as digits that one of its kind had first depend on threads.
+    _headers: dict[Candidate, float] = field(init=False, default_factory=dict[Candidate, float])
+    #: What `_way` found before.
+    _ways: dict[Any, tuple[F64, F64]] = field(init=False, default_factory=dict[Any, tuple[F64, F64]])
 
     @property
     def floor(self) -> float:
         """Errors below this share of the energy are not told apart: what reaches a goal is, by its bytes."""
         beyond = 0.0 if self.ceiling is None else self.ceiling + 1
         return max(FINEST, min(VERBATIM, 10 ** (-beyond / 10)))
-
-    @cached_property
-    def _headers(self) -> dict[Candidate, float]:
-        """What `beside` found before: of each candidate, as digits that one of its kind had first depend on threads."""
-        return {}
-
-    @cached_property
-    def _ways(self) -> dict[Any, tuple[F64, F64]]:
-        """What `_way` found before."""
-        return {}
 
     def worths(
         self, organisation: Organisation, grid: tuple[int, ...], sample: int, kinds: Kinds = ()
