@@ -19,6 +19,8 @@ F64 = NDArray[np.float64]
 
 #: Columns of the row features, and elements looked at to find them; more of either changed nothing (algorithm notes).
 FEATURES, SAMPLE = 12, 2_000_000
+#: Up to this side Gram matrices are decomposed exactly; beyond it so many iterations find the leading vectors.
+EXACT_SIDE, ITERATIONS = 512, 8
 #: Rounds of k-means; it ends sooner where labels stay as they are.
 ROUNDS = 8
 #: Row normalisations f <- f |f|^(p-1) with size caps (times I/C), the most often best ones first.
@@ -71,10 +73,22 @@ def row_features(tensor: NDArray[Any], n: int) -> F64:
     rows = sampled_rows(tensor, n)
     unfolded = rows.astype(np.float64, order="C").reshape(len(rows), -1)
     if len(rows) <= unfolded.shape[1]:
-        values, vectors = np.linalg.eigh(unfolded @ unfolded.T)
-        return vectors[:, : -FEATURES - 1 : -1] * np.sqrt(np.maximum(values[: -FEATURES - 1 : -1], 0))
-    values, vectors = np.linalg.eigh(unfolded.T @ unfolded)
-    return unfolded @ vectors[:, : -FEATURES - 1 : -1]
+        values, vectors = _leading(unfolded @ unfolded.T)
+        return vectors * np.sqrt(np.maximum(values, 0))
+    return unfolded @ _leading(unfolded.T @ unfolded)[1]
+
+
+def _leading(gram: F64) -> tuple[F64, F64]:
+    """Eigenvalues and -vectors of as many features, the largest first; of large matrices by subspace iteration."""
+    leading = slice(None, -FEATURES - 1, -1)
+    if len(gram) <= EXACT_SIDE:
+        values, vectors = np.linalg.eigh(gram)
+        return values[leading], vectors[:, leading]
+    basis = np.random.default_rng(0).standard_normal((len(gram), 2 * FEATURES))
+    for _ in range(ITERATIONS):
+        basis = np.linalg.qr(gram @ basis)[0]
+    values, vectors = np.linalg.eigh(basis.T @ gram @ basis)
+    return values[leading], basis @ vectors[:, leading]
 
 
 def normalised(features: F64, power: float) -> F64:
