@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import hmkcta
 from cli_tools import report, run, smooth
@@ -243,6 +245,28 @@ def test_random_files_of_bytes_decode_as_their_numbers_say(tmp_path: Path) -> No
     wide = Model(metadata, tuple(replace(level, bits=16) for level in levels))
     Model(metadata, levels).save(tmp_path / "bytes.hmk")
     assert (np.asarray(hmkcta.open(tmp_path / "bytes.hmk")) == np.asarray(wide)).all()
+
+
+def noisy(edge: int) -> NDArray[np.float32]:
+    """A bell that moves through a volume, with noise all over but for some frames and rows that are zero."""
+    t, z, y, x = np.meshgrid(np.arange(16), *[np.arange(edge)] * 3, indexing="ij")
+    way = (z - edge / 4 - t * edge / 32) ** 2 + (y - edge / 2 - 5 * np.sin(t / 3)) ** 2
+    values = np.exp(-(way + (x - edge / 2 - 5 * np.cos(t / 3)) ** 2) / 30) + 0.1 * np.sin(x / 4 + t / 2) * np.cos(y / 5)
+    values += np.random.default_rng(1).normal(0, 0.02, values.shape)
+    values[4:7] = 0
+    values[:, :, edge // 3 : edge // 2] = 0
+    return values.astype(np.float32)
+
+
+@pytest.mark.parametrize(("snr", "nbytes"), [(42.0, 60_000), (45.0, 56_000)])
+def test_noise_beyond_what_bytes_keep_has_two_levels_of_them(snr: float, nbytes: int) -> None:
+    """One level of bytes ends just below, and one of float16 numbers 25 dB above it in over 90,000 bytes."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of what was tried before
+        model = compress(noisy(16), axes="t, z, y, x", snr=snr, threads=1)
+    assert [level.bits for level in model.levels] == [8, 8]
+    assert snr <= model.snr < snr + 1.0
+    assert model.nbytes < nbytes
 
 
 # Command line

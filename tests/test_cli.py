@@ -161,8 +161,9 @@ def test_what_figures_do_not_tell_is_said(array: NDArray[Any], sentence: str | N
 @pytest.mark.parametrize(("words", "sentence"), [
     (("--plan", "R=1 grid=x:2 / R<=2"), "the ranks of the plan allow no more"),
     (("--decode-cost", "4", "--organisation", "z,y,x"), "within --decode-cost 4"),
+    (("--decode-cost", "40", "--plan", "R<=20"), "within --decode-cost 40"),
     ((), None),
-], ids=["ranks", "cost", "none"])
+], ids=["ranks", "cost", "cost of a plan", "none"])
 def test_what_keeps_a_file_from_its_size_is_said(words: tuple[str, ...], sentence: str | None, tmp_path: Path) -> None:
     path = saved(tmp_path / "a.npy", smooth(16, 20, 24) + 0.1 * np.random.default_rng(0).random((16, 20, 24)))
     result = run("compress", path, "-o", tmp_path / "a.hmk", "--axes", "z,y,x", "--size", "13000", *words)
@@ -214,6 +215,8 @@ def test_directions_come_with_the_array(tmp_path: Path) -> None:
 def test_advice_fits_what_was_asked(source: Path, tmp_path: Path) -> None:
     text = run("compress", source, "-o", tmp_path / "a.hmk", "--plan", "R=1", "--snr", 60, code=7).stderr
     assert "add ranks or a level" in text
+    words = ("--plan", "R<=6", "--bits", 16, "--snr", 60, "--decode-cost", 8)
+    assert "a higher --decode-cost" in run("compress", source, "-o", tmp_path / "c.hmk", *words, code=7).stderr
     text = run("compress", source, "-o", tmp_path / "b.hmk", "--snr", 200, code=7).stderr
     assert "a level more" in text
     assert "another is tried" in text

@@ -27,6 +27,8 @@ from .predict import is_streamed, memory_limit
 
 #: From so many dB on a second level is tried, below a first that ends at as many as float16 keeps of one.
 NEARLY, ROUNDED = 64.0, 68.0
+#: So many dB beyond its goal is far; so many bytes keep of most values; a second level must save a tenth.
+BEYOND, OF_BYTES, LESS = 3.0, 36.0, 0.9
 #: Elements up to which numbers of clusters are told apart by fits in all steps.
 SMALL, STEPS = 1 << 22, (1.5, 1.25, 1.125)
 
@@ -48,7 +50,11 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
     followed = [(task, follow(task)), *_further(task, rivals)]
     own = task, model = _best(followed)
     if _is_worth(task):
-        task, model = _best([own, *_further(task, _near(followed))])
+        followed += _further(task, _near(followed))
+        task, model = _best(followed)
+        if task.plan.levels[-1].bits == BITS[0] and model.snr > (task.plan.snr or model.snr) + BEYOND:
+            most, two = LESS * model.nbytes, _further(task, _two_of_bytes(followed, task))
+            task, model = _best([(task, model), *(each for each in two if each[1].nbytes < most)])
         if (task.plan.snr or model.snr) > NEARLY:
             task, model = _best([(task, model), *_further(given, dict.fromkeys(_in_two(given, others)))])
         starts = [own] if model is own[1] else [own, (task, model)]
@@ -60,12 +66,7 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
     if is_coarse(task.plan, model.snr, model.nbytes):
         task, model = _nearer(task, model, others)
         return _with_other_clusters(task, model)[1] if model is not best and _is_worth(task) else model
-    further = list(others)
-    if (deeper := _deeper(task, model)) is not None:
-        further.insert(0, deeper)
-    if task.plan.levels[-1].bits < BITS[0]:
-        further[:0] = [with_bits(task.plan, BITS[0])] if task.bits is None else []
-        further[:0] = below_rank_one(task.plan, BITS[1]) if model.snr > ROUNDING_FROM[BITS[1]] else []
+    further = _spare(task, model, followed, others)
     for plan in further:
         if task.plan.snr is None or best.snr >= task.plan.snr:
             break
@@ -73,6 +74,21 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
         for _, model in _further(task, [plan]):
             best = max(best, model, key=lambda each: each.snr)
     return best if task.plan.snr is None else _unless_verbatim(task, best, others)
+
+
+def _spare(
+    task: Task, model: Model, followed: Sequence[tuple[Task, Model]], others: Sequence[Plan]
+) -> list[Plan]:
+    """Plans for an SNR that the model has missed, those of fewer bytes first."""
+    spare, deeper = list(others), _deeper(task, model)
+    if deeper is not None:
+        spare.insert(0, deeper)
+    if task.plan.levels[-1].bits < BITS[0]:
+        spare[:0] = [with_bits(task.plan, BITS[0])] if task.bits is None else []
+        if deeper is None and _is_worth(task) and model.snr < (task.plan.snr or model.snr):
+            spare[:0] = _two_of_bytes(followed, task)
+        spare[:0] = below_rank_one(task.plan, BITS[1]) if model.snr > ROUNDING_FROM[BITS[1]] else []
+    return spare
 
 
 def _near(followed: Sequence[tuple[Task, Model]]) -> Sequence[Plan]:
@@ -84,6 +100,22 @@ def _near(followed: Sequence[tuple[Task, Model]]) -> Sequence[Plan]:
             near = alternatives(task.plan, task.source.organisation(None), model.snr, model.nbytes)
             plans |= {plan: None for plan in near if _may_be(task, plan) and plan not in tried}
     return list(plans)
+
+
+def _two_of_bytes(followed: Sequence[tuple[Task, Model]], task: Task) -> list[Plan]:
+    """For an SNR a plan of bytes with a level below it for what bytes leave of themselves.
+
+    Its first level is that of the plan of bytes that came nearest, or else the last of the task's, alone.
+    """
+    (*above, last), goal = task.plan.levels, task.plan.snr
+    if goal is None or not _may_be(task, with_bits(task.plan, BITS[1])):
+        return []
+    short = [each for each in followed if each[0].plan.levels[-1].bits == BITS[1] and each[1].snr < goal]
+    deeper = [_deeper(*each) for each in sorted(short, key=lambda each: -each[1].snr)]
+    if not any(deeper) and last.own and all(level.cells == 1 for level in above):
+        alone = replace(task.plan, levels=(replace(last, bits=BITS[1]),), snr=min(goal, OF_BYTES))
+        deeper = [_deeper(*each) for each in _further(task, [alone])]
+    return [replace(plan, snr=goal) for plan in deeper if plan is not None][:1]
 
 
 def _may_be(task: Task, plan: Plan) -> bool:

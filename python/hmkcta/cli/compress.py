@@ -142,9 +142,10 @@ def unused(model: Model, goal: Goal, plan: str | None) -> list[str]:
     if goal.size is None or model.nbytes >= USED * goal.size:
         return []
     share, most = f"of --size {100 * model.nbytes / goal.size:.0f} % are used", goal.settings["decode_cost"]
-    if plan is not None:
+    bound = 2 * model.decode_cost > most
+    if plan is not None and not bound:
         return [f"{share}: the ranks of the plan allow no more. Next: write higher ones"] if "<=" in plan else []
-    if 2 * model.decode_cost <= most:
+    if not bound or (plan is not None and "<=" not in plan):
         return []
     return [f"{share}: nothing better was found within --decode-cost {most}. Next: allow more multiply-adds, "
             "if what reads the file may take longer for an element"]
@@ -157,4 +158,7 @@ def advice(model: Model, plan: str | None, goal: Goal) -> str:
         return "allow numbers of two bytes, --bits 16" + ("" if plan is None else ", or add ranks or a level")
     if model.snr > FLOAT16_SNR * levels:
         return f'write a level more, for what float16 numbers leave: --plan "{" / ".join(["R=.."] * (levels + 1))}"'
-    return "allow a higher --decode-cost, or try --quality thorough" if plan is None else "add ranks or a level"
+    if plan is None:
+        return "allow a higher --decode-cost, or try --quality thorough"
+    bound = "<=" in plan and 2 * model.decode_cost > goal.settings["decode_cost"]
+    return "allow a higher --decode-cost, or add a level" if bound else "add ranks or a level"
