@@ -13,7 +13,6 @@ from threadpoolctl import threadpool_info, threadpool_limits  # pyright: ignore[
 
 from hmkcta import Model, choose_plan, compress
 from hmkcta import open as open_model
-from hmkcta.measure import measure
 from hmkcta.synthetic import light_field, material
 
 DATA = material(lights=4, views=6, size=24, seed=2)
@@ -89,13 +88,6 @@ def test_the_file_is_as_large_as_the_model_says(name: str, tmp_path: Path) -> No
         back = open_model(path)
         assert back.nbytes == coarse.nbytes
         assert np.array_equal(np.asarray(back), np.asarray(coarse))
-
-
-def test_measuring_does_not_depend_on_threads() -> None:
-    model = fitted(plan="R=3,1,2,2 / R=2,1,2,2", quality="fast", threads=1)
-    found = [measure(model, DATA.values, slab=3000, threads=threads) for threads in (1, 3)]
-    assert found[0] == found[1]
-    assert found[0][-1].snr_db == pytest.approx(model.snr, abs=1e-6)
 
 
 def blas_threads() -> set[int]:

@@ -182,8 +182,7 @@ def _measured(task: Task, tree: Hierarchy) -> Model:
     if isinstance(tree.residual, Streamed):
         quality, transformed = measure_streamed(tree, tree.residual, task.run.progress)
     else:
-        quality, transformed = measure_both(model, source.array, nan=source.nan, progress=task.run.progress,
-                                            threads=task.run.threads)
+        quality, transformed = measure_both(model, source.array, nan=source.nan, progress=task.run.progress)
     measured = Model(_described(task, tree, quality, transformed)[0], levels)
     if task.plan.size is not None and measured.nbytes > task.plan.size:
         found, allowed = f"{task.plan.size} bytes", f"at least {measured.nbytes} bytes for this plan"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ from .axes import mode_rows, organise
 from .conventions import meant
 from .decode import add_level
 from .errors import invalid
-from .executors import in_order
 from .memory import drop_pages
 from .metrics import snr_db
 from .model import Model
@@ -24,8 +22,8 @@ from .transform import from_json
 
 F64 = NDArray[np.float64]
 
-#: Elements measured at once, some 40 bytes each: in so many slabs, for threads to share.
-SLAB, BESIDE = 1 << 21, 4
+#: Elements measured at once: some 40 bytes each.
+SLAB = 1 << 21
 #: Up to this SNR in dB the rounding of decoding in float32 is nothing beside the errors; above, float64 tells them.
 FINE = 40.0
 
@@ -73,17 +71,15 @@ class Sums:
 
 
 def measure(model: Model, source: Any, *, nan: float | None = None, progress: Progress | None = None,
-            slab: int = SLAB, threads: int = 1) -> tuple[LevelQuality, ...]:
+            slab: int = SLAB) -> tuple[LevelQuality, ...]:
     """Quality up to each level, as the file states it: on the stored numbers, against the source's values.
 
     Args:
         model: what to measure.
-        source: an array of the model's shape that NumPy can slice, in several threads if more are asked for; it is read
-            once, in slabs.
+        source: an array of the model's shape that NumPy can slice; it is read once, in slabs.
         nan: value that stands for NaN and infinity in the source.
         progress: called with a stage's name and the fraction done.
-        slab: elements to work on at once, by all threads.
-        threads: how many to work on, which changes no result.
+        slab: elements to work on at once.
 
     Raises:
         HmkctaError: the source has another shape, or values that are not finite and `nan` is None.
@@ -94,17 +90,17 @@ def measure(model: Model, source: Any, *, nan: float | None = None, progress: Pr
     >>> round(quality.snr_db, 2), round(quality.rmse, 2), quality.max_abs_error
     (19.19, 0.41, 1.0)
     """
-    return measure_both(model, source, nan=nan, progress=progress, slab=slab, threads=threads)[0]
+    return measure_both(model, source, nan=nan, progress=progress, slab=slab)[0]
 
 
 def measure_both(model: Model, source: Any, *, nan: float | None = None, progress: Progress | None = None,
-                 slab: int = SLAB, threads: int = 1) -> tuple[tuple[LevelQuality, ...], tuple[LevelQuality, ...]]:
+                 slab: int = SLAB) -> tuple[tuple[LevelQuality, ...], tuple[LevelQuality, ...]]:
     """As `measure`: quality in the domain of the source values, and in that of the value transform."""
     if tuple(source.shape) != model.shape:
         raise invalid("source-shape", "shape of the source", tuple(source.shape), f"{model.shape}, that of the file")
     source = meant(source)
-    sums = _summed(model, source, nan, progress, slab, np.float32, threads) or _summed(
-        model, source, nan, progress, slab, np.float64, threads
+    sums = _summed(model, source, nan, progress, slab, np.float32) or _summed(
+        model, source, nan, progress, slab, np.float64
     )
     assert sums is not None
     plain, transformed = sums
@@ -118,48 +114,36 @@ def _is_coarse(sums: Sums) -> bool:
 
 
 def _summed(
-    model: Model, source: Any, nan: float | None, progress: Progress | None, slab: int, dtype: type[np.floating[Any]],
-    threads: int,
+    model: Model, source: Any, nan: float | None, progress: Progress | None, slab: int, dtype: type[np.floating[Any]]
 ) -> tuple[Sums, Sums] | None:
     """Sums in both domains, in float64 whatever the type the model is decoded in; plain errors only if they differ.
 
     None where float32 does not tell the errors, of which the first slab mostly warns.
     """
+    metadata = model.metadata
+    transform = from_json(metadata.transform)
     plain, transformed = Sums(len(model.levels)), Sums(len(model.levels))
-    parts = list(slabs(model.shape, max(1, slab // BESIDE)))
-    of_slabs = in_order(partial(_of_slab, model, source, nan, dtype), parts, min(threads, BESIDE))
-    for part, (own_plain, own) in zip(parts, of_slabs, strict=True):
-        plain.merge(own_plain)
-        transformed.merge(own)
+    parts = list(slabs(model.shape, slab))
+    for part in parts:
+        values = _finite(np.asarray(source[part], np.float64), nan, part)
+        axes = [replace(axis, size=size, coords=None) for axis, size in zip(metadata.axes, values.shape, strict=True)]
+        tensor = organise(values, axes, metadata.organisation)
+        fitted = np.asarray(transform.forward(tensor), np.float64)
+        transformed.add_values(fitted)
+        if transform.name != "identity":
+            plain.add_values(tensor)
+        rows = mode_rows(metadata.axes, metadata.organisation, part)
+        decoded = np.zeros(tensor.shape, dtype)
+        for level in range(len(model.levels)):
+            add_level(model.levels, rows, decoded, level + 1)
+            transformed.add_error(level, fitted - decoded)
+            if transform.name != "identity":
+                plain.add_error(level, tensor - np.asarray(transform.inverse(decoded.astype(np.float64)), np.float64))
+        drop_pages(source)
         if dtype is np.float32 and part in (parts[0], parts[-1]) and not _is_coarse(transformed):
             return None
         if progress is not None:
             progress("measuring", transformed.count / model.size)
-    return plain, transformed
-
-
-def _of_slab(
-    model: Model, source: Any, nan: float | None, dtype: type[np.floating[Any]], part: tuple[slice, ...]
-) -> tuple[Sums, Sums]:
-    """The sums of one slab."""
-    metadata = model.metadata
-    transform = from_json(metadata.transform)
-    plain, transformed = Sums(len(model.levels)), Sums(len(model.levels))
-    values = _finite(np.asarray(source[part], np.float64), nan, part)
-    axes = [replace(axis, size=size, coords=None) for axis, size in zip(metadata.axes, values.shape, strict=True)]
-    tensor = organise(values, axes, metadata.organisation)
-    fitted = np.asarray(transform.forward(tensor), np.float64)
-    transformed.add_values(fitted)
-    if transform.name != "identity":
-        plain.add_values(tensor)
-    rows = mode_rows(metadata.axes, metadata.organisation, part)
-    decoded = np.zeros(tensor.shape, dtype)
-    for level in range(len(model.levels)):
-        add_level(model.levels, rows, decoded, level + 1)
-        transformed.add_error(level, fitted - decoded)
-        if transform.name != "identity":
-            plain.add_error(level, tensor - np.asarray(transform.inverse(decoded.astype(np.float64)), np.float64))
-    drop_pages(source)
     return plain, transformed
 
 

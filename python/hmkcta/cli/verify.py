@@ -8,7 +8,6 @@ from typing import Any
 import click
 
 from ..errors import HmkctaError, Kind
-from ..executors import thread_count
 from ..measure import measure
 from ..model import Model
 from ..model import open as open_model
@@ -54,7 +53,7 @@ def verify_command(file: str, against: str | None, nan: float | None, as_json: b
     array = opened("--against", against, source, quiet or as_json)
     if array is not None:
         with Progress(quiet or as_json) as progress:
-            measured = measure(model, array, nan=nan, progress=progress, threads=thread_count())
+            measured = measure(model, array, nan=nan, progress=progress)
         report["levels"] = _report(model, measured)
     if not as_json and not quiet:
         _show(file, model, measured)
