@@ -92,20 +92,22 @@ class Search:
         """
         sample, size = min(sample, self.most), self.trial.size
         new = list(dict.fromkeys(choice for choice in choices if (*choice, sample, size) not in self.seen))
-        # Side by side as far as memory goes.
-        workers = max(1, min(self.threads, len(new), self.together // (2 * sample)))
-
         again = sample < min(self.care.refine, self.most)
         known = {modes: kinds or (self.kinds(modes) if again else ()) for modes, _ in new}
 
         def judge(choice: Choice) -> Ranked:
             return self.trial.worths(*choice, sample, known[choice[0]])
 
-        for number, (choice, ranked) in enumerate(zip(new, in_order(judge, new, workers), strict=True), start=1):
+        judged = in_order(judge, new, self.workers(sample))
+        for number, (choice, ranked) in enumerate(zip(new, judged, strict=True), start=1):
             self.seen[(*choice, sample, size)] = ranked
             told(number / len(new))
         nothing = {choice: (0.0, Candidate(*choice, carried=False)) for choice in choices}
         return [max(self.seen[(*each, sample, size)], key=worth_of, default=nothing[each]) for each in choices]
+
+    def workers(self, sample: int) -> int:
+        """How many samples are worked on side by side, as far as memory goes."""
+        return max(1, min(self.threads, self.together // (2 * sample)))
 
     def every(self, choices: Sequence[Choice], sample: int) -> Ranked:
         """All candidates with these organisations and grids, judged before on this sample."""

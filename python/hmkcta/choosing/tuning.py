@@ -249,8 +249,7 @@ def _cut_further(search: Search, best: Candidate, progress: Progress) -> tuple[f
             # Whole blocks, as thinned ones flatter those that are large; the same ones for both.
             whole = blocks.FEWEST * prod(search.trial.source.shape) // prod(each.grid)
             sample = min(search.together, max(search.care.cuts, min(whole, search.care.refine)))
-            workers = max(1, min(search.threads, search.together // (2 * sample)))
-            mine, present = (worth(one, sample, each.grid, workers) for one in (each, now))
+            mine, present = (worth(one, sample, each.grid, search.workers(sample)) for one in (each, now))
             tried.append((mine - present, each))
         gain, found = max(tried, key=worth_of, default=(0.0, now))
         if gain > WORTHWHILE:

@@ -141,14 +141,18 @@ def unused(model: Model, goal: Goal, plan: str | None) -> list[str]:
     """A sentence on what keeps a file from its --size; none if it has it, or as much as is of any use."""
     if goal.size is None or model.nbytes >= USED * goal.size:
         return []
-    share, most = f"of --size {100 * model.nbytes / goal.size:.0f} % are used", goal.settings["decode_cost"]
-    bound = 2 * model.decode_cost > most
-    if plan is not None and not bound:
-        return [f"{share}: the ranks of the plan allow no more. Next: write higher ones"] if "<=" in plan else []
-    if not bound or (plan is not None and "<=" not in plan):
+    if plan is not None and "<=" not in plan:
         return []
-    return [f"{share}: nothing better was found within --decode-cost {most}. Next: allow more multiply-adds, "
-            "if what reads the file may take longer for an element"]
+    share = f"of --size {100 * model.nbytes / goal.size:.0f} % are used"
+    if _is_bound_by_cost(model, goal):
+        return [f"{share}: nothing better was found within --decode-cost {goal.settings['decode_cost']}. Next: allow "
+                "more multiply-adds, if what reads the file may take longer for an element"]
+    return [] if plan is None else [f"{share}: the ranks of the plan allow no more. Next: write higher ones"]
+
+
+def _is_bound_by_cost(model: Model, goal: Goal) -> bool:
+    """Whether a rank more may be beyond --decode-cost."""
+    return 2 * model.decode_cost > goal.settings["decode_cost"]
 
 
 def advice(model: Model, plan: str | None, goal: Goal) -> str:
@@ -160,5 +164,5 @@ def advice(model: Model, plan: str | None, goal: Goal) -> str:
         return f'write a level more, for what float16 numbers leave: --plan "{" / ".join(["R=.."] * (levels + 1))}"'
     if plan is None:
         return "allow a higher --decode-cost, or try --quality thorough"
-    bound = "<=" in plan and 2 * model.decode_cost > goal.settings["decode_cost"]
+    bound = "<=" in plan and _is_bound_by_cost(model, goal)
     return "allow a higher --decode-cost, or add a level" if bound else "add ranks or a level"
