@@ -15,6 +15,7 @@ from hmkcta.axes import name_axes
 from hmkcta.choosing.clustered import clustered
 from hmkcta.choosing.trial import trial_of
 from hmkcta.cli.notes import notes
+from hmkcta.errors import HmkctaError
 from hmkcta.memberships import start_candidates
 from hmkcta.source import prepare
 
@@ -85,6 +86,32 @@ def test_a_file_larger_than_its_source_is_told_what_helps() -> None:
     model = compress(noise, snr=60.0, threads=1, quality="fast")
     assert "less --snr" in notes(model, noise, planned=False)[0]
     assert "smaller R" in notes(model, noise)[0]
+
+
+@cache
+def sensors() -> NDArray[np.float32]:
+    """Four signals of 30,000 samples that follow one another in many ways, and noise."""
+    time = np.linspace(0, 60, 30_000)
+    signals = np.stack([np.sin(time), np.cos(1.7 * time), np.sin(time**2 / 30), np.exp(-(((time - 20) / 5) ** 2))], 1)
+    return (signals + 0.02 * np.random.default_rng(0).standard_normal(signals.shape)).astype(np.float32)
+
+
+def test_of_few_columns_clusters_are_found_between_the_ranks() -> None:
+    """All four columns take four bytes a row and reach 45 dB; clusters of rank two take three, of rank one two."""
+    model = compress(sensors(), snr=20.0, threads=1)
+    assert 20 <= model.snr < 20.6
+    assert model.nbytes < 0.8 * sensors().size
+
+
+def test_what_is_longer_than_all_else_is_told_to_make_windows() -> None:
+    model = compress(sensors(), snr=20.0, threads=1)
+    assert "array.reshape(200, 150, 4)" in notes(model, sensors())[0]
+    windows = sensors().reshape(200, 150, 4)
+    folded = compress(windows, snr=20.0, threads=1)
+    assert folded.nbytes < 0.7 * model.nbytes
+    assert notes(folded, windows) == []
+    with pytest.raises(HmkctaError, match=r"array\.reshape\(200, 150, 4\)"):
+        compress(sensors(), size=20_000)
 
 
 @pytest.mark.parametrize(("name", "role"), [("lat", "space"), ("longitude", "space"), ("band", "channel")])

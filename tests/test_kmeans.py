@@ -127,3 +127,19 @@ def test_clusters_are_balanced_and_the_same_by_both_backends(given_rows: Rows) -
     if len(np.unique(features, axis=0)) < clusters and cap is None:
         np.testing.assert_array_equal(labels, uniform_blocks(len(features), clusters))
     assert np.bincount(labels).max() <= most_rows(len(features), clusters, cap)
+
+
+def test_many_rows_are_parted_by_some_of_them() -> None:
+    """Of 60,000 rows 32,768 are looked at; all go where these say."""
+    rng, centres = np.random.default_rng(0), 10 * np.eye(4)
+    own = rng.integers(4, size=60_000)
+    labels = balanced_clusters(centres[own] + rng.standard_normal((60_000, 4)), 4, None, rng)
+    assert len(labels) == 60_000
+    pairs = np.unique(np.stack([own, labels]), axis=1)
+    assert pairs.shape[1] == 4  # each centre has one label, and each label one centre
+    assert len(set(pairs[1])) == 4
+
+
+def test_of_many_rows_that_are_alike_the_clusters_are_blocks() -> None:
+    labels = balanced_clusters(np.zeros((40_000, 2)), 3, None, np.random.default_rng(0))
+    np.testing.assert_array_equal(labels, uniform_blocks(40_000, 3))

@@ -134,6 +134,22 @@ def test_what_takes_more_memory_than_given_is_refused_before_the_work(
         compress(open_array(waves), plan, size=size, organisation=organisation, max_memory=300_000_000)
 
 
+#: Cores and bases of many cells, larger than the array: alone, and those that share elements.
+LARGE_MODELS = ["R=8 / R=8 C=4,4,8,8", "R=2 / R=6 C=4,4,8,8 K=2"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there is no getrusage")
+@pytest.mark.parametrize("plan", LARGE_MODELS)
+def test_memory_of_a_large_model_is_what_was_said_or_refused(plan: str, waves: Path, tmp_path: Path) -> None:
+    path, sizes = tmp_path / "small.npy", (40,) * 4
+    np.save(path, np.load(waves, mmap_mode="r")[:40, :40, :40, :40])
+    parsed = parse_plan(plan, MODES)
+    said = forecast(parsed, sizes, EFFORTS["fast"], 2, None).memory
+    assert said / 1.25 < taken("compress", path, plan=plan, quality="fast", scheme="most")["peak"] < 1.25 * said
+    with pytest.raises(HmkctaError, match=r"memory for the model of this plan.*--max-memory, or fewer clusters"):
+        forecast(replace(parsed, levels=(*parsed.levels, parsed.levels[-1])), sizes, EFFORTS["fast"], 2, 250_000_000)
+
+
 COMMAND = """
 import sys
 from hmkcta.forecast import peak_memory
@@ -197,6 +213,16 @@ def test_a_plan_costs_more_time_the_more_it_does() -> None:
 def test_many_nodes_cost_what_each_takes_beside_its_elements() -> None:
     plan = parse_plan("R=1 grid=y:24,x:24 / R=1", (("y",), ("x",)))
     assert 0.5 < forecast(plan, (480, 480), EFFORTS["medium"], 2, None).seconds < 2
+
+
+def test_a_large_model_costs_what_it_takes_beside_the_elements() -> None:
+    """Many cells of high rank have more numbers than the array; joint rows factor H, whatever the elements."""
+
+    def seconds(plan: str) -> float:
+        return forecast(parse_plan(plan, MODES), (50,) * 4, EFFORTS["fast"], 2, None).seconds
+
+    assert seconds("R=8 C=6,8,8,8 K=1") > 5 * seconds("R=2 C=6,8,8,8 K=1")
+    assert seconds("R=6 C=4 K=2") > 2 * seconds("R=2 C=4 K=2")
 
 
 def test_clusters_of_long_modes_cost_what_finding_them_takes() -> None:

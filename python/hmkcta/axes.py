@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass, replace
-from math import prod
+from math import isqrt, prod
 from numbers import Integral
 from typing import Any, cast
 
@@ -51,6 +51,21 @@ class Axis:
             raise invalid("unknown-role", f"role of axis {self.name!r}", self.role, ", ".join(ROLES))
         if not self.name or any(c in self.name for c in "+, /=") or not self.name.isprintable():
             raise invalid("bad-axis-name", "axis name", repr(self.name), "a word without + , / = or space")
+
+
+def folded(shape: Sequence[int]) -> tuple[int, ...] | None:
+    """The shape with an axis that is longer than all others together as two; None: none is, or it has no divisor near.
+
+    >>> folded((90_000, 8)), folded((300, 300)), folded((7919,))
+    ((300, 300, 8), None, None)
+    """
+    longest = max(range(len(shape)), key=lambda n: shape[n], default=0)
+    if not shape or shape[longest] ** 2 <= prod(shape):
+        return None
+    side = next(side for side in range(isqrt(shape[longest]), 0, -1) if shape[longest] % side == 0)
+    if side**4 < shape[longest]:
+        return None
+    return (*shape[:longest], shape[longest] // side, side, *shape[longest + 1 :])
 
 
 def listed_axes(axes: object) -> Sequence[Axis | str]:

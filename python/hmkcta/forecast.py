@@ -14,11 +14,22 @@ from .disjoint import JUDGING
 from .fit import EFFORTS, Effort
 from .measure import SLAB as MEASURED
 from .plan import LevelSpec, Plan
-from .predict import FLAT, MODEL, WORKING, is_streamed, joint_bytes, memory_limit, sampled_together
+from .predict import (
+    FLAT,
+    MODEL,
+    WORKING,
+    blocks,
+    is_streamed,
+    joint_bytes,
+    memory_limit,
+    model_bytes,
+    numbers,
+    sampled_together,
+)
 from .source import SLAB as CHECKED
 from .streamed import SLAB
 from .subdivision import CAP
-from .workset import blocks, check_worksets, fitting_bytes, projected_share, workset, worksets
+from .workset import check_worksets, fitting_bytes, projected_share, workset, worksets
 
 #: Bytes for each element of a tensor in memory: its residual lasts, the rest is `WORKING`; a saved residual for goals.
 _RESIDUAL, _SAVED = 4, 4
@@ -43,6 +54,8 @@ _HEAPS = 40 * 2**20
 _SOURCE_NS, _START_NS, _SWEEP_NS, _HOOI_NS, _PIECE_NS = 35.0, 25.0, 15.0, 10.0, 15.0
 #: Of k-means for each row, cluster and start; of a sweep of cells in turn for each element of each cell.
 _ROW_NS, _VISIT_NS = 215.0, 6.5
+#: Of a joint sweep for each number of H; and to find, refine and pack each number of a model.
+_GRAM_NS, _NUMBER_NS = 80.0, 250.0
 #: Of whatever is done for a node beside work on its elements, which holds the interpreter.
 _NODE_NS = 1.5e6
 #: What each further thread does of the work of one.
@@ -82,11 +95,12 @@ def forecast(
     if not is_streamed(elements, limit):
         working = WORKING + (_SAVED if own else 0)
         measuring = _RESIDUAL * elements + _MEASURING * min(elements, MEASURED)
-        most = held + _peak(choosing, working * elements, measuring)
+        most = held + _peak(choosing, working * elements + model_bytes(plan, sizes, threads), measuring)
         return Forecast(most, 0, _seconds(plan, sizes, effort, threads, limit))
     check_worksets(plan, sizes, limit, memory)
     if limit == elements:  # fitted in place
-        return Forecast(held + _peak(choosing, FLAT * elements), 0, _seconds(plan, sizes, effort, threads, limit))
+        most = held + _peak(choosing, FLAT * elements + model_bytes(plan, sizes, threads))
+        return Forecast(most, 0, _seconds(plan, sizes, effort, threads, limit))
     cut = next((n for n, level in enumerate(plan.levels[:-1]) if level.cells > 1), None)
     working = _outside(plan, sizes, limit, threads, cut)
     copies = int(cut is not None or any(level.disjoint or level.cuts for level in plan.levels))
@@ -97,7 +111,7 @@ def forecast(
 def _outside(plan: Plan, sizes: Sequence[int], limit: int, threads: int, cut: int | None) -> int:
     """Bytes for fitting the levels of a streamed tensor: on worksets, or on sub-tensors or blocks in memory."""
     most = slabs = _slabs(plan, sizes, limit, threads, cut)
-    elements = prod(sizes)
+    elements, fixed = prod(sizes), model_bytes(plan, sizes, threads)
     for number, (level, fitted) in enumerate(zip(plan.levels, worksets(plan, sizes, limit), strict=True)):
         below = cut is not None and number > cut
         together = fitted * max(1, min(threads, limit // max(1, fitted)))
@@ -109,14 +123,14 @@ def _outside(plan: Plan, sizes: Sequence[int], limit: int, threads: int, cut: in
             each = (_ALONE if level.cells == 1 else WORKING) * fitted
         else:
             each = fitting_bytes(sizes, level, limit) + int(_KEPT * slabs)
-        model = 2 * _numbers(sizes, level) if level.disjoint else 0
-        model = min(model, plan.size or 0) if level.own else model  # an SNR does not say how large
+        # An SNR does not say how large the model is.
+        model = MODEL * min(2 * numbers(sizes, level), plan.size or 0) if level.own else 0
         joint = joint_bytes(sizes, level, threads) if prod(sizes) > limit else 0
-        most = max(most, each + (_HEAPS if below else 0) + MODEL * model, joint)
+        most = max(most, each + (_HEAPS if below else 0) + model, joint)
         if number == cut and not level.grid:
             most = max(most, WORKING * min(limit, threads * _largest(elements, level)) + _HEAPS)
         sizes = blocks(sizes, level)
-    return most
+    return most + fixed
 
 
 def _slabs(plan: Plan, sizes: Sequence[int], limit: int, threads: int, cut: int | None) -> int:
@@ -126,15 +140,6 @@ def _slabs(plan: Plan, sizes: Sequence[int], limit: int, threads: int, cut: int 
     if not outside[0].disjoint:
         copies = _SLAB_COPIES + _SLAB_SEEN * max(projected_share(sizes, level) for level in outside)
     return int(4 * copies * SLAB * max(1, min(threads, limit // SLAB)))
-
-
-def _numbers(sizes: Sequence[int], level: LevelSpec) -> int:
-    """Numbers of a level of disjoint cells on a node of these sizes, all ranks as high as they may be."""
-    spec = level.clamped(sizes)
-    parts = zip(sizes, spec.clusters, spec.ranks, strict=True)
-    bases = sum(size * spec.cells // count * rank for size, count, rank in parts if rank is not None)
-    ranks = (size if rank is None else rank for size, rank in zip(sizes, spec.ranks, strict=True))
-    return bases + spec.cells * prod(ranks)
 
 
 def choosing_bytes(elements: int, effort: Effort, threads: int, memory: int | None) -> int:
@@ -178,7 +183,7 @@ def _largest(elements: int, level: LevelSpec) -> int:
 def _seconds(
     plan: Plan, sizes: Sequence[int], effort: Effort, threads: int, limit: int, cut: int | None = None
 ) -> float:
-    elements, starts, each = prod(sizes), 0.0, _SOURCE_NS + (0 if cut is None else _PIECE_NS * (1 + effort.backfits))
+    elements, beside, each = prod(sizes), 0.0, _SOURCE_NS + (0 if cut is None else _PIECE_NS * (1 + effort.backfits))
     alone, nodes = 0.0, 1
     for number, level in enumerate(plan.levels, start=1):
         own = effort.at(number, len(plan.levels))
@@ -193,12 +198,23 @@ def _seconds(
         if level.cells > 1 and not level.grid and level.scheme != "uniform":  # k-means is of rows, not of elements
             rows = sum(size * count for size, count in zip(sizes, level.clusters, strict=True) if count > 1)
             tried = own.candidates if max(level.mixture) == 1 else own.starts
-            starts += _ROW_NS * max(1, tried - 1) * rows * elements / prod(sizes)
+            beside += _ROW_NS * max(1, tried - 1) * rows * elements / prod(sizes)
+        beside += nodes * _model_ns(level, sizes, own.sweeps)
         if len(plan.levels) > 1:
             each += effort.backfits * (_SWEEP_NS + 10)
         alone, nodes = alone + _NODE_NS * nodes, min(nodes * level.cells, elements)
         sizes = blocks(sizes, level)
-    return 1e-9 * ((each * elements + starts) / (1 + _SECOND * (threads - 1)) + alone)
+    return 1e-9 * ((each * elements + beside) / (1 + _SECOND * (threads - 1)) + alone)
+
+
+def _model_ns(level: LevelSpec, sizes: Sequence[int], sweeps: int) -> float:
+    """Nanoseconds for what the model of a node takes beside its elements."""
+    spec = level.clamped(sizes)
+    overlap = max(spec.mixture) > 1
+    if overlap and spec.search != "fast":
+        return _GRAM_NS * sweeps * spec.products_bytes / 8
+    # Cells in turn begin anew for each cluster more, and their residual goes through the cache again and again.
+    return _NUMBER_NS * numbers(sizes, spec) * (max(spec.mixture) ** 2 if overlap else 1)
 
 
 def _visits(level: LevelSpec, sweeps: int) -> int:

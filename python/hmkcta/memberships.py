@@ -21,8 +21,9 @@ F64 = NDArray[np.float64]
 FEATURES, SAMPLE = 12, 2_000_000
 #: Up to this side Gram matrices are decomposed exactly; beyond it so many iterations find the leading vectors.
 EXACT_SIDE, ITERATIONS = 512, 8
-#: Rounds of k-means; it ends sooner where labels stay as they are.
-ROUNDS = 8
+#: Rounds of k-means; it ends sooner where labels stay as they are. Of more rows than these, and than so many for each
+#: cluster, some are parted: means change little with more.
+ROUNDS, ROWS, ROWS_EACH = 8, 1 << 15, 256
 #: Row normalisations f <- f |f|^(p-1) with size caps (times I/C), the most often best ones first.
 CANDIDATES: tuple[tuple[float, float | None], ...] = (
     (0.2, 1.2),
@@ -38,8 +39,10 @@ CANDIDATES: tuple[tuple[float, float | None], ...] = (
     (0.2, None),
     (1.0, 1.05),
 )
-#: Dimensions of the subspaces that rows are parted by where ranks are still to be chosen.
-SOME_DIMENSIONS = (3, 8)
+#: Dimensions of the subspaces that rows are parted by where ranks are still to be chosen, and of rows of few columns.
+SOME_DIMENSIONS, FEW_DIMENSIONS = (3, 8), (1, 2, 3)
+#: So few columns are few: a rank is a large step.
+NARROW = 16
 
 
 def block_sizes(size: int, blocks: int) -> list[int]:
@@ -100,13 +103,30 @@ def normalised(features: F64, power: float) -> F64:
 def balanced_clusters(
     features: F64, clusters: int, cap: float | None, rng: np.random.Generator, restarts: int = 2
 ) -> NDArray[np.intp]:
-    """K-means++ labels of the rows, no cluster larger than cap I/C (None: any size); best of several restarts."""
-    best, best_cost = uniform_blocks(len(features), clusters), np.inf
+    """K-means++ labels of the rows, no cluster larger than cap I/C (None: any size); best of several restarts.
+
+    Of very many rows some are parted, a quarter of which are enough to draw first centres from, and the others go to
+    the nearest of their means.
+    """
+    most = max(ROWS, ROWS_EACH * clusters)
+    some = features if len(features) <= most else features[np.sort(rng.permutation(len(features))[:most])]
+    first = some if some is features else some[::4]
+    best, best_cost = None, np.inf
     for _ in range(restarts):
-        labels, cost = kernels.cluster_rows(features, _spread_centres(features, clusters, rng), cap, ROUNDS)
+        labels, cost = kernels.cluster_rows(some, _spread_centres(first, clusters, rng), cap, ROUNDS)
         if cost < best_cost and np.bincount(labels, minlength=clusters).all():
             best, best_cost = labels, cost
+    if best is not None and some is not features:
+        best, _ = kernels.cluster_rows(features, _means(some, best), cap, 1)
+    if best is None or not np.bincount(best, minlength=clusters).all():
+        return uniform_blocks(len(features), clusters)
     return best
+
+
+def _means(rows: F64, labels: NDArray[np.intp]) -> F64:
+    """Means of the rows of each cluster, `[C, F]`, none of which is empty."""
+    sums = np.stack([np.bincount(labels, column) for column in rows.T], axis=1)
+    return sums / np.bincount(labels)[:, None]
 
 
 def _spread_centres(features: F64, clusters: int, rng: np.random.Generator) -> F64:
@@ -172,6 +192,16 @@ def start_candidates(
         yield from by_subspaces(tensor, spec, rng)
 
 
+def some_dimensions(columns: int) -> tuple[int, ...]:
+    """Dimensions of subspaces to part rows of so many columns by, while ranks are unknown.
+
+    >>> some_dimensions(4), some_dimensions(100)
+    ((1, 2, 3), (3, 8))
+    """
+    dimensions = dict.fromkeys((FEW_DIMENSIONS if columns <= NARROW else ()) + SOME_DIMENSIONS)
+    return tuple(dimension for dimension in dimensions if dimension < columns)
+
+
 def by_subspaces(
     tensor: NDArray[Any], spec: LevelSpec, rng: np.random.Generator
 ) -> Iterator[list[NDArray[np.intp]]]:
@@ -185,7 +215,7 @@ def by_subspaces(
     n, ranks = parted[0], [rank or size for rank, size in zip(spec.ranks, tensor.shape, strict=True)]
     most = prod(rank for m, rank in enumerate(ranks) if m != n)
     rows = sampled_rows(tensor, n).astype(np.float32, order="C").reshape(tensor.shape[n], -1)
-    for dimension in SOME_DIMENSIONS if spec.own else (min(ranks[n], most),):
+    for dimension in some_dimensions(rows.shape[1]) if spec.own else (min(ranks[n], most),):
         if dimension < rows.shape[1] and len(rows) >= 2 * spec.clusters[n]:
             labels = [np.zeros(size, np.intp) for size in tensor.shape]
             labels[n] = subspace_clusters(rows, spec.clusters[n], dimension, rng)

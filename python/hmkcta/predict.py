@@ -14,8 +14,9 @@ WORKSET = 1 << 26
 SMALLEST = 1 << 20
 #: Bytes for each of them: the tensor, its residual, and what is made on the way; and bytes of the process itself.
 WORKING, PROCESS = 14, 200 * 2**20
-#: Bytes for each byte of a model in the file: its numbers in float32, rounded, and packed.
-MODEL = 4
+#: Bytes for each byte of a model in the file: its numbers in float32, rounded, and packed; and further ones while it is
+#: fitted, of cells that share elements and of others: starts and sweeps keep the best beside what they try.
+MODEL, TRIED, TRIED_APART = 4, 11, 5
 #: Bytes for each element of a tensor that is fitted in place, by sweeps alone.
 FLAT = 5
 #: Elements of all the samples that are worked on at once while a plan is chosen, at most and, where memory is scarce,
@@ -30,14 +31,60 @@ def memory_limit(plan: Plan, sizes: Sequence[int], memory: int | None) -> int:
         HmkctaError: the memory given is less than even a streamed fit takes.
     """
     check_least_memory(prod(sizes), memory)
-    limit = workset_limit(memory)
+    beyond = max(0, model_bytes(plan, sizes) - PROCESS // 2)  # as much is part of a process that has loaded everything
+    least = PROCESS + WORKING * min(prod(sizes), SMALLEST) + beyond
+    check_memory(least, "the model of this plan", "raise --max-memory, or fewer clusters, lower ranks", memory)
+    limit = workset_limit(memory_budget(memory) - beyond)
     number, first = next(((n, level) for n, level in enumerate(plan.levels) if level.cells > 1), (0, plan.levels[0]))
     if prod(sizes) <= limit or _jointly(first, sizes, memory):
         return limit
     # Its cells are too many for joint rows: nothing but sweeps over a residual in memory.
     what = f"level {number + 1} ({first}), {first.cells} cells"
-    check_memory(PROCESS + FLAT * prod(sizes), what, "raise --max-memory, or fewer clusters, more levels", memory)
+    least = PROCESS + FLAT * prod(sizes) + beyond
+    check_memory(least, what, "raise --max-memory, or fewer clusters, more levels", memory)
     return prod(sizes)
+
+
+def model_bytes(plan: Plan, sizes: Sequence[int], threads: int = 1) -> int:
+    """Bytes that the model of a plan takes: of all levels, and of the nodes that are fitted together.
+
+    Nothing for ranks of each node's own, which a goal decides.
+
+    >>> from hmkcta.plan import parse_plan
+    >>> plan = parse_plan("R=8 / R=8 C=6,8,8,8 K=1", [("light",), ("view",), ("y",), ("x",)])
+    >>> model_bytes(plan, (50, 50, 50, 50)) // 2**20
+    226
+    """
+    held, most, nodes = 0, 0, 1
+    for level in plan.levels:
+        if level.own:
+            break
+        spec = level.clamped(sizes)
+        node = 2 * numbers(sizes, spec)
+        held += MODEL * nodes * node
+        most = max(most, held + min(nodes, threads) * _tried_bytes(spec, node))
+        nodes, sizes = nodes * spec.cells, blocks(sizes, spec)
+    return most
+
+
+def _tried_bytes(spec: LevelSpec, node: int) -> int:
+    """Bytes beside a node's model, of so many bytes, while it is fitted."""
+    if max(spec.mixture) == 1:
+        return TRIED_APART * node // (spec.cells if spec.disjoint else 1)
+    return TRIED * node + (0 if spec.search == "fast" else spec.products_bytes)
+
+
+def numbers(sizes: Sequence[int], level: LevelSpec) -> int:
+    """Numbers of a level on a node of these sizes, of cores and bases; all ranks as high as they may be."""
+    spec = level.clamped(sizes)
+    parts = list(zip(sizes, spec.clusters, spec.mixture, spec.ranks, strict=True))
+    bases = sum(size * k * (spec.cells // c) * rank for size, c, k, rank in parts if rank is not None)
+    return bases + spec.cells * prod(size if rank is None else rank for size, _, _, rank in parts)
+
+
+def blocks(sizes: Sequence[int], level: LevelSpec) -> tuple[int, ...]:
+    """Sizes of the parts that a level's clusters cut a node into, were they equal."""
+    return tuple(-(-size // count) for size, count in zip(sizes, level.clamped(sizes).clusters, strict=True))
 
 
 def workset_limit(memory: int | None) -> int:

@@ -17,6 +17,7 @@ from .alternatives import (
 )
 from .axes import mode_sizes
 from .errors import HmkctaError
+from .filesize import planned_bytes
 from .finer import LARGE, finer, is_coarse
 from .fit import EFFORTS
 from .follow import Task, follow
@@ -188,10 +189,16 @@ def _with_other_clusters(task: Task, model: Model) -> tuple[Task, Model]:
         before = None
         while found is not before:
             before, near = found, (with_clusters_times(found[0].plan, factor) for factor in (step, 1 / step))
-            plans = [plan for plan in near if plan is not None and plan not in tried]
+            plans = [plan for plan in near if plan is not None and plan not in tried and _fits(task, plan)]
             tried.update(plans)
             found = _best([found, *_further(task, plans)])
     return found
+
+
+def _fits(task: Task, plan: Plan) -> bool:
+    """Whether a size has room for ranks of one, before clusters are looked for."""
+    least = (replace(level, ranks=tuple(rank and 1 for rank in level.ranks), own=False) for level in plan.levels)
+    return task.plan.size is None or planned_bytes(replace(plan, levels=tuple(least)), task.source) <= task.plan.size
 
 
 def _in_two(task: Task, others: Sequence[Plan]) -> Iterator[Plan]:

@@ -23,7 +23,7 @@ from .fit import Effort, Labels, fit_level
 from .memory import check_memory, give_back_freed_memory
 from .pieces import Rows
 from .plan import LevelSpec, Plan
-from .predict import PROCESS, WORKING, joint_bytes
+from .predict import PROCESS, WORKING, blocks, joint_bytes
 from .projection import project_one
 from .search import all_products, choose_rows, project_model, right_sides
 from .slabs import slabs
@@ -100,11 +100,6 @@ def _seen(sizes: Sequence[int], steps: Sequence[int]) -> int:
     return prod(-(-size // step) for size, step in zip(sizes, steps, strict=True))
 
 
-def blocks(sizes: Sequence[int], level: LevelSpec) -> tuple[int, ...]:
-    """Sizes of the parts that a level's clusters cut a node into, were they equal."""
-    return tuple(-(-size // count) for size, count in zip(sizes, level.clamped(sizes).clusters, strict=True))
-
-
 def worksets(plan: Plan, sizes: Sequence[int], limit: int) -> list[int]:
     """The `workset` of every level, on nodes as large as equal parts of those above are."""
     found = list[int]()
@@ -117,8 +112,8 @@ def worksets(plan: Plan, sizes: Sequence[int], limit: int) -> list[int]:
 def fitting_bytes(sizes: Sequence[int], level: LevelSpec, limit: int) -> int:
     """Bytes that fitting a level to the workset of a node of these sizes takes, once that is read.
 
-    They are for the workset, and for what is left of it and inner products where cells overlap, or else for the largest
-    cell; of an HOSVD also for what the first projection leaves.
+    They are for the workset, and for what is left of it where cells overlap, or else for the largest cell; of an HOSVD
+    also for what the first projection leaves.
     """
     spec = level.clamped(sizes)
     steps = thinning(sizes, spec, limit)
@@ -128,7 +123,7 @@ def fitting_bytes(sizes: Sequence[int], level: LevelSpec, limit: int) -> int:
         return int(4 * elements * (2 + 2 * min(1.0, *shares)))
     if max(spec.mixture) == 1:
         return int(4 * elements * (1 + 1 / spec.cells))
-    return 8 * elements + spec.products_bytes
+    return 8 * elements
 
 
 def projected_share(sizes: Sequence[int], level: LevelSpec) -> float:

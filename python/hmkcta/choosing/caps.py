@@ -14,9 +14,9 @@ from ..axes import Organisation, mode_sizes
 from ..grids import few_grids
 from ..memory import available_memory, check_memory, memory_budget
 from ..plan import LevelSpec, Plan
-from ..predict import FLAT, MODEL, PROCESS, WORKING, is_streamed, joint_bytes, workset_limit
+from ..predict import FLAT, MODEL, PROCESS, WORKING, blocks, is_streamed, joint_bytes, workset_limit
 from ..source import Source
-from ..workset import FEWEST, blocks, next_step, thinning, workset
+from ..workset import FEWEST, next_step, thinning, workset
 from .candidates import clusters_of
 from .organisations import organisations
 

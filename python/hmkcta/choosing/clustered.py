@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..allocation import best_of_one, choices_of, pareto
 from ..axes import Organisation, mode_sizes
 from ..executors import in_order
-from ..memberships import CANDIDATES, SOME_DIMENSIONS, balanced_clusters, normalised, row_features
+from ..memberships import CANDIDATES, NARROW, balanced_clusters, normalised, row_features, some_dimensions
 from ..plan import MOST_RANKS
 from ..slabs import thinning
 from ..subspaces import subspace_clusters
@@ -97,7 +97,8 @@ def clustered(
     """What the matrices of two modes are worth with so many clusters of the rows of the longer one, at the best ranks.
 
     The shorter mode is left undecomposed: each cell has columns of its own. From the first number of clusters on, twice
-    and half as many are looked at while that helps. `few` rows tell less.
+    and half as many are looked at while that helps; of few columns, where a rank is a large step, all. `few` rows tell
+    less.
     """
     sizes = mode_sizes(trial.source.axes, organisation)
     if len(sizes) != 2 or min(sizes) > MOST_COLUMNS or min(sizes) < 2:
@@ -107,7 +108,7 @@ def clustered(
     possible = [count for count in COUNTS if len(rows) >= FEWEST_ROWS * count]
     if not possible or not rows.any():
         return
-    first = min(len(possible) - 1, COUNTS.index(FIRST))
+    first, columns = min(len(possible) - 1, COUNTS.index(FIRST)), rows.shape[1]
     features = normalised(row_features(rows, 0), LIKELIEST[0])
     judged = partial(_judged, trial, organisation, rows, features, long=long, few=few, threads=threads)
     begun = judged(possible[first])
@@ -117,7 +118,7 @@ def clustered(
         for count in way:
             item = judged(count)
             yield item
-            if item[0] <= reached:
+            if item[0] <= reached and columns > NARROW:
                 break
             reached = item[0]
 
@@ -146,7 +147,7 @@ def _judged(
                   else balanced_clusters(features, count, LIKELIEST[1], rng))  # fmt: skip
         return _left(rows, labels, limit, trial.seed)
 
-    dimensions = [0, *(d for d in (() if few else SOME_DIMENSIONS) if d < rows.shape[1])]
+    dimensions = [0] if few else [0, *some_dimensions(rows.shape[1])]
     reached = np.minimum.reduce(list(in_order(left_by, dimensions, threads)))
     left = np.concatenate([[energy], reached[choices.entry]])
     kept = pareto(choices.nbytes, left)

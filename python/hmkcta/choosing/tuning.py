@@ -13,7 +13,7 @@ from dataclasses import replace
 from functools import partial
 from math import inf, log10, prod
 
-from ..axes import Organisation, mode_sizes
+from ..axes import Organisation, folded, mode_sizes
 from ..errors import invalid
 from ..filesize import planned_bytes
 from ..fit import EFFORTS
@@ -95,7 +95,7 @@ def tune(
         least = planned_bytes(plan_of(source, best, None, None, 1), source, seed=run.seed)
         if ceiling is None:
             allowed = f"at least {least} bytes for an array of {elements} elements"
-            raise invalid("size-too-small", "size", f"{size} bytes", allowed, "ask for more, or merge axes")
+            raise invalid("size-too-small", "size", f"{size} bytes", allowed, _more_room(source.shape))
         size = least
     if search.highest > (ceiling or inf):
         snr, size = snr or ceiling, None  # what fills the bytes beyond the ceiling reaches it with fewer
@@ -111,6 +111,12 @@ def tune(
         spare = search.rivals if source.value_transform.name == "identity" else [found, *search.rivals]
     plans = [plan_of(source, each, snr, size, decode_cost) for each in (best, *spare)]
     return _held(plans, source, room_of(elements, memory))  # anew, as what is free varies
+
+
+def _more_room(shape: Sequence[int]) -> str:
+    """What to do where a size is too small: each row of each mode takes a byte or two."""
+    windows = folded(shape)
+    return "ask for more, or merge axes" + ("" if windows is None else f", or make windows, array.reshape{windows}")
 
 
 def _searched(

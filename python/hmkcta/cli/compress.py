@@ -147,7 +147,9 @@ def unused(model: Model, goal: Goal, plan: str | None) -> list[str]:
     if _is_bound_by_cost(model, goal):
         return [f"{share}: nothing better was found within --decode-cost {goal.settings['decode_cost']}. Next: allow "
                 "more multiply-adds, if what reads the file may take longer for an element"]
-    return [] if plan is None else [f"{share}: the ranks of the plan allow no more. Next: write higher ones"]
+    if plan is None:
+        return [f"{share}: nothing larger that was tried is better"]
+    return [f"{share}: the ranks of the plan allow no more. Next: write higher ones"]
 
 
 def _is_bound_by_cost(model: Model, goal: Goal) -> bool:

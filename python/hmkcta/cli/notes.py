@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..axes import folded
 from ..memory import drop_pages
 from ..model import Model
 from ..slabs import thinning
@@ -23,6 +24,8 @@ LOUD, FEW = 20.0, 3.0
 BYTES = {8: "a byte", 16: "two bytes"}
 #: An offset counts as one beyond so many deviations, and hides the values where the error is this share of one.
 OFFSET, HIDDEN = 3.0, 0.5
+#: Rows of one mode are most of a file from this share on.
+MOSTLY = 0.5
 
 
 def notes(model: Model, array: NDArray[Any], *, planned: bool = True) -> list[str]:
@@ -37,6 +40,9 @@ def notes(model: Model, array: NDArray[Any], *, planned: bool = True) -> list[st
     if sum(size > 1 for size in array.shape) == 1:
         found.append(f"one axis has nothing to share: every number takes {BYTES[model.levels[-1].bits]}. "
                      "Next: make windows of a signal, array.reshape(-1, 256)")
+    elif (share := _share_of_rows(model)) > MOSTLY and (windows := folded(array.shape)) is not None:
+        found.append(f"the longest axis has more rows than the others have together, which take {100 * share:.0f} % of "
+                     f"the file. Next: where neighbours are alike, make windows of it, array.reshape{windows}")
     elif model.nbytes >= array.nbytes:
         why = _why_large(model, array, planned)
         found.append(f"the file is no smaller than its source of {array.nbytes} bytes; {why}")
@@ -48,6 +54,13 @@ def notes(model: Model, array: NDArray[Any], *, planned: bool = True) -> list[st
     else:
         found += _few_loud(model, array)
     return found
+
+
+def _share_of_rows(model: Model) -> float:
+    """The share of a file that the bases of its longest mode take, which has a row each for every row."""
+    bases = (sum(level.bits // 8 * basis.size for level in model.levels if (basis := level.basis[n]) is not None)
+             for n in range(len(model.plan.organisation)))
+    return max(bases) / model.nbytes
 
 
 def _why_large(model: Model, array: NDArray[Any], planned: bool) -> str:
