@@ -146,9 +146,10 @@ def test_what_a_file_says_of_its_source_may_be_anything(told: object, shown: str
     (1e6 + smooth(12, 14, 16), "subtract the mean first"),
     (smooth(3, 4, 5), "no smaller than its source of 240 bytes"),
     (np.ones((1, 1)), "no smaller than its source of 8 bytes"),
+    (np.arange(3.0), "no smaller than its source of 24 bytes"),
     (np.where(np.arange(6720).reshape(12, 20, 28) % 3000 == 7, 9e4, smooth(12, 20, 28)), "--transform asinh:"),
     (smooth(16, 20, 24), None),
-], ids=["vector", "offset", "tiny", "one number", "outliers", "none"])
+], ids=["vector", "offset", "tiny", "one number", "three numbers", "outliers", "none"])
 def test_what_figures_do_not_tell_is_said(array: NDArray[Any], sentence: str | None, tmp_path: Path) -> None:
     path, words = saved(tmp_path / "a.npy", array), ("--quality", "fast", "--overwrite")
     result = run("compress", path, "-o", tmp_path / "a.hmk", *words)
@@ -176,6 +177,11 @@ def test_a_size_beyond_what_is_of_use_is_said_to_be(tmp_path: Path) -> None:
     result = run("compress", path, "-o", tmp_path / "a.hmk", "--size", "40KB")
     assert re.search(r"of --size \d+ % are used: nothing larger that was tried is better", result.stderr)
     assert (tmp_path / "a.hmk").stat().st_size < 0.95 * 40_000
+
+
+def test_nothing_is_said_of_a_size_where_no_error_is_left(tmp_path: Path) -> None:
+    path = saved(tmp_path / "a.npy", np.full((20, 30, 40), 3.0))
+    assert run("compress", path, "-o", tmp_path / "a.hmk", "--size", "5KB").stderr == ""
 
 
 def test_what_numpy_makes_of_flags_is_not_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -168,7 +168,8 @@ def compress(
         check_kind(source.axes, kind or source.kind)
         if plan is not None:
             plan = _with_all_said(plan, source, wanted, scheme)
-        check_least_memory(prod(source.shape), max_memory)  # before anything is kept of a run that cannot be
+        # Before anything is kept of a run that cannot be.
+        check_least_memory(prod(source.shape), max_memory, choosing=plan is None)
         if journal is not None:
             run = replace(run, journal=journal)
             journal.begin(decisive(source, plan, kind=kind, quality=quality, scheme=scheme, seed=run.seed,

@@ -30,7 +30,7 @@ def memory_limit(plan: Plan, sizes: Sequence[int], memory: int | None) -> int:
     Raises:
         HmkctaError: the memory given is less than even a streamed fit takes.
     """
-    check_least_memory(prod(sizes), memory)
+    check_least_memory(prod(sizes), memory, choosing=False)
     beyond = max(0, model_bytes(plan, sizes) - PROCESS // 2)  # as much is part of a process that has loaded everything
     least = PROCESS + WORKING * min(prod(sizes), SMALLEST) + beyond
     check_memory(least, "the model of this plan", "raise --max-memory, or fewer clusters, lower ranks", memory)
@@ -113,14 +113,16 @@ def joint_bytes(sizes: Sequence[int], level: LevelSpec, threads: int = 1) -> int
     return 8 * (3 + threads) * most + spec.products_bytes
 
 
-def check_least_memory(elements: int, memory: int | None) -> None:
-    """Refuse to begin with less memory than any plan takes.
+def check_least_memory(elements: int, memory: int | None, *, choosing: bool) -> None:
+    """Refuse to begin with less memory than any plan takes; if that is to be chosen, the least named is for both.
 
     Raises:
         HmkctaError: the memory given is less than even a streamed fit takes.
     """
     if memory is not None:
         least = PROCESS + WORKING * min(elements, SMALLEST)
+        if choosing and memory < least:
+            least = PROCESS + EACH * min(elements, FEWEST)
         check_memory(least, "compressing this array", "allow more with max_memory or --max-memory", memory)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from math import isinf
 from typing import Any
 from warnings import catch_warnings, simplefilter
 
@@ -139,7 +140,7 @@ def missed_goal(model: Model, goal: Goal) -> str | None:
 
 def unused(model: Model, goal: Goal, plan: str | None) -> list[str]:
     """A sentence on what keeps a file from its --size; none if it has it, or as much as is of any use."""
-    if goal.size is None or model.nbytes >= USED * goal.size:
+    if goal.size is None or model.nbytes >= USED * goal.size or isinf(model.snr):
         return []
     if plan is not None and "<=" not in plan:
         return []

@@ -24,6 +24,8 @@ LOUD, FEW = 20.0, 3.0
 BYTES = {8: "a byte", 16: "two bytes"}
 #: An offset counts as one beyond so many deviations, and hides the values where the error is this share of one.
 OFFSET, HIDDEN = 3.0, 0.5
+#: Samples of a signal side by side.
+WINDOW = 256
 #: Rows of one mode are most of a file from this share on.
 MOSTLY = 0.5
 
@@ -37,9 +39,9 @@ def notes(model: Model, array: NDArray[Any], *, planned: bool = True) -> list[st
     'one axis has nothing to share: every number takes two bytes.'
     """
     found: list[str] = []
-    if sum(size > 1 for size in array.shape) == 1:
+    if sum(size > 1 for size in array.shape) == 1 and array.size >= 2 * WINDOW:
         found.append(f"one axis has nothing to share: every number takes {BYTES[model.levels[-1].bits]}. "
-                     "Next: make windows of a signal, array.reshape(-1, 256)")
+                     f"Next: make windows of a signal, array.reshape(-1, {WINDOW})")
     elif (share := _share_of_rows(model)) > MOSTLY and (windows := folded(array.shape)) is not None:
         found.append(f"the longest axis has more rows than the others have together, which take {100 * share:.0f} % of "
                      f"the file. Next: where neighbours are alike, make windows of it, array.reshape{windows}")
