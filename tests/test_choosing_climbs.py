@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
-from hmkcta import compress
+from cli_tools import smooth
+from hmkcta import choose_plan, compress
 from hmkcta.choosing.candidates import Candidate
 from hmkcta.choosing.climbing import climbed
 from hmkcta.choosing.judging import CARES, Search
@@ -63,3 +66,17 @@ def _search(monkeypatch: pytest.MonkeyPatch, blocks: dict[tuple[int, ...], float
     array = np.random.default_rng(0).random((48, 48, 16))
     trial = trial_of(prepare(array, None, "identity", None), 4000, None, 4096, 0)
     return Search(trial, trial, PLAIN, 1, CARES[EFFORTS["thorough"]], 1 << 20, 0)
+
+
+@pytest.mark.parametrize("goal", [{"size": 3000}, {"snr": 40.0}], ids=["size", "SNR"])
+def test_what_is_done_of_a_stage_of_the_choice_never_falls(goal: dict[str, Any]) -> None:
+    """But where numbers of one kind are looked at twice."""
+    told = list[tuple[str, float]]()
+    values = smooth(20, 30, 40) + 0.01 * np.random.default_rng(0).standard_normal((20, 30, 40))
+    choose_plan(values, progress=lambda stage, done: told.append((stage, done)), threads=1, **goal)
+    stages = {stage for stage, _ in told}
+    assert {"organisation, 8-bit numbers", "blocks, 8-bit numbers"} <= stages
+    for stage in stages:
+        shares = [done for each, done in told if each == stage]
+        assert shares == sorted(shares)
+        assert 0 <= shares[-1] <= 1

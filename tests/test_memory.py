@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shlex
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -27,43 +26,16 @@ from hmkcta.memory import drop_pages, looked_at
 from hmkcta.plan import parse_plan
 from hmkcta.readers import open_array
 from hmkcta.source import Source, described, prepare
+from memory_tools import printed, taken, write_waves
 
 SIDE = 72
 MODES = tuple((f"axis{n}",) for n in range(4))
 
-#: Compresses a file, or chooses its plan, and says what that took.
-PROGRAM = """
-import json, sys
-import hmkcta
-from hmkcta.forecast import peak_memory
-path, work, options = sys.argv[1:]
-made = getattr(hmkcta, work)(hmkcta.open_array(path), threads=2, **json.loads(options))
-print(json.dumps({"peak": peak_memory(), "snr": getattr(made, "snr", None)}))
-"""
-
-
-def printed(program: str, *words: object) -> str:
-    """By a process of its own, as peak memory never falls."""
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    command = [sys.executable, "-c", program, *map(str, words)]
-    return subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, env=environment).stdout
-
-
-def taken(work: str, path: Path, /, **options: object) -> dict[str, float]:
-    """Most memory of `compress` or `choose_plan` on a file, and the SNR of a model."""
-    return json.loads(printed(PROGRAM, path, work, json.dumps(options)))
-
-
 @pytest.fixture(scope="module")
 def waves(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A file of 107 MB: two separable waves and noise."""
-    path, rng = tmp_path_factory.mktemp("waves") / "waves.npy", np.random.default_rng(0)
-    values = np.lib.format.open_memmap(path, mode="w+", dtype=np.float32, shape=(SIDE,) * 4)
-    wave = [np.sin(np.linspace(0, 5 + n, SIDE)) for n in range(8)]
-    for i in range(SIDE):
-        values[i] = wave[0][i] * np.einsum("a,b,c->abc", *wave[1:4]) + wave[4][i] * np.einsum("a,b,c->abc", *wave[5:])
-        values[i] += 0.1 * rng.standard_normal((SIDE,) * 3, np.float32)
-    values.flush()
+    path = tmp_path_factory.mktemp("waves") / "waves.npy"
+    write_waves(path, SIDE)
     return path
 
 
@@ -134,22 +106,6 @@ def test_what_takes_more_memory_than_given_is_refused_before_the_work(
         compress(open_array(waves), plan, size=size, organisation=organisation, max_memory=300_000_000)
 
 
-#: Cores and bases of many cells, larger than the array: alone, and those that share elements.
-LARGE_MODELS = ["R=8 / R=8 C=4,4,8,8", "R=2 / R=6 C=4,4,8,8 K=2"]
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="there is no getrusage")
-@pytest.mark.parametrize("plan", LARGE_MODELS)
-def test_memory_of_a_large_model_is_what_was_said_or_refused(plan: str, waves: Path, tmp_path: Path) -> None:
-    path, sizes = tmp_path / "small.npy", (40,) * 4
-    np.save(path, np.load(waves, mmap_mode="r")[:40, :40, :40, :40])
-    parsed = parse_plan(plan, MODES)
-    said = forecast(parsed, sizes, EFFORTS["fast"], 2, None).memory
-    assert said / 1.25 < taken("compress", path, plan=plan, quality="fast", scheme="most")["peak"] < 1.25 * said
-    with pytest.raises(HmkctaError, match=r"memory for the model of this plan.*--max-memory, or fewer clusters"):
-        forecast(replace(parsed, levels=(*parsed.levels, parsed.levels[-1])), sizes, EFFORTS["fast"], 2, 250_000_000)
-
-
 COMMAND = """
 import sys
 from hmkcta.forecast import peak_memory
@@ -193,55 +149,6 @@ def test_a_plan_says_what_choosing_it_takes_and_what_following_it(tmp_path: Path
     assert " more to choose it anew" in run(*words).stdout
     assert report(*words, "--plan", "R<=4")["choosing_seconds"] is None
     assert " more to choose it anew" not in run(*words, "--plan", "R<=4").stdout
-
-
-def test_scratch_space_is_that_of_the_tensor_where_it_is_subdivided() -> None:
-    sizes = (174, 58, 400, 380)
-    for text, scratch in [("R=4", 0), ("R=2 C=2", 0), ("R=4 / R=2 C=2 / R=1", 4 * int(np.prod(sizes)))]:
-        cost = forecast(parse_plan(text, MODES), sizes, EFFORTS["fast"], 2, 1_400_000_000)
-        assert cost.scratch == scratch
-
-
-def test_a_plan_costs_more_time_the_more_it_does() -> None:
-    sizes, seconds = (100, 100, 100, 100), list[float]()
-    tried = [("R=2", "fast"), ("R=2 C=2 K=2", "fast"), ("R=2 C=2 K=2", "medium"), ("R=2 C=9 K=2", "medium")]
-    for text, effort in tried:
-        seconds.append(forecast(parse_plan(text, MODES), sizes, EFFORTS[effort], 2, None).seconds)
-    assert seconds == sorted(set(seconds))
-
-
-def test_many_nodes_cost_what_each_takes_beside_its_elements() -> None:
-    plan = parse_plan("R=1 grid=y:24,x:24 / R=1", (("y",), ("x",)))
-    assert 0.5 < forecast(plan, (480, 480), EFFORTS["medium"], 2, None).seconds < 2
-
-
-def test_a_large_model_costs_what_it_takes_beside_the_elements() -> None:
-    """Many cells of high rank have more numbers than the array; joint rows factor H, whatever the elements."""
-
-    def seconds(plan: str) -> float:
-        return forecast(parse_plan(plan, MODES), (50,) * 4, EFFORTS["fast"], 2, None).seconds
-
-    assert seconds("R=8 C=6,8,8,8 K=1") > 5 * seconds("R=2 C=6,8,8,8 K=1")
-    assert seconds("R=6 C=4 K=2") > 2 * seconds("R=2 C=4 K=2")
-
-
-def test_clusters_of_long_modes_cost_what_finding_them_takes() -> None:
-    """K-means of many rows takes longer than all of the fit."""
-    modes, sizes = (("pixel",), ("frame",)), (200_000, 60)
-
-    def seconds(plan: str) -> float:
-        return forecast(parse_plan(plan, modes), sizes, EFFORTS["medium"], 2, None).seconds
-
-    assert seconds("R<=60,* C=64,1") > 3 * seconds("R<=60,* C=2,1") > seconds("R<=60,*")
-
-
-def test_sweeps_take_little_of_the_time_where_they_are_of_a_workset() -> None:
-    def longer(size: int) -> float:
-        sizes, plan = (size, size, size, size), parse_plan("R=2 C=2 K=2", MODES)
-        fast, thorough = (forecast(plan, sizes, EFFORTS[each], 2, 2_000_000_000) for each in ("fast", "thorough"))
-        return thorough.seconds / fast.seconds
-
-    assert longer(90) > 2 > 1.2 > longer(300)
 
 
 BYTES = [

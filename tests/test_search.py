@@ -231,10 +231,14 @@ def lone_errors(cells: Cells, tensor: F32, n: int) -> F64:
     return errors
 
 
+@pytest.mark.parametrize("most_cells", [GRAM_CELLS, 1], ids=["by inner products", "by what is left"])
 @pytest.mark.parametrize(("shape", "text"), TENSORS)
-def test_most_and_least_significant_parts_are_brute_force(shape: Sequence[int], text: str) -> None:
+def test_most_and_least_significant_parts_are_brute_force(
+    shape: Sequence[int], text: str, most_cells: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     tensor = shuffled(smooth(*shape, noise=0.3))
     cells = fit(tensor, text)
+    monkeypatch.setattr("hmkcta.plan.GRAM_CELLS", most_cells)  # of more the inner products are not looked at
     most, least = subdivide(cells, tensor, "most"), subdivide(cells, tensor, "least")
     for n, (members, mixture) in enumerate(zip(cells.members, cells.spec.mixture, strict=True)):
         if mixture == 1:

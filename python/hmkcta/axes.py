@@ -53,11 +53,11 @@ class Axis:
             raise invalid("bad-axis-name", "axis name", repr(self.name), "a word without + , / = or space")
 
 
-def folded(shape: Sequence[int]) -> tuple[int, ...] | None:
-    """The shape with an axis that is longer than all others together as two; None: none is, or it has no divisor near.
+def folded(shape: Sequence[int]) -> str | None:
+    """How to make two axes of one that is longer than all others together; None: none is, or it has no divisor near.
 
     >>> folded((90_000, 8)), folded((300, 300)), folded((7919,))
-    ((300, 300, 8), None, None)
+    ('array.reshape(300, 300, 8)', None, None)
     """
     longest = max(range(len(shape)), key=lambda n: shape[n], default=0)
     if not shape or shape[longest] ** 2 <= prod(shape):
@@ -65,7 +65,7 @@ def folded(shape: Sequence[int]) -> tuple[int, ...] | None:
     side = next(side for side in range(isqrt(shape[longest]), 0, -1) if shape[longest] % side == 0)
     if side**4 < shape[longest]:
         return None
-    return (*shape[:longest], shape[longest] // side, side, *shape[longest + 1 :])
+    return f"array.reshape{(*shape[:longest], shape[longest] // side, side, *shape[longest + 1 :])}"
 
 
 def listed_axes(axes: object) -> Sequence[Axis | str]:

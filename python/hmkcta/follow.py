@@ -35,7 +35,7 @@ from .model import Model
 from .pack import bounds, pack_levels
 from .packed import LevelQuality, Metadata, PackedLevel
 from .plan import SCHEMES, LevelSpec, Plan, check_plan
-from .predict import is_streamed, memory_limit
+from .predict import is_streamed, memory_limit, room_beside
 from .source import Source
 from .streamed import Streamed
 from .workset import check_worksets
@@ -66,7 +66,8 @@ def follow(task: Task) -> Model:
         HmkctaError: the plan does not fit the tensor, or its goal is below what it can do.
     """
     give_back_freed_memory()
-    plan, run = task.plan, task.run
+    run = replace(task.run, room=room_beside(prod(task.source.shape), task.memory))
+    task, plan = replace(task, run=run), task.plan
     check_plan(plan, mode_sizes(task.source.axes, plan.organisation))
     tree, goal = _begun(task)
     rounds = run.effort.backfits if len(plan.levels) > 1 and not plan.levels[-1].own else 0

@@ -13,6 +13,7 @@ from .choosing.judging import CARES
 from .disjoint import JUDGING
 from .fit import EFFORTS, Effort
 from .measure import SLAB as MEASURED
+from .memberships import ROUNDS, ROWS, ROWS_EACH
 from .plan import LevelSpec, Plan
 from .predict import (
     FLAT,
@@ -24,6 +25,7 @@ from .predict import (
     memory_limit,
     model_bytes,
     numbers,
+    room_beside,
     sampled_together,
 )
 from .source import SLAB as CHECKED
@@ -91,18 +93,19 @@ def forecast(
     that will be.
     """
     limit, elements = memory_limit(plan, sizes, memory), prod(sizes)
+    model = model_bytes(plan, sizes, threads, room_beside(elements, memory))
     own = plan.levels[-1].own
     if not is_streamed(elements, limit):
         working = WORKING + (_SAVED if own else 0)
         measuring = _RESIDUAL * elements + _MEASURING * min(elements, MEASURED)
-        most = held + _peak(choosing, working * elements + model_bytes(plan, sizes, threads), measuring)
+        most = held + _peak(choosing, working * elements + model, measuring)
         return Forecast(most, 0, _seconds(plan, sizes, effort, threads, limit))
     check_worksets(plan, sizes, limit, memory)
     if limit == elements:  # fitted in place
-        most = held + _peak(choosing, FLAT * elements + model_bytes(plan, sizes, threads))
+        most = held + _peak(choosing, FLAT * elements + model)
         return Forecast(most, 0, _seconds(plan, sizes, effort, threads, limit))
     cut = next((n for n, level in enumerate(plan.levels[:-1]) if level.cells > 1), None)
-    working = _outside(plan, sizes, limit, threads, cut)
+    working = model + _outside(plan, sizes, limit, threads, cut)
     copies = int(cut is not None or any(level.disjoint or level.cuts for level in plan.levels))
     scratch = 4 * elements * (copies + (1 if own and cut is not None else 0))
     return Forecast(held + _peak(choosing, working), scratch, _seconds(plan, sizes, effort, threads, limit, cut))
@@ -111,7 +114,7 @@ def forecast(
 def _outside(plan: Plan, sizes: Sequence[int], limit: int, threads: int, cut: int | None) -> int:
     """Bytes for fitting the levels of a streamed tensor: on worksets, or on sub-tensors or blocks in memory."""
     most = slabs = _slabs(plan, sizes, limit, threads, cut)
-    elements, fixed = prod(sizes), model_bytes(plan, sizes, threads)
+    elements = prod(sizes)
     for number, (level, fitted) in enumerate(zip(plan.levels, worksets(plan, sizes, limit), strict=True)):
         below = cut is not None and number > cut
         together = fitted * max(1, min(threads, limit // max(1, fitted)))
@@ -125,12 +128,12 @@ def _outside(plan: Plan, sizes: Sequence[int], limit: int, threads: int, cut: in
             each = fitting_bytes(sizes, level, limit) + int(_KEPT * slabs)
         # An SNR does not say how large the model is.
         model = MODEL * min(2 * numbers(sizes, level), plan.size or 0) if level.own else 0
-        joint = joint_bytes(sizes, level, threads) if prod(sizes) > limit else 0
+        joint = joint_bytes(sizes, level, threads) - level.products_bytes if prod(sizes) > limit else 0
         most = max(most, each + (_HEAPS if below else 0) + model, joint)
         if number == cut and not level.grid:
             most = max(most, WORKING * min(limit, threads * _largest(elements, level)) + _HEAPS)
         sizes = blocks(sizes, level)
-    return most + fixed
+    return most
 
 
 def _slabs(plan: Plan, sizes: Sequence[int], limit: int, threads: int, cut: int | None) -> int:
@@ -196,7 +199,7 @@ def _seconds(
             fit = fit * workset(sizes, level, limit) / prod(sizes) + 2 * sweep
         each += fit
         if level.cells > 1 and not level.grid and level.scheme != "uniform":  # k-means is of rows, not of elements
-            rows = sum(size * count for size, count in zip(sizes, level.clusters, strict=True) if count > 1)
+            rows = sum(_visited(size, count) * count for size, count in zip(sizes, level.clusters, strict=True))
             tried = own.candidates if max(level.mixture) == 1 else own.starts
             beside += _ROW_NS * max(1, tried - 1) * rows * elements / prod(sizes)
         beside += nodes * _model_ns(level, sizes, own.sweeps)
@@ -205,6 +208,12 @@ def _seconds(
         alone, nodes = alone + _NODE_NS * nodes, min(nodes * level.cells, elements)
         sizes = blocks(sizes, level)
     return 1e-9 * ((each * elements + beside) / (1 + _SECOND * (threads - 1)) + alone)
+
+
+def _visited(size: int, clusters: int) -> int:
+    """Rows that k-means takes all its rounds for, and a share of the others, which have one."""
+    some = min(size, max(ROWS, ROWS_EACH * clusters))
+    return 0 if clusters == 1 else some + (size - some) // (2 * ROUNDS)
 
 
 def _model_ns(level: LevelSpec, sizes: Sequence[int], sweeps: int) -> float:

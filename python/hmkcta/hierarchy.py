@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import partial
@@ -23,6 +23,7 @@ from .memberships import uniform_blocks
 from .metrics import squared_norm
 from .pieces import Piece, Rows, SubTensor
 from .plan import LevelSpec
+from .predict import together
 from .progress import Progress, Told
 from .streamed import Saved, Streamed, thinned_cells
 from .subdivision import subdivide
@@ -33,8 +34,9 @@ F32 = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Run:
-    """What every step of a fit shares: how long to try, where chance starts, threads, whom to tell, what is done, and
-    the device (``cpu`` or ``cuda``) on which the kernels work."""
+    """What every step of a fit shares: how long to try, where chance starts, threads, whom to tell, what is done, the
+    device (``cpu`` or ``cuda``) on which the kernels work, and bytes for what nodes take while they are fitted (None:
+    as many as they like)."""
 
     effort: Effort
     seed: int
@@ -42,6 +44,14 @@ class Run:
     progress: Progress
     journal: NoJournal = field(default_factory=NoJournal)
     device: str = "cpu"
+    room: int | None = None
+
+    def together(self, specs: Iterable[LevelSpec | None], nodes: Sequence[Node]) -> int:
+        """How many of the nodes are fitted side by side; what comes out does not depend on it."""
+        if self.room is None or len(nodes) < 2:
+            return self.threads
+        largest = tuple(map(max, *(node.sizes for node in nodes)))
+        return min((together(spec, largest, self.threads, self.room) for spec in set(specs) if spec), default=1)
 
 
 @dataclass(eq=False)
@@ -128,11 +138,13 @@ def restore(tree: Hierarchy, before: F32 | Saved) -> None:
 
 
 def in_parallel(
-    work: Callable[[int], None], nodes: Sequence[Node], stage: str, run: Run, residual: F32 | Streamed | None = None
+    work: Callable[[int], None], nodes: Sequence[Node], stage: str, run: Run, residual: F32 | Streamed | None = None,
+    workers: int | None = None,
 ) -> None:
     """Do the work for every node, largest first; nodes share no element, so their order changes nothing.
 
-    Nodes in one piece of a streamed residual are worked on one after another while the piece is in memory.
+    There are so many `workers`, if not one for each thread. Nodes in one piece of a streamed residual are worked on one
+    after another while the piece is in memory.
     """
     outside = residual if isinstance(residual, Streamed) else None
     grouped = groupby(range(len(nodes)), key=lambda s: s if outside is None else id(nodes[s].piece))
@@ -152,8 +164,9 @@ def in_parallel(
             return sizes[number]
 
     run.progress(stage, 0.0)
-    each = 1 if len(groups) >= MANY * run.threads else run.threads
-    with Pool(max_workers=run.threads) as pool, kernels.threads(each, after=run.threads):
+    workers = run.threads if workers is None else workers
+    each = 1 if len(groups) >= MANY * run.threads and workers == run.threads else run.threads
+    with Pool(max_workers=workers) as pool, kernels.threads(each, after=run.threads):
         futures = [pool.submit(together) for _ in groups]
         try:
             for future in futures:
@@ -224,7 +237,7 @@ def fit_nodes(
         elif tensor is not None:
             scatter(tree.residual, node, _exchanged(tensor, None, node.cells))
 
-    in_parallel(work, nodes, f"level {depth}", run, tree.residual)
+    in_parallel(work, nodes, f"level {depth}", run, tree.residual, run.together(specs, nodes))
 
 
 def _exchanged(residual: F32, old: Cells | None, new: Cells | None) -> F32:
@@ -278,7 +291,7 @@ def descend(tree: Hierarchy, scheme: str, run: Run) -> None:
         node.parts = subdivide(node.cells, tensor, scheme)
         node.children = list(_children(node, node.cells.spec.clusters))
 
-    in_parallel(work, nodes, "subdivision", run, tree.residual)
+    in_parallel(work, nodes, "subdivision", run, tree.residual, run.together(_specs(nodes), nodes))
     for node in nodes:
         outside = streamed(tree, node)
         if outside is not None and node.cells is not None and node.cells.spec.cells > 1:
@@ -308,6 +321,10 @@ def ascend(tree: Hierarchy) -> None:
     tree.levels.pop()
     for node in tree.levels[-1]:
         node.parts, node.children = None, []
+
+
+def _specs(nodes: Sequence[Node]) -> Iterator[LevelSpec]:
+    return (node.cells.spec for node in nodes if node.cells is not None)
 
 
 def _is_last(tree: Hierarchy, last: bool) -> None:
@@ -346,7 +363,8 @@ def backfit(tree: Hierarchy, run: Run, *, last: bool = False) -> None:
             else:
                 scatter(tree.residual, node, _exchanged(gather(tree.residual, node), old, cells))
 
-        in_parallel(work, nodes, f"back-fitting level {number}", run, tree.residual)
+        workers = run.together(_specs(nodes), nodes)
+        in_parallel(work, nodes, f"back-fitting level {number}", run, tree.residual, workers)
 
 
 def _refitted(old: Cells, residual: F32) -> Cells | None:

@@ -14,9 +14,12 @@ WORKSET = 1 << 26
 SMALLEST = 1 << 20
 #: Bytes for each of them: the tensor, its residual, and what is made on the way; and bytes of the process itself.
 WORKING, PROCESS = 14, 200 * 2**20
-#: Bytes for each byte of a model in the file: its numbers in float32, rounded, and packed; and further ones while it is
+#: Bytes for each byte of a model's float16 numbers: in float32, rounded, and packed; and further ones while it is
 #: fitted, of cells that share elements and of others: starts and sweeps keep the best beside what they try.
-MODEL, TRIED, TRIED_APART = 4, 11, 5
+MODEL, TRIED, TRIED_APART = 4, 11, 7
+#: How many times as much as inner products take what is made of them; bytes of a node with its tables; and of a row
+#: with its features, where clusters are looked for.
+PRODUCTS, NODE, ROW = 2, 2500, 192
 #: Bytes for each element of a tensor that is fitted in place, by sweeps alone.
 FLAT = 5
 #: Elements of all the samples that are worked on at once while a plan is chosen, at most and, where memory is scarce,
@@ -31,10 +34,9 @@ def memory_limit(plan: Plan, sizes: Sequence[int], memory: int | None) -> int:
         HmkctaError: the memory given is less than even a streamed fit takes.
     """
     check_least_memory(prod(sizes), memory, choosing=False)
-    beyond = max(0, model_bytes(plan, sizes) - PROCESS // 2)  # as much is part of a process that has loaded everything
-    least = PROCESS + WORKING * min(prod(sizes), SMALLEST) + beyond
-    check_memory(least, "the model of this plan", "raise --max-memory, or fewer clusters, lower ranks", memory)
-    limit = workset_limit(memory_budget(memory) - beyond)
+    beyond = _beyond(plan, sizes, memory)
+    # What is free may do, though half of it does not: some rows are then few enough.
+    limit = max(min(prod(sizes), SMALLEST), workset_limit(memory_budget(memory) - beyond))
     number, first = next(((n, level) for n, level in enumerate(plan.levels) if level.cells > 1), (0, plan.levels[0]))
     if prod(sizes) <= limit or _jointly(first, sizes, memory):
         return limit
@@ -45,7 +47,29 @@ def memory_limit(plan: Plan, sizes: Sequence[int], memory: int | None) -> int:
     return prod(sizes)
 
 
-def model_bytes(plan: Plan, sizes: Sequence[int], threads: int = 1) -> int:
+def _beyond(plan: Plan, sizes: Sequence[int], memory: int | None) -> int:
+    """Bytes that the model of a plan takes beyond what a process is reckoned with.
+
+    Raises:
+        HmkctaError: the memory given, or what is free, has no room for it beside the least of a tensor.
+    """
+    beyond = max(0, model_bytes(plan, sizes) - PROCESS // 2)
+    least = PROCESS + WORKING * min(prod(sizes), SMALLEST) + beyond
+    check_memory(least, "the model of this plan", "raise --max-memory, or fewer clusters, lower ranks", memory)
+    return beyond
+
+
+def room_beside(elements: int, memory: int | None) -> int:
+    """Bytes for what the nodes that are fitted together take beside the tensor."""
+    return memory_budget(memory) - PROCESS // 2 - WORKING * min(elements, workset_limit(memory))
+
+
+def together(spec: LevelSpec, sizes: Sequence[int], threads: int, room: int) -> int:
+    """How many nodes of these sizes are fitted side by side, by so many threads at most: as many as have room."""
+    return max(1, min(threads, room // max(1, tried_bytes(spec, sizes))))
+
+
+def model_bytes(plan: Plan, sizes: Sequence[int], threads: int = 1, room: int = 0) -> int:
     """Bytes that the model of a plan takes: of all levels, and of the nodes that are fitted together.
 
     Nothing for ranks of each node's own, which a goal decides.
@@ -53,25 +77,31 @@ def model_bytes(plan: Plan, sizes: Sequence[int], threads: int = 1) -> int:
     >>> from hmkcta.plan import parse_plan
     >>> plan = parse_plan("R=8 / R=8 C=6,8,8,8 K=1", [("light",), ("view",), ("y",), ("x",)])
     >>> model_bytes(plan, (50, 50, 50, 50)) // 2**20
-    226
+    276
     """
     held, most, nodes = 0, 0, 1
     for level in plan.levels:
         if level.own:
             break
         spec = level.clamped(sizes)
-        node = 2 * numbers(sizes, spec)
-        held += MODEL * nodes * node
-        most = max(most, held + min(nodes, threads) * _tried_bytes(spec, node))
+        held += nodes * (NODE + MODEL * 2 * numbers(sizes, spec))
+        most = max(most, held + together(spec, sizes, min(nodes, threads), room) * tried_bytes(spec, sizes))
         nodes, sizes = nodes * spec.cells, blocks(sizes, spec)
     return most
 
 
-def _tried_bytes(spec: LevelSpec, node: int) -> int:
-    """Bytes beside a node's model, of so many bytes, while it is fitted."""
-    if max(spec.mixture) == 1:
-        return TRIED_APART * node // (spec.cells if spec.disjoint else 1)
-    return TRIED * node + (0 if spec.search == "fast" else spec.products_bytes)
+def tried_bytes(spec: LevelSpec, sizes: Sequence[int]) -> int:
+    """Bytes that a node takes beside its model and its elements while it is fitted."""
+    spec = spec.clamped(sizes)
+    if not any(spec.ranks):  # nothing is tried
+        return 0
+    node = 2 * numbers(sizes, spec)
+    if max(spec.mixture) > 1:
+        return TRIED * node + (0 if spec.search == "fast" else PRODUCTS * spec.products_bytes)
+    if spec.disjoint:
+        return TRIED_APART * node // spec.cells
+    parted = [size for size, count in zip(sizes, spec.clusters, strict=True) if count > 1]
+    return TRIED_APART * node + ROW * max(parted, default=0)
 
 
 def numbers(sizes: Sequence[int], level: LevelSpec) -> int:

@@ -8,6 +8,7 @@ No part gets many more rows than others: rows that share a cluster would all sta
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,26 +34,42 @@ def subdivide(cells: Cells, tensor: F32 | None, scheme: str) -> list[NDArray[np.
     """
     parts: dict[int, NDArray[np.intp]] = {}
     judged = [n for n, mixture in enumerate(cells.spec.mixture) if mixture > 1 and scheme != "uniform"]
+    if tensor is not None and cells.spec.search == "fast":  # inner products of so many cells take gigabytes
+        return [_parts(cells, _errors_left(cells, tensor, n) if n in judged else None, n, scheme)
+                for n in range(cells.order)]
     products = all_products(cells) if judged else []
     for kept in passes(cells):
         seen = project(cells, tensor, kept) if tensor is not None and any(n in judged for n in kept) else None
         for n in kept:
-            parts[n] = _parts(cells, products, seen, n, scheme)
+            errors = _subset_errors(cells, products, seen, n) if n in judged else None
+            parts[n] = _parts(cells, errors, n, scheme)
     return [parts.get(n, np.zeros(size, np.intp)) for n, size in enumerate(cells.sizes)]
 
 
-def _parts(
-    cells: Cells, products: Sequence[Products | None], seen: Projection | None, n: int, scheme: str
-) -> NDArray[np.intp]:
+def _parts(cells: Cells, errors: NDArray[np.float64] | None, n: int, scheme: str) -> NDArray[np.intp]:
+    """The part of every row of mode n, by the errors of its subsets where it has several."""
     if scheme == "uniform":
         return uniform_blocks(cells.sizes[n], cells.spec.clusters[n])
-    if cells.spec.mixture[n] == 1:
+    if errors is None:
         return cells.members[n][:, 0].astype(np.intp)
-    errors = _subset_errors(cells, products, seen, n)
     # A row goes elsewhere only where none of its subsets has room.
     worth = np.full((cells.sizes[n], cells.spec.clusters[n]), np.inf)
     np.put_along_axis(worth, cells.members[n].astype(np.intp), errors if scheme == "most" else -errors, axis=1)
     return kernels.nearest_with_room(worth, CAP)
+
+
+def _errors_left(cells: Cells, tensor: F32, n: int) -> NDArray[np.float64]:
+    """`[I_n, K_n]`: squared error of each row by each of its subsets alone, as it is left in the tensor."""
+    errors = np.empty(cells.members[n].shape)
+    spec = replace(cells.spec, mixture=tuple(1 if m == n else k for m, k in enumerate(cells.spec.mixture)))
+    for k in range(cells.spec.mixture[n]):
+        alone = Cells(cells.sizes, spec, list(cells.members), list(cells.bases), cells.cores)
+        alone.members[n], alone.bases[n] = cells.members[n][:, k : k + 1].copy(), cells.bases[n][:, k : k + 1].copy()
+        left = tensor.copy()
+        kernels.accumulate(alone, left, -1.0)
+        rows = np.moveaxis(left, n, 0)
+        errors[:, k] = [np.square(row, dtype=np.float64).sum() for row in rows]
+    return errors
 
 
 def _subset_errors(

@@ -120,7 +120,7 @@ def fitting_bytes(sizes: Sequence[int], level: LevelSpec, limit: int) -> int:
     elements = _seen(sizes, steps)
     if spec.cells == 1:
         shares = [rank * step / size for rank, size, step in zip(spec.ranks, sizes, steps, strict=True) if rank]
-        return int(4 * elements * (2 + 2 * min(1.0, *shares)))
+        return int(4 * elements * (2 + 2 * min([1.0, *shares])))
     if max(spec.mixture) == 1:
         return int(4 * elements * (1 + 1 / spec.cells))
     return 8 * elements

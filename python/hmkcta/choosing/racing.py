@@ -12,7 +12,7 @@ from math import inf
 
 from ..axes import Organisation
 from ..grids import allowed, changed, few_grids, uncut_grids
-from ..progress import Progress
+from ..progress import Progress, Told, share_of
 from .candidates import Candidate
 from .climbing import SURELY_WORSE, WORTHWHILE
 from .judging import Choice, Ranked, Search, worth_of
@@ -40,12 +40,13 @@ def finalists(search: Search, fixed: bool, progress: Progress, *, narrow: bool) 
     found = list[tuple[float, Candidate]]()
     if narrow:
         search.narrow(search.best(choices, care.survey), care.compare[0])
-    for sample in care.compare:
+    for number, sample in enumerate(care.compare):
+        told = share_of(partial(progress, "blocks"), number, len(care.compare))
         margins = DOUBTED if narrow and not found else TRUSTED
-        judged = search.best(choices, sample, partial(progress, "blocks"))
+        judged = search.best(choices, sample, share_of(told, 0, 2))
         racing = racing_of(judged + search.every(choices, sample))
         racing = near(racing, margins[0])[: care.organisations]
-        ended = near(_raced(search, racing, sample, margins, progress), margins[0])[: care.finalists]
+        ended = near(_raced(search, racing, sample, margins, share_of(told, 1, 2)), margins[0])[: care.finalists]
         choices = [*product([search.plain], grids), *((each.organisation, each.grid) for _, each in racing + ended)]
         found = ended + found
         if narrow:
@@ -64,9 +65,10 @@ def _surveyed(
     """The best organisations of all, by some grids: each uncut, and with the grids that did best for it."""
     if narrow:
         search.narrow(search.best([(search.plain, grid) for grid in grids], search.care.survey), search.care.survey)
-    every, cut = _merged(search, grids, progress), grids[1:] or grids
+    told = partial(progress, "organisation")
+    every, cut = _merged(search, grids, share_of(told, 0, 2)), grids[1:] or grids
     hopeful = every if len(every) <= MANY else _hopeful(search, every, cut[len(cut) // 2])
-    judged = search.best(list(product(hopeful, cut)), search.care.survey, partial(progress, "organisation"))
+    judged = search.best(list(product(hopeful, cut)), search.care.survey, share_of(told, 1, 2))
     worth = _by_organisation(hopeful, judged)
     # A survey thins large blocks and so misjudges high ranks: the best of every number of modes stays in the race.
     ranked = sorted(hopeful, key=lambda modes: -worth[modes])
@@ -96,7 +98,7 @@ def racing_of(judged: Ranked) -> Ranked:
     return sorted((item for own in kinds.values() for item in own.values()), key=worth_of, reverse=True)
 
 
-def _raced(search: Search, racing: Ranked, sample: int, margins: tuple[float, float], progress: Progress) -> Ranked:
+def _raced(search: Search, racing: Ranked, sample: int, margins: tuple[float, float], told: Told) -> Ranked:
     """The organisations' grids cut twice or half as often along each axis in turn, while that helps; the best first.
 
     In every round fewer go on.
@@ -112,7 +114,7 @@ def _raced(search: Search, racing: Ranked, sample: int, margins: tuple[float, fl
         racing = sorted((now for now, on in zip(racing, gained, strict=True) if on), key=worth_of, reverse=True)
         fewer = min((len(before) + 1) // 2, sum(worth > best - far for worth, _ in racing))
         ended, racing = ended + racing[fewer:], racing[:fewer]
-        progress("blocks", len(ended) / (len(ended) + len(racing)))
+        told(len(ended) / (len(ended) + len(racing)))
     return list(dict.fromkeys(sorted(ended, key=worth_of, reverse=True)))
 
 
@@ -132,7 +134,7 @@ def _stepped(search: Search, racing: Ranked, n: int, sample: int, worse: float) 
     return found
 
 
-def _merged(search: Search, few: Sequence[tuple[int, ...]], progress: Progress) -> list[Organisation]:
+def _merged(search: Search, few: Sequence[tuple[int, ...]], told: Told) -> list[Organisation]:
     """All organisations of few axes; of many, those that come of merging the best two modes again and again."""
     axes = search.trial.source.axes
     if sum(axis.size > 1 for axis in axes) <= FEW_AXES:
@@ -144,7 +146,7 @@ def _merged(search: Search, few: Sequence[tuple[int, ...]], progress: Progress) 
         worth = _by_organisation(new, judged)
         best = sorted(new, key=lambda each: -worth[each])[:BEAM]
         found = found + new
-        progress("organisation", (len(search.plain) - modes + 1) / len(search.plain))
+        told((len(search.plain) - modes + 1) / len(search.plain))
     return found
 
 

@@ -84,7 +84,7 @@ def tune(
     care = CARES.get(run.effort, CARES[EFFORTS["medium"]])
     held = not is_streamed(elements, workset_limit(memory))
     search = Search(trial, trial, plain, run.threads, care, together, care.matrices // 2 if held else 0)
-    look = partial(_searched, progress=run.progress, narrow=snr is not None)
+    look = partial(_searched, told=run.progress, narrow=snr is not None)
     search, worth, best = searched_by_bits(search, look, bits, organisation is not None)
     if trial.ceiling is None and worth > -10 * log10(VERBATIM) - ALIKE:
         search = search.anew(replace(search.goal, ceiling=EXACT))
@@ -114,18 +114,22 @@ def tune(
 
 
 def _more_room(shape: Sequence[int]) -> str:
-    """What to do where a size is too small: each row of each mode takes a byte or two."""
+    """What to do where a size has no room for the rows of all modes, each of which takes a byte or two."""
     windows = folded(shape)
-    return "ask for more, or merge axes" + ("" if windows is None else f", or make windows, array.reshape{windows}")
+    merge = ", or merge axes" if sum(size > 1 for size in shape) > 2 else ""
+    return "ask for more" + merge + ("" if windows is None else f", or make windows, {windows}")
 
 
 def _searched(
-    search: Search, fixed: bool, enough: float, progress: Progress, *, narrow: bool
+    search: Search, fixed: bool, enough: float, told: Progress, *, narrow: bool
 ) -> tuple[float, Candidate]:
     """The best candidate, of a fixed organisation or any.
 
     Where races end with more than `enough`, what they end with.
     """
+    def progress(stage: str, done: float) -> None:
+        told(f"{stage}, {search.goal.bits}-bit numbers", done)
+
     shape = search.trial.source.shape
     if sum(length > 1 for length in shape) < 2:  # a vector has nothing to cut or to merge
         (search.highest, best), *_ = search.best([(search.plain, (1,) * len(shape))], search.care.refine)
@@ -214,18 +218,18 @@ def _settled(
     again += [(search.plain, grid) for grid in few_grids(shape)[:2] if search.near(search.plain, LAGGING)]
     again += [(modes, whole) for modes in search.matrices()]
     again = list(dict.fromkeys(again))
-    told = share_of(partial(progress, "finer choice of blocks"), 0, 3)
-    judged = search.best(again, search.care.refine, told)
+    told = partial(progress, "finer choice of blocks")
+    judged = search.best(again, search.care.refine, share_of(told, 0, 4))
     if narrow and max(map(worth_of, judged)) < (search.goal.ceiling or 0.0) - SHORT:
         search.narrow(judged, search.care.refine)
-        judged = search.best(again, search.care.refine, told)
+        judged = search.best(again, search.care.refine, share_of(told, 1, 4))
     best, starts = (-inf, ended[0]), _starts(judged, search.care.far)
     for number, (worth, candidate) in enumerate(starts, start=1):
         whole = _is_whole(best[1])
         if worth > best[0] - (LAGGING if whole else LATE):
             reached = -inf if whole else best[0]
             best = max(best, climbed(search, candidate, search.care.refine, reached), key=worth_of)
-        progress("finer choice of blocks", 1 / 3 + 2 * number / (3 * len(starts)))
+        told(0.5 + 0.5 * number / len(starts))
     return best
 
 

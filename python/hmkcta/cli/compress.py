@@ -139,7 +139,7 @@ def missed_goal(model: Model, goal: Goal) -> str | None:
 
 
 def unused(model: Model, goal: Goal, plan: str | None) -> list[str]:
-    """A sentence on what keeps a file from its --size; none if it has it, or as much as is of any use."""
+    """A sentence on what keeps a file from its --size; none if it has it, or nothing is left to store."""
     if goal.size is None or model.nbytes >= USED * goal.size or isinf(model.snr):
         return []
     if plan is not None and "<=" not in plan:
@@ -149,7 +149,7 @@ def unused(model: Model, goal: Goal, plan: str | None) -> list[str]:
         return [f"{share}: nothing better was found within --decode-cost {goal.settings['decode_cost']}. Next: allow "
                 "more multiply-adds, if what reads the file may take longer for an element"]
     if plan is None:
-        return [f"{share}: nothing larger that was tried is better"]
+        return [f"{share}: nothing larger that was tried is better. Next: as good is a smaller --size"]
     return [f"{share}: the ranks of the plan allow no more. Next: write higher ones"]
 
 

@@ -42,12 +42,12 @@ def notes(model: Model, array: NDArray[Any], *, planned: bool = True) -> list[st
     if sum(size > 1 for size in array.shape) == 1 and array.size >= 2 * WINDOW:
         found.append(f"one axis has nothing to share: every number takes {BYTES[model.levels[-1].bits]}. "
                      f"Next: make windows of a signal, array.reshape(-1, {WINDOW})")
-    elif (share := _share_of_rows(model)) > MOSTLY and (windows := folded(array.shape)) is not None:
-        found.append(f"the longest axis has more rows than the others have together, which take {100 * share:.0f} % of "
-                     f"the file. Next: where neighbours are alike, make windows of it, array.reshape{windows}")
     elif model.nbytes >= array.nbytes:
         why = _why_large(model, array, planned)
         found.append(f"the file is no smaller than its source of {array.nbytes} bytes; {why}")
+    elif (windows := folded(array.shape)) is not None and (share := _share_of_longest(model)) > MOSTLY:
+        found.append(f"the longest axis has more rows than all others together, which take {100 * share:.0f} % of "
+                     f"the file. Next: where neighbours are alike, make windows of it, {windows}")
     mean, deviation = _moments(array)
     rmse = model.quality[-1].rmse if model.quality else 0.0
     if abs(mean) > OFFSET * deviation and rmse > HIDDEN * deviation > 0:
@@ -58,11 +58,12 @@ def notes(model: Model, array: NDArray[Any], *, planned: bool = True) -> list[st
     return found
 
 
-def _share_of_rows(model: Model) -> float:
-    """The share of a file that the bases of its longest mode take, which has a row each for every row."""
-    bases = (sum(level.bits // 8 * basis.size for level in model.levels if (basis := level.basis[n]) is not None)
-             for n in range(len(model.plan.organisation)))
-    return max(bases) / model.nbytes
+def _share_of_longest(model: Model) -> float:
+    """The share of a file that the bases of the mode with the longest axis take, a row each for every row."""
+    longest = max(model.metadata.axes, key=lambda axis: axis.size).name
+    n = next(n for n, mode in enumerate(model.metadata.organisation) if longest in mode)
+    bases = ((level.bits, level.basis[n]) for level in model.levels)
+    return sum(bits // 8 * basis.size for bits, basis in bases if basis is not None) / model.nbytes
 
 
 def _why_large(model: Model, array: NDArray[Any], planned: bool) -> str:

@@ -1,0 +1,56 @@
+"""Sentences on stderr about what figures do not tell, each with what to do next."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cli_tools import report, run, saved, smooth
+
+
+@pytest.mark.parametrize(("array", "sentence"), [
+    (np.sin(np.arange(2000) / 9), "make windows of a signal"),
+    (1e6 + smooth(12, 14, 16), "subtract the mean first"),
+    (smooth(3, 4, 5), "no smaller than its source of 240 bytes"),
+    (np.ones((1, 1)), "no smaller than its source of 8 bytes"),
+    (np.arange(3.0), "no smaller than its source of 24 bytes"),
+    (np.where(np.arange(6720).reshape(12, 20, 28) % 3000 == 7, 9e4, smooth(12, 20, 28)), "--transform asinh:"),
+    (smooth(16, 20, 24), None),
+], ids=["vector", "offset", "tiny", "one number", "three numbers", "outliers", "none"])
+def test_what_figures_do_not_tell_is_said(array: NDArray[Any], sentence: str | None, tmp_path: Path) -> None:
+    path, words = saved(tmp_path / "a.npy", array), ("--quality", "fast", "--overwrite")
+    result = run("compress", path, "-o", tmp_path / "a.hmk", *words)
+    assert result.stderr.count("hmkcta: ") == (sentence is not None)
+    assert sentence is None or sentence in result.stderr
+    assert run("compress", path, "-o", tmp_path / "a.hmk", *words, "--quiet").stderr == ""
+    assert len(report("compress", path, "-o", tmp_path / "a.hmk", *words)["notes"]) == (sentence is not None)
+
+
+@pytest.mark.parametrize(("words", "sentence"), [
+    (("--plan", "R=1 grid=x:2 / R<=2"), "the ranks of the plan allow no more"),
+    (("--decode-cost", "4", "--organisation", "z,y,x"), "within --decode-cost 4"),
+    (("--decode-cost", "40", "--plan", "R<=20"), "within --decode-cost 40"),
+    ((), None),
+], ids=["ranks", "cost", "cost of a plan", "none"])
+def test_what_keeps_a_file_from_its_size_is_said(words: tuple[str, ...], sentence: str | None, tmp_path: Path) -> None:
+    path = saved(tmp_path / "a.npy", smooth(16, 20, 24) + 0.1 * np.random.default_rng(0).random((16, 20, 24)))
+    result = run("compress", path, "-o", tmp_path / "a.hmk", "--axes", "z,y,x", "--size", "13000", *words)
+    assert (" % are used" in result.stderr) == (sentence is not None)
+    assert (sentence or "") in result.stderr
+
+
+def test_a_size_beyond_what_is_of_use_is_said_to_be(tmp_path: Path) -> None:
+    path = saved(tmp_path / "a.npy", smooth(16, 20, 24))
+    result = run("compress", path, "-o", tmp_path / "a.hmk", "--size", "40KB")
+    assert re.search(r"of --size \d+ % are used: nothing larger that was tried is better", result.stderr)
+    assert (tmp_path / "a.hmk").stat().st_size < 0.95 * 40_000
+
+
+def test_nothing_is_said_of_a_size_where_no_error_is_left(tmp_path: Path) -> None:
+    path = saved(tmp_path / "a.npy", np.zeros((20, 30, 40)))
+    assert run("compress", path, "-o", tmp_path / "a.hmk", "--size", "5KB").stderr == ""
