@@ -187,8 +187,10 @@ def test_advice_fits_what_was_asked(source: Path, tmp_path: Path) -> None:
     words = ("--plan", "R<=6", "--bits", 16, "--snr", 60, "--decode-cost", 8)
     assert "a higher --decode-cost" in run("compress", source, "-o", tmp_path / "c.hmk", *words, code=7).stderr
     text = run("compress", source, "-o", tmp_path / "b.hmk", "--snr", 200, code=7).stderr
-    assert "a level more" in text
+    assert "ask for up to 130 dB: everything is decoded in float32" in text
     assert "another is tried" in text
+    words = ("--plan", "R<=6,8,10", "--snr", 100)
+    assert "a level more" in run("compress", source, "-o", tmp_path / "d.hmk", *words, code=7).stderr
 
 
 def test_one_multiply_add_is_one(tmp_path: Path) -> None:

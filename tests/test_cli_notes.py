@@ -34,9 +34,10 @@ def test_what_figures_do_not_tell_is_said(array: NDArray[Any], sentence: str | N
 @pytest.mark.parametrize(("words", "sentence"), [
     (("--plan", "R=1 grid=x:2 / R<=2"), "the ranks of the plan allow no more"),
     (("--decode-cost", "4", "--organisation", "z,y,x"), "within --decode-cost 4"),
-    (("--decode-cost", "40", "--plan", "R<=20"), "within --decode-cost 40"),
+    (("--decode-cost", "40", "--plan", "R<=20"), "within --decode-cost 40. Next: write higher ranks, and"),
+    (("--plan", "R<=16,20,24", "--size", "60KB", "--decode-cost", "100000"), "16-bit numbers keep no more"),
     ((), None),
-], ids=["ranks", "cost", "cost of a plan", "none"])
+], ids=["ranks", "cost", "cost of a plan", "numbers", "none"])
 def test_what_keeps_a_file_from_its_size_is_said(words: tuple[str, ...], sentence: str | None, tmp_path: Path) -> None:
     path = saved(tmp_path / "a.npy", smooth(16, 20, 24) + 0.1 * np.random.default_rng(0).random((16, 20, 24)))
     result = run("compress", path, "-o", tmp_path / "a.hmk", "--axes", "z,y,x", "--size", "13000", *words)
@@ -54,3 +55,10 @@ def test_a_size_beyond_what_is_of_use_is_said_to_be(tmp_path: Path) -> None:
 def test_nothing_is_said_of_a_size_where_no_error_is_left(tmp_path: Path) -> None:
     path = saved(tmp_path / "a.npy", np.zeros((20, 30, 40)))
     assert run("compress", path, "-o", tmp_path / "a.hmk", "--size", "5KB").stderr == ""
+
+
+def test_a_plan_beyond_the_decode_cost_is_said_to_be(tmp_path: Path) -> None:
+    path, words = saved(tmp_path / "a.npy", smooth(16, 20, 24)), ("--quality", "fast", "--overwrite", "--plan", "R=4")
+    result = run("compress", path, "-o", tmp_path / "a.hmk", *words, "--decode-cost", "10")
+    assert "takes 64 multiply-adds, more than --decode-cost 10, which bounds ranks that are chosen" in result.stderr
+    assert run("compress", path, "-o", tmp_path / "a.hmk", *words, "--decode-cost", "64").stderr == ""

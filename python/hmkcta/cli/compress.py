@@ -17,6 +17,7 @@ from ..finer import USED
 from ..goals import misses
 from ..hmkfile import check_output
 from ..model import Model
+from ..plan import multiply_adds
 from .failure import Exit
 from .goal import Goal, goal_from, goal_options
 from .info import decibels_or_unknown, transformed_snr
@@ -43,8 +44,9 @@ EXAMPLES = (
     'hmkcta compress wood.npy -o wood.hmk --plan "R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2"',
 )
 
-#: From about so many dB a level on it is float16 that ends what it reaches, not its ranks.
-FLOAT16_SNR = 60.0
+#: From about so many dB a level on it is its numbers, by their bits, that end what it reaches, not its ranks. From so
+#: many in all on it is float32, in which everything is decoded.
+NUMBERS_SNR, FLOAT32_SNR = {16: 60.0, 8: 40.0}, 130.0
 
 
 @click.command("compress", cls=Command, examples=EXAMPLES)
@@ -77,6 +79,7 @@ def compress_command(source: str, output: str, plan: str | None, device: str, re
     report = {**describe(model, array, progress), "device": asdict(where), "nodes_resumed": journal.found}
     missed, said = missed_goal(model, goal), [str(each.message) for each in warned]
     said += notes(model, array, planned=plan is not None) + unused(model, goal, plan)
+    said += beyond_cost(model, goal, plan)
     if as_json:
         emit({"output": output, **report, "reached": missed is None, "notes": said})
     elif not quiet:
@@ -144,13 +147,33 @@ def unused(model: Model, goal: Goal, plan: str | None) -> list[str]:
         return []
     if plan is not None and "<=" not in plan:
         return []
-    share = f"of --size {100 * model.nbytes / goal.size:.0f} % are used"
-    if _is_bound_by_cost(model, goal):
-        return [f"{share}: nothing better was found within --decode-cost {goal.settings['decode_cost']}. Next: allow "
-                "more multiply-adds, if what reads the file may take longer for an element"]
+    cost, bound = goal.settings["decode_cost"], _is_bound_by_cost(model, goal)
     if plan is None:
-        return [f"{share}: nothing larger that was tried is better. Next: as good is a smaller --size"]
-    return [f"{share}: the ranks of the plan allow no more. Next: write higher ones"]
+        why = (f"nothing better was found within --decode-cost {cost}. Next: allow more multiply-adds, if what reads "
+               "the file may take longer for an element" if bound else
+               "nothing larger that was tried is better. Next: as good is a smaller --size")
+    elif _keeps_no_more(model):
+        why = f"the plan's {model.levels[-1].bits}-bit numbers keep no more. Next: add a level"
+    elif bound:
+        why = (f"the ranks of the plan allow no more within --decode-cost {cost}. Next: write higher ranks, and allow "
+               "more multiply-adds")
+    else:
+        why = "the ranks of the plan allow no more. Next: write higher ones"
+    return [f"of --size {100 * model.nbytes / goal.size:.0f} % are used: {why}"]
+
+
+def beyond_cost(model: Model, goal: Goal, plan: str | None) -> list[str]:
+    """A sentence on a plan whose written ranks take more multiply-adds than --decode-cost."""
+    cost = goal.settings["decode_cost"]
+    if plan is None or model.decode_cost <= cost:
+        return []
+    return [f"an element takes {multiply_adds(model.decode_cost)}, more than --decode-cost {cost}, which bounds ranks "
+            "that are chosen (R<=..), not written ones. Next: write lower ranks, or leave --plan out"]
+
+
+def _keeps_no_more(model: Model) -> bool:
+    """Whether the numbers of all levels reach what their bits can."""
+    return model.snr > sum(NUMBERS_SNR[level.bits] for level in model.levels)
 
 
 def _is_bound_by_cost(model: Model, goal: Goal) -> bool:
@@ -163,7 +186,9 @@ def advice(model: Model, plan: str | None, goal: Goal) -> str:
     levels = len(model.levels)
     if model.levels[-1].bits == 8 and (plan is not None or goal.settings["bits"] == 8):
         return "allow numbers of two bytes, --bits 16" + ("" if plan is None else ", or add ranks or a level")
-    if model.snr > FLOAT16_SNR * levels:
+    if model.snr > FLOAT32_SNR:
+        return f"ask for up to {FLOAT32_SNR:.0f} dB: everything is decoded in float32"
+    if _keeps_no_more(model):
         return f'write a level more, for what float16 numbers leave: --plan "{" / ".join(["R=.."] * (levels + 1))}"'
     if plan is None:
         return "allow a higher --decode-cost, or try --quality thorough"
