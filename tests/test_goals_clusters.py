@@ -89,6 +89,27 @@ def test_a_file_larger_than_its_source_is_told_what_helps() -> None:
 
 
 @cache
+def balls() -> NDArray[np.float32]:
+    """40 x 40 x 40 numbers that are alike in 20 balls, in what lies around them, and outside; and some noise."""
+    rng = np.random.default_rng(1)
+    z, y, x = np.mgrid[-1:1:40j, -1:1:40j, -1:1:40j]
+    values = np.where(x**2 / 0.8 + y**2 / 0.7 + z**2 / 0.9 < 1, 1.0, 0.0)
+    for _ in range(20):
+        (c, d, e), r = rng.uniform(-0.6, 0.6, 3), rng.uniform(0.05, 0.25)
+        values[(x - c) ** 2 + (y - d) ** 2 + (z - e) ** 2 < r**2] = rng.uniform(2, 5)
+    return (values + 0.01 * rng.standard_normal(values.shape)).astype(np.float32)
+
+
+def test_what_has_sharp_edges_gets_nodes_of_clusters() -> None:
+    """Each with ranks of its own, as most lines are alike; blocks take 28 kB."""
+    model = compress(balls(), snr=27.0, threads=1)
+    assert 27 <= model.snr < 27.3
+    assert model.nbytes < 24_000
+    assert len(model.levels) == 2
+    assert max(model.bounds[0].clusters) > 16
+
+
+@cache
 def sensors() -> NDArray[np.float32]:
     """Four signals of 30,000 samples that follow one another in many ways, and noise."""
     time = np.linspace(0, 60, 30_000)

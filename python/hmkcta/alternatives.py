@@ -21,6 +21,8 @@ ROUNDING_FROM = {16: 55.0, 8: 33.0}
 EITHER, EITHER_BELOW = (36.0, 50.0), 60.0
 #: Blocks of a mode up to which clusters of the data take their place: finding more takes minutes.
 FEW_CLUSTERS = 512
+#: How many times as many nodes of clusters are tried as there were clusters in a node.
+MORE_NODES = (1, 4, 16)
 
 
 def alternatives(plan: Plan, plain: Organisation, snr: float, nbytes: int) -> Iterator[Plan]:
@@ -94,8 +96,26 @@ def with_bits(plan: Plan, bits: int) -> Plan:
     return replace(plan, levels=(*above, replace(plan.levels[-1], bits=bits)))
 
 
+def nodes_of_clusters(plan: Plan) -> Iterator[Plan]:
+    """Nodes below a level of rank one for clusters of the data along one mode, as many and more: each has ranks of its
+    own then, none where all of its rows are alike.
+
+    >>> from hmkcta import parse_plan
+    >>> [str(each) for each in nodes_of_clusters(parse_plan("R<=8,* C=16,1", (("y",), ("x",))))]
+    ['R=1,* C=16,1 / R<=8,*', 'R=1,* C=64,1 / R<=8,*', 'R=1,* C=256,1 / R<=8,*']
+    """
+    first, *others = plan.levels
+    if others or not first.own or first.grid or not 1 < first.cells == max(first.clusters):
+        return
+    below = replace(first, clusters=(1,) * first.order)
+    for times in MORE_NODES:
+        clusters = tuple(min(count * times, FEW_CLUSTERS) if count > 1 else 1 for count in first.clusters)
+        yield replace(plan, levels=(_of_data(_of_rank_one(first), clusters), below))
+
+
 def with_clusters_times(plan: Plan, factor: float) -> Plan | None:
-    """A plan with ranks of its own for clusters of the data along one mode, with so many times as many; else None.
+    """A plan of ranks of its own, for clusters of the data along one mode or for nodes of them, with so many times as
+    many; else None.
 
     >>> from hmkcta import parse_plan
     >>> str(with_clusters_times(parse_plan("R<=8,* C=16,1", (("y",), ("x",))), 1.5))
@@ -103,9 +123,11 @@ def with_clusters_times(plan: Plan, factor: float) -> Plan | None:
     """
     (first, *others), most = plan.levels, max(plan.levels[0].clusters)
     count = max(2, round(most * factor))
-    if others or not first.own or first.grid or not 1 < first.cells == most or count == most:
+    last = (first, *others)[-1]
+    if len(others) > 1 or not last.own or first.grid or not 1 < first.cells == most or count == most:
         return None
-    return replace(plan, levels=(_of_data(first, tuple(count if c > 1 else 1 for c in first.clusters)),))
+    clusters = tuple(count if c > 1 else 1 for c in first.clusters)
+    return replace(plan, levels=(_of_data(first, clusters), *others))
 
 
 def whole_plan(plan: Plan, plain: Organisation) -> Plan:

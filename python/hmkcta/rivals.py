@@ -11,6 +11,7 @@ from .alternatives import (
     alternatives,
     below_rank_one,
     narrower,
+    nodes_of_clusters,
     whole_plan,
     with_bits,
     with_clusters_times,
@@ -30,7 +31,9 @@ from .predict import is_streamed, memory_limit
 NEARLY, ROUNDED = 64.0, 68.0
 #: So many dB beyond its goal is far; so many bytes keep of most values; a second level must save a tenth.
 BEYOND, OF_BYTES, LESS = 3.0, 36.0, 0.9
-#: Elements up to which numbers of clusters are told apart by fits in all steps.
+#: A model that lies so many dB behind another, or takes so many times its bytes, stays there.
+BEHIND, BEHIND_TIMES = 1.5, 1.25
+#: Elements up to which numbers of clusters are told apart by fits in all steps, the first from each start.
 SMALL, STEPS = 1 << 22, (1.5, 1.25, 1.125)
 
 
@@ -58,15 +61,18 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
             task, model = _best([(task, model), *(each for each in two if each[1].nbytes < most)])
         if (task.plan.snr or model.snr) > NEARLY:
             task, model = _best([(task, model), *_further(given, dict.fromkeys(_in_two(given, others)))])
-        starts = [own] if model is own[1] else [own, (task, model)]
-        task, model = _best([_with_other_clusters(*start) for start in starts])
+        behind = model is own[1] or _is_behind(own[1], model, task.plan.snr)
+        starts = [(task, model)] if behind else [own, (task, model)]
+        first, *finer_steps = STEPS if prod(task.source.shape) <= SMALL else STEPS[-1:]
+        task, model = _best([_with_other_clusters(*start, [first]) for start in starts])
+        task, model = _with_other_clusters(task, model, finer_steps)
     elif _is_held(task):
         near = (plan for plan in narrower(task.plan, model.snr) if _may_be(task, plan))
         task, model = _best([(task, model), *_further(task, near)])
     best, others = model, [plan for plan in others if plan not in rivals]
     if is_coarse(task.plan, model.snr, model.nbytes):
         task, model = _nearer(task, model, others)
-        return _with_other_clusters(task, model)[1] if model is not best and _is_worth(task) else model
+        return _with_other_clusters(task, model, STEPS[-1:])[1] if model is not best and _is_worth(task) else model
     further = _spare(task, model, followed, others)
     for plan in further:
         if task.plan.snr is None or best.snr >= task.plan.snr:
@@ -100,6 +106,7 @@ def _near(followed: Sequence[tuple[Task, Model]]) -> Sequence[Plan]:
             task, model = _best(of_bits)
             near = alternatives(task.plan, task.source.organisation(None), model.snr, model.nbytes)
             plans |= {plan: None for plan in near if _may_be(task, plan) and plan not in tried}
+    plans |= {plan: None for task, _ in followed for plan in nodes_of_clusters(task.plan) if _fits(task, plan)}
     return list(plans)
 
 
@@ -182,10 +189,10 @@ def _further(task: Task, plans: Iterable[Plan]) -> Iterator[tuple[Task, Model]]:
         yield further, model
 
 
-def _with_other_clusters(task: Task, model: Model) -> tuple[Task, Model]:
-    """The best of more clusters of the data and of fewer, in steps that end small; of large arrays in these alone."""
+def _with_other_clusters(task: Task, model: Model, steps: Sequence[float]) -> tuple[Task, Model]:
+    """The best of more clusters of the data and of fewer, in such steps while that helps."""
     found, tried = (task, model), {task.plan}
-    for step in STEPS if prod(task.source.shape) <= SMALL else STEPS[-1:]:
+    for step in steps:
         before = None
         while found is not before:
             before, near = found, (with_clusters_times(found[0].plan, factor) for factor in (step, 1 / step))
@@ -193,6 +200,11 @@ def _with_other_clusters(task: Task, model: Model) -> tuple[Task, Model]:
             tried.update(plans)
             found = _best([found, *_further(task, plans)])
     return found
+
+
+def _is_behind(model: Model, best: Model, snr: float | None) -> bool:
+    """Whether more or fewer clusters would hardly make up for it: for a size in dB, for an SNR in bytes."""
+    return model.snr < best.snr - BEHIND if snr is None else model.nbytes > BEHIND_TIMES * best.nbytes
 
 
 def _fits(task: Task, plan: Plan) -> bool:

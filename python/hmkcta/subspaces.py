@@ -22,6 +22,8 @@ DIMENSIONS = 16
 ROWS = 1 << 12
 #: Times that subspaces are begun anew, rounds of each, and rows beside the first by which one begins, per dimension.
 RESTARTS, ROUNDS, NEAREST = 4, 12, 3
+#: Beginnings make less difference from so many subspaces on: then fewer do.
+MANY, FEWER = 48, 2
 
 
 def subspace_clusters(
@@ -38,7 +40,7 @@ def subspace_clusters(
     points = _coordinates(rows, max(COORDINATES, dimension + MORE), rng)
     some = points if len(points) <= ROWS else points[np.sort(rng.permutation(len(points))[:ROWS])]
     best, most = np.zeros((clusters, points.shape[1], dimension), np.float32), -1.0
-    for _ in range(restarts):
+    for _ in range(restarts if clusters <= MANY else min(restarts, FEWER)):
         bases = _settled(some, _seeds(some, clusters, dimension, rng))
         kept = sum(float(part.max(axis=1).sum(dtype=np.float64)) for part in _explained(some, bases))
         if kept > most:
