@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -27,8 +26,6 @@ F64 = NDArray[np.float64]
 SLAB = 1 << 21
 #: Up to this SNR in dB the rounding of decoding in float32 is nothing beside the errors; above, float64 tells them.
 FINE = 40.0
-#: Beyond so many dB decoding in float32, as everybody does, leaves errors of its own, which then count.
-DELIVERED = 105.0
 
 
 @dataclass(eq=False)
@@ -102,12 +99,13 @@ def measure_both(model: Model, source: Any, *, nan: float | None = None, progres
     if tuple(source.shape) != model.shape:
         raise invalid("source-shape", "shape of the source", tuple(source.shape), f"{model.shape}, that of the file")
     source = meant(source)
-    by = partial(_summed, model, source, nan, progress, slab)
-    found = by(np.float32, coarse=True) or by(np.float64)
-    if found is not None and found[0][-1].snr_db > DELIVERED:
-        found = by(np.float32)
-    assert found is not None
-    return found
+    sums = _summed(model, source, nan, progress, slab, np.float32) or _summed(
+        model, source, nan, progress, slab, np.float64
+    )
+    assert sums is not None
+    plain, transformed = sums
+    found = transformed.quality()
+    return (found if from_json(model.metadata.transform).name == "identity" else plain.quality()), found
 
 
 def _is_coarse(sums: Sums) -> bool:
@@ -116,12 +114,11 @@ def _is_coarse(sums: Sums) -> bool:
 
 
 def _summed(
-    model: Model, source: Any, nan: float | None, progress: Progress | None, slab: int, dtype: type[np.floating[Any]],
-    *, coarse: bool = False,
-) -> tuple[tuple[LevelQuality, ...], tuple[LevelQuality, ...]] | None:
-    """Quality in both domains, summed up in float64 whatever the type the model is decoded in.
+    model: Model, source: Any, nan: float | None, progress: Progress | None, slab: int, dtype: type[np.floating[Any]]
+) -> tuple[Sums, Sums] | None:
+    """Sums in both domains, in float64 whatever the type the model is decoded in; plain errors only if they differ.
 
-    None where they are to be `coarse` and float32 does not tell the errors, of which the first slab mostly warns.
+    None where float32 does not tell the errors, of which the first slab mostly warns.
     """
     metadata = model.metadata
     transform = from_json(metadata.transform)
@@ -141,15 +138,13 @@ def _summed(
             add_level(model.levels, rows, decoded, level + 1)
             transformed.add_error(level, fitted - decoded)
             if transform.name != "identity":
-                numbers = decoded.astype(np.float64) if coarse else decoded
-                plain.add_error(level, tensor - np.asarray(transform.inverse(numbers), np.float64))
+                plain.add_error(level, tensor - np.asarray(transform.inverse(decoded.astype(np.float64)), np.float64))
         drop_pages(source)
-        if coarse and part in (parts[0], parts[-1]) and not _is_coarse(transformed):
+        if dtype is np.float32 and part in (parts[0], parts[-1]) and not _is_coarse(transformed):
             return None
         if progress is not None:
             progress("measuring", transformed.count / model.size)
-    found = transformed.quality()
-    return (found if transform.name == "identity" else plain.quality()), found
+    return plain, transformed
 
 
 def _finite(values: F64, nan: float | None, part: tuple[slice, ...]) -> F64:
