@@ -35,8 +35,10 @@ def memory_limit(plan: Plan, sizes: Sequence[int], memory: int | None) -> int:
     """
     check_least_memory(prod(sizes), memory, choosing=False)
     beyond = _beyond(plan, sizes, memory)
-    # What is free may do, though half of it does not: some rows are then few enough.
-    limit = max(min(prod(sizes), SMALLEST), workset_limit(memory_budget(memory) - beyond))
+    budget = memory_budget(memory)
+    # All that is free may do where half of it does not: then no fewer rows than are enough are worked on.
+    enough = min(prod(sizes), SMALLEST, workset_limit(budget))
+    limit = max(enough, workset_limit(budget - beyond))
     number, first = next(((n, level) for n, level in enumerate(plan.levels) if level.cells > 1), (0, plan.levels[0]))
     if prod(sizes) <= limit or _jointly(first, sizes, memory):
         return limit
@@ -77,7 +79,7 @@ def model_bytes(plan: Plan, sizes: Sequence[int], threads: int = 1, room: int = 
     >>> from hmkcta.plan import parse_plan
     >>> plan = parse_plan("R=8 / R=8 C=6,8,8,8 K=1", [("light",), ("view",), ("y",), ("x",)])
     >>> model_bytes(plan, (50, 50, 50, 50)) // 2**20
-    276
+    278
     """
     held, most, nodes = 0, 0, 1
     for level in plan.levels:
