@@ -31,6 +31,7 @@ from memory_tools import printed, taken, write_waves
 SIDE = 72
 MODES = tuple((f"axis{n}",) for n in range(4))
 
+
 @pytest.fixture(scope="module")
 def waves(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A file of 107 MB: two separable waves and noise."""

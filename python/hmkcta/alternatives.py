@@ -105,11 +105,11 @@ def nodes_of_clusters(plan: Plan) -> Iterator[Plan]:
     ['R=1,* C=16,1 / R<=8,*', 'R=1,* C=64,1 / R<=8,*', 'R=1,* C=256,1 / R<=8,*']
     """
     first, *others = plan.levels
-    if others or not first.own or first.grid or not 1 < first.cells == max(first.clusters):
+    if others or not first.own or not _is_of_one_mode(first):
         return
     below = replace(first, clusters=(1,) * first.order)
     for times in MORE_NODES:
-        clusters = tuple(min(count * times, FEW_CLUSTERS) if count > 1 else 1 for count in first.clusters)
+        clusters = _counted(first, min(first.cells * times, FEW_CLUSTERS))
         yield replace(plan, levels=(_of_data(_of_rank_one(first), clusters), below))
 
 
@@ -121,13 +121,21 @@ def with_clusters_times(plan: Plan, factor: float) -> Plan | None:
     >>> str(with_clusters_times(parse_plan("R<=8,* C=16,1", (("y",), ("x",))), 1.5))
     'R<=8,* C=24,1'
     """
-    (first, *others), most = plan.levels, max(plan.levels[0].clusters)
-    count = max(2, round(most * factor))
-    last = (first, *others)[-1]
-    if len(others) > 1 or not last.own or first.grid or not 1 < first.cells == most or count == most:
+    first, *others = plan.levels
+    count = max(2, round(first.cells * factor))
+    if len(others) > 1 or not plan.levels[-1].own or not _is_of_one_mode(first) or count == first.cells:
         return None
-    clusters = tuple(count if c > 1 else 1 for c in first.clusters)
-    return replace(plan, levels=(_of_data(first, clusters), *others))
+    return replace(plan, levels=(_of_data(first, _counted(first, count)), *others))
+
+
+def _is_of_one_mode(level: LevelSpec) -> bool:
+    """Whether its cells are clusters of the data along one mode."""
+    return not level.grid and 1 < level.cells == max(level.clusters)
+
+
+def _counted(level: LevelSpec, count: int) -> tuple[int, ...]:
+    """So many clusters along the mode that has clusters."""
+    return tuple(count if clusters > 1 else 1 for clusters in level.clusters)
 
 
 def whole_plan(plan: Plan, plain: Organisation) -> Plan:

@@ -128,7 +128,9 @@ def _outside(plan: Plan, sizes: Sequence[int], limit: int, threads: int, cut: in
             each = fitting_bytes(sizes, level, limit) + int(_KEPT * slabs)
         # An SNR does not say how large the model is.
         model = MODEL * min(2 * numbers(sizes, level), plan.size or 0) if level.own else 0
-        joint = joint_bytes(sizes, level, threads) - level.products_bytes if prod(sizes) > limit else 0
+        # Inner products are the model's.
+        products = level.clamped(sizes).products_bytes
+        joint = joint_bytes(sizes, level, threads) - products if prod(sizes) > limit else 0
         most = max(most, each + (_HEAPS if below else 0) + model, joint)
         if number == cut and not level.grid:
             most = max(most, WORKING * min(limit, threads * _largest(elements, level)) + _HEAPS)

@@ -23,7 +23,7 @@ from .memberships import uniform_blocks
 from .metrics import squared_norm
 from .pieces import Piece, Rows, SubTensor
 from .plan import LevelSpec
-from .predict import together
+from .predict import side_by_side
 from .progress import Progress, Told
 from .streamed import Saved, Streamed, thinned_cells
 from .subdivision import subdivide
@@ -46,12 +46,12 @@ class Run:
     device: str = "cpu"
     room: int | None = None
 
-    def together(self, specs: Iterable[LevelSpec | None], nodes: Sequence[Node]) -> int:
+    def side_by_side(self, specs: Iterable[LevelSpec | None], nodes: Sequence[Node]) -> int:
         """How many of the nodes are fitted side by side; what comes out does not depend on it."""
         if self.room is None or len(nodes) < 2:
             return self.threads
         largest = tuple(map(max, *(node.sizes for node in nodes)))
-        return min((together(spec, largest, self.threads, self.room) for spec in set(specs) if spec), default=1)
+        return min((side_by_side(spec, largest, self.threads, self.room) for spec in set(specs) if spec), default=1)
 
 
 @dataclass(eq=False)
@@ -237,7 +237,7 @@ def fit_nodes(
         elif tensor is not None:
             scatter(tree.residual, node, _exchanged(tensor, None, node.cells))
 
-    in_parallel(work, nodes, f"level {depth}", run, tree.residual, run.together(specs, nodes))
+    in_parallel(work, nodes, f"level {depth}", run, tree.residual, run.side_by_side(specs, nodes))
 
 
 def _exchanged(residual: F32, old: Cells | None, new: Cells | None) -> F32:
@@ -291,7 +291,7 @@ def descend(tree: Hierarchy, scheme: str, run: Run) -> None:
         node.parts = subdivide(node.cells, tensor, scheme)
         node.children = list(_children(node, node.cells.spec.clusters))
 
-    in_parallel(work, nodes, "subdivision", run, tree.residual, run.together(_specs(nodes), nodes))
+    in_parallel(work, nodes, "subdivision", run, tree.residual, run.side_by_side(_specs(nodes), nodes))
     for node in nodes:
         outside = streamed(tree, node)
         if outside is not None and node.cells is not None and node.cells.spec.cells > 1:
@@ -363,7 +363,7 @@ def backfit(tree: Hierarchy, run: Run, *, last: bool = False) -> None:
             else:
                 scatter(tree.residual, node, _exchanged(gather(tree.residual, node), old, cells))
 
-        workers = run.together(_specs(nodes), nodes)
+        workers = run.side_by_side(_specs(nodes), nodes)
         in_parallel(work, nodes, f"back-fitting level {number}", run, tree.residual, workers)
 
 

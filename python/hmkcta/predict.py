@@ -66,7 +66,7 @@ def room_beside(elements: int, memory: int | None) -> int:
     return memory_budget(memory) - PROCESS // 2 - WORKING * min(elements, workset_limit(memory))
 
 
-def together(spec: LevelSpec, sizes: Sequence[int], threads: int, room: int) -> int:
+def side_by_side(spec: LevelSpec, sizes: Sequence[int], threads: int, room: int) -> int:
     """How many nodes of these sizes are fitted side by side, by so many threads at most: as many as have room."""
     return max(1, min(threads, room // max(1, tried_bytes(spec, sizes))))
 
@@ -87,7 +87,7 @@ def model_bytes(plan: Plan, sizes: Sequence[int], threads: int = 1, room: int = 
             break
         spec = level.clamped(sizes)
         held += nodes * (NODE + MODEL * 2 * numbers(sizes, spec))
-        most = max(most, held + together(spec, sizes, min(nodes, threads), room) * tried_bytes(spec, sizes))
+        most = max(most, held + side_by_side(spec, sizes, min(nodes, threads), room) * tried_bytes(spec, sizes))
         nodes, sizes = nodes * spec.cells, blocks(sizes, spec)
     return most
 

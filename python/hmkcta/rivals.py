@@ -99,7 +99,8 @@ def _spare(
 
 
 def _near(followed: Sequence[tuple[Task, Model]]) -> Sequence[Plan]:
-    """Alternatives of the best with each number of bits: which of these is better may hang on them."""
+    """Alternatives of the best with each number of bits, as which of these is better may hang on them; and nodes of the
+    clusters of all."""
     plans, tried = dict[Plan, None](), {task.plan for task, _ in followed}
     for bits in BITS:
         if of_bits := [each for each in followed if each[0].plan.levels[-1].bits == bits]:

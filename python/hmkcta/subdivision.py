@@ -17,6 +17,7 @@ from . import backends as kernels
 from .cells import Cells, Products
 from .coding import Dictionary
 from .memberships import uniform_blocks
+from .metrics import squared_norm
 from .projection import Projection, passes, project
 from .search import all_products, project_model, right_sides
 
@@ -67,8 +68,7 @@ def _errors_left(cells: Cells, tensor: F32, n: int) -> NDArray[np.float64]:
         alone.members[n], alone.bases[n] = cells.members[n][:, k : k + 1].copy(), cells.bases[n][:, k : k + 1].copy()
         left = tensor.copy()
         kernels.accumulate(alone, left, -1.0)
-        rows = np.moveaxis(left, n, 0)
-        errors[:, k] = [np.square(row, dtype=np.float64).sum() for row in rows]
+        errors[:, k] = [squared_norm(row) for row in np.moveaxis(left, n, 0)]
     return errors
 
 

@@ -143,15 +143,15 @@ def missed_goal(model: Model, goal: Goal) -> str | None:
 
 def unused(model: Model, goal: Goal, plan: str | None) -> list[str]:
     """A sentence on what keeps a file from its --size; none if it has it, or nothing is left to store."""
-    if goal.size is None or model.nbytes >= USED * goal.size or isinf(model.snr):
-        return []
-    if plan is not None and "<=" not in plan:
+    fixed = plan is not None and "<=" not in plan
+    if goal.size is None or model.nbytes >= USED * goal.size or isinf(model.snr) or fixed:
         return []
     cost, bound = goal.settings["decode_cost"], _is_bound_by_cost(model, goal)
-    if plan is None:
+    if plan is None and bound:
         why = (f"nothing better was found within --decode-cost {cost}. Next: allow more multiply-adds, if what reads "
-               "the file may take longer for an element" if bound else
-               "nothing larger that was tried is better. Next: as good is a smaller --size")
+               "the file may take longer for an element")
+    elif plan is None:
+        why = "nothing larger that was tried is better. Next: as good is a smaller --size"
     elif _keeps_no_more(model):
         why = f"the plan's {model.levels[-1].bits}-bit numbers keep no more. Next: add a level"
     elif bound:
