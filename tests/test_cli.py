@@ -256,6 +256,14 @@ def test_plan_for_a_goal_can_be_followed(source: Path, tmp_path: Path) -> None:
     model = hmkcta.open(tmp_path / "a.hmk")
     assert model.snr >= 29.995
     assert model.decode_cost <= 100
+    assert shlex.split(found["goal_command"])[3:] == ["-o", "OUT.hmk", "--snr", "30.0", "--decode-cost", "100"]
+
+
+def test_plan_prints_what_is_best_for_a_goal_before_what_fits_its_plan_alone(source: Path) -> None:
+    best, alone = [line.split() for line in run("plan", source, "--size", "2KB").stdout.splitlines() if "-o" in line]
+    assert best[-2:] == alone[-2:] == ["--size", "2000"]
+    assert "--plan" in alone
+    assert "--plan" not in best
 
 
 def test_plan_predicts_the_bytes(source: Path, packed: Path) -> None:

@@ -38,6 +38,7 @@ def alternatives(plan: Plan, plain: Organisation, snr: float, nbytes: int) -> It
     first, *others = plan.levels
     if len(others) == 1 and others[0].own and first.grid and 1 < max(first.clusters) <= FEW_CLUSTERS:
         yield replace(plan, levels=(_of_data(first, first.clusters), *others))
+        yield from gathered(plan)
     if first.bits == min(BITS) and EITHER[0] < _asked(plan, snr) < EITHER[1]:
         yield with_bits(plan, max(BITS))
     yield from narrower(plan, snr)
@@ -136,6 +137,28 @@ def _is_of_one_mode(level: LevelSpec) -> bool:
 def _counted(level: LevelSpec, count: int) -> tuple[int, ...]:
     """So many clusters along the mode that has clusters."""
     return tuple(count if clusters > 1 else 1 for clusters in level.clusters)
+
+
+def gathered(plan: Plan) -> Iterator[Plan]:
+    """Nodes for clusters of the data along one mode, into which those that a grid cuts are merged: things of any shape.
+
+    >>> from hmkcta import parse_plan
+    >>> video = (("time",), ("y",), ("x",))
+    >>> [str(each) for each in gathered(parse_plan("R=1 grid=y:4,x:6 / R<=8 cut<=x:2", video))]
+    ['R=1,1 C=1,24 / R<=8,160']
+    """
+    first, below = plan.levels
+    cut = [n for n, count in enumerate(first.clusters) if count > 1]
+    if len(cut) < 2 or first.cells > FEW_CLUSTERS:
+        return
+    kept = [n for n in range(first.order) if n == cut[0] or n not in cut]
+    merged = tuple(name for n in cut for name in plan.organisation[n])
+    modes = tuple(merged if n == cut[0] else plan.organisation[n] for n in kept)
+    ranks = tuple(MOST_RANKS if n == cut[0] else below.ranks[n] for n in kept)
+    ones = (1,) * len(kept)
+    level = LevelSpec(ranks, ones, ones, below.scheme, own=True, bits=below.bits)
+    clusters = tuple(first.cells if n == cut[0] else 1 for n in kept)
+    yield replace(plan, organisation=modes, levels=(_of_data(_of_rank_one(level), clusters), level))
 
 
 def whole_plan(plan: Plan, plain: Organisation) -> Plan:

@@ -6,13 +6,13 @@ between two ranks, and the ranks of another number of blocks between those.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from math import isinf, prod
 
 from .axes import Axis
 from .grids import SMALLEST_EDGE
-from .plan import Plan
+from .plan import MOST_RANKS, LevelSpec, Plan
 
 #: Arrays of up to so many elements are tried so at once: a step is large there, and trying takes a second at the most.
 #: Of more than so many a step is small, and trying takes long.
@@ -48,6 +48,26 @@ def finer(plan: Plan, axes: Sequence[Axis]) -> Plan | None:
     most = dict(level.grid) | {axis.name: counts[axis.name] + 1 for axis in cut}
     fewest = tuple((axis.name, max(1, counts[axis.name] - 1)) for axis in cut)
     return replace(plan, levels=(level.cut_into(tuple(most.items()), modes, fewest),))
+
+
+def parted(plan: Plan, axes: Sequence[Axis]) -> Iterator[Plan]:
+    """The plan of one node with a merged mode parted into its axes, one mode at a time: a rank of one of these is a
+    smaller step than a rank of all together.
+
+    >>> from hmkcta import parse_plan
+    >>> axes = [Axis("y", 40), Axis("x", 60), Axis("light", 9)]
+    >>> [str(each) for each in parted(parse_plan("R<=8,*", [("y", "x"), ("light",)]), axes)]
+    ['R<=40,60,9']
+    """
+    (level, *more), sizes = plan.levels, {axis.name: axis.size for axis in axes}
+    if more or not level.own or level.cells > 1 or prod(sizes.values()) > LARGE:
+        return
+    for n in (n for n, mode in enumerate(plan.organisation) if len(mode) > 1):
+        apart = tuple((name,) for name in plan.organisation[n])
+        modes = (*plan.organisation[:n], *apart, *plan.organisation[n + 1 :])
+        ranks = tuple(min(MOST_RANKS, prod(sizes[name] for name in mode)) for mode in modes)
+        ones = (1,) * len(modes)
+        yield replace(plan, organisation=modes, levels=(LevelSpec(ranks, ones, ones, own=True, bits=level.bits),))
 
 
 def is_coarse(plan: Plan, snr: float, nbytes: int) -> bool:

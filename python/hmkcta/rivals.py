@@ -19,7 +19,7 @@ from .alternatives import (
 from .axes import mode_sizes
 from .errors import HmkctaError
 from .filesize import planned_bytes
-from .finer import LARGE, finer, is_coarse
+from .finer import LARGE, finer, is_coarse, parted
 from .fit import EFFORTS
 from .follow import Task, follow
 from .model import Model
@@ -154,7 +154,7 @@ def _best(followed: Sequence[tuple[Task, Model]]) -> tuple[Task, Model]:
 
 def _unless_verbatim(task: Task, best: Model, others: Sequence[Plan]) -> Model:
     """The model for an SNR, or the values as float16 if that takes fewer bytes and does as well."""
-    if best.nbytes <= task.plan.levels[-1].bits // 8 * prod(task.source.shape) or _is_verbatim(best.plan):
+    if best.nbytes <= _verbatim_bytes(task, task.plan) or _is_verbatim(best.plan):
         return best
     for _, model in _further(task, filter(_is_verbatim, others)):
         if model.nbytes < best.nbytes and model.snr >= min(best.snr, task.plan.snr or best.snr):
@@ -167,10 +167,17 @@ def _is_verbatim(plan: Plan) -> bool:
     return len(plan.levels) == 1 and not any(plan.levels[0].ranks)
 
 
+def _verbatim_bytes(task: Task, plan: Plan) -> int:
+    """What the values take at least as numbers of the plan's last level."""
+    return plan.levels[-1].bits // 8 * prod(task.source.shape)
+
+
 def _nearer(task: Task, model: Model, others: Sequence[Plan]) -> tuple[Task, Model]:
     """The best of a model beyond its goal and those of plans that may come nearer to it."""
     own = finer(task.plan, task.source.axes)
-    plans = ([] if own is None else [own]) + list(others[: 1 if task.plan.snr is not None else 0])
+    plans = [*([] if own is None else [own]), *parted(task.plan, task.source.axes)]
+    next_best = others[:1] if task.plan.snr is not None else ()
+    plans += [plan for plan in next_best if not _is_verbatim(plan) or model.nbytes > _verbatim_bytes(task, plan)]
     return _best([(task, model), *_further(task, plans)])
 
 

@@ -99,14 +99,17 @@ def goal_from(options: dict[str, Any]) -> Goal:
     return goal
 
 
-def command_for(source: str, output: str, plan: Plan, goal: Goal) -> str:
-    """The command that fits exactly this plan: the plan in full, and whatever else was given."""
+def command_for(source: str, output: str, plan: Plan | None, goal: Goal) -> str:
+    """The command that fits exactly this plan, in full, or for None what is best for the goal; and whatever else was
+    given."""
     words = ["hmkcta", "compress", source, "-o", output]
-    words += ["--organisation", format_organisation(plan.organisation), "--plan", str(plan)]
-    given: dict[str, Any] = {"snr": plan.snr, "size": plan.size, "kind": goal.kind, **goal.settings, **goal.source}
+    given: dict[str, Any] = {"snr": goal.snr, "size": goal.size, "kind": goal.kind, **goal.settings, **goal.source}
+    if plan is not None:
+        words += ["--organisation", format_organisation(plan.organisation), "--plan", str(plan)]
+        given |= {"organisation": None, "bits": None, "snr": plan.snr, "size": plan.size}
     defaults = {param.name: param.default for param in click.get_current_context().command.params}
     for name, value in given.items():
-        if name not in ("organisation", "bits") and value is not None and value != defaults.get(name):
+        if value is not None and value != defaults.get(name):
             words += [f"--{name.replace('_', '-')}", _written(name, value)]
     for option, pairs in goal.along.items():
         words += [word for pair in pairs for word in (f"--{option}", "=".join(pair))]

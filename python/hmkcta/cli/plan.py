@@ -38,7 +38,7 @@ EXAMPLES = (
 @goal_options
 @together(json_option, quiet_option, verbose_option)
 def plan_command(source: str, plan: str | None, as_json: bool, quiet: bool, verbose: bool, **options: Any) -> None:
-    """Show a plan for the array SRC and its cost, and the command that follows it."""
+    """Show a plan for the array SRC and its cost, and the commands that follow it."""
     del verbose
     goal = goal_from(options)
     with Progress(quiet or as_json) as progress:
@@ -53,6 +53,7 @@ def plan_command(source: str, plan: str | None, as_json: bool, quiet: bool, verb
             choosing = perf_counter() - begun  # `compress` does the same
     report = describe(chosen, described, goal, choosing)
     report["command"] = command_for(source, "OUT.hmk", chosen, goal)
+    report["goal_command"] = command_for(source, "OUT.hmk", None, goal) if plan is None else None
     report["seconds"] = round(progress.elapsed, 3)
     if as_json:
         emit({"source": source, **report})
@@ -122,6 +123,10 @@ def as_text(report: dict[str, Any]) -> str:
     times = f"about {seconds(report['fitting_seconds'])} with the plan given"
     if (choosing := report["choosing_seconds"]) is not None:
         times += f", {seconds(choosing)} more to choose it anew"
+    commands = ["To do it:", f"  {report['command']}"]
+    if report["goal_command"] is not None:
+        commands = ["To do it, and keep the best of this plan and others like it:", f"  {report['goal_command']}",
+                    "This plan alone:", f"  {report['command']}"]
     return "\n".join([
         f"organisation  {report['organisation']}  ({modes})",
         *([f"goal          {', '.join(goals)}"] if goals else []),
@@ -134,6 +139,6 @@ def as_text(report: dict[str, Any]) -> str:
         "",
         table(["level", "decode cost", "ranks R, clusters C, mixture K"], rows, left=[2]),
         "",
-        f"Found in {seconds(report['seconds'])}. To do it:",
-        f"  {report['command']}",
+        f"Found in {seconds(report['seconds'])}. {commands[0]}",
+        *commands[1:],
     ])
