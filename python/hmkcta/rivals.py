@@ -27,12 +27,14 @@ from .narrow import BITS
 from .plan import Plan
 from .predict import is_streamed, memory_limit
 
-#: From so many dB on a second level is tried, below a first that ends at as many as float16 keeps of one.
-NEARLY, ROUNDED = 64.0, 68.0
+#: From so many dB on a second level is tried, below a first that ends at as many as float16 keeps of one, and at no
+#: less than so many.
+NEARLY, ROUNDED, SHORT = 64.0, 68.0, 40.0
 #: So many dB beyond its goal is far; so many bytes keep of most values; a second level must save a tenth.
 BEYOND, OF_BYTES, LESS = 3.0, 36.0, 0.9
-#: A model that lies so many dB behind another, or takes so many times its bytes, stays there.
-BEHIND, BEHIND_TIMES = 1.5, 1.25
+#: A model that lies so many dB behind another, or takes so many times its bytes, stays there whatever the number of
+#: clusters; and if so many, also with nodes of them.
+BEHIND, FAR_BEHIND = (1.5, 1.25), (6.0, 3.0)
 #: Elements up to which numbers of clusters are told apart by fits in all steps, the first from each start.
 SMALL, STEPS = 1 << 22, (1.5, 1.25, 1.125)
 
@@ -61,14 +63,15 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
             task, model = _best([(task, model), *(each for each in two if each[1].nbytes < most)])
         if (task.plan.snr or model.snr) > NEARLY:
             task, model = _best([(task, model), *_further(given, dict.fromkeys(_in_two(given, others)))])
-        behind = model is own[1] or _is_behind(own[1], model, task.plan.snr)
+        behind = model is own[1] or _is_behind(own[1], model, task.plan.snr, BEHIND)
         starts = [(task, model)] if behind else [own, (task, model)]
         first, *finer_steps = STEPS if prod(task.source.shape) <= SMALL else STEPS[-1:]
         task, model = _best([_with_other_clusters(*start, [first]) for start in starts])
         task, model = _with_other_clusters(task, model, finer_steps)
     elif _is_held(task):
         near = (plan for plan in narrower(task.plan, model.snr) if _may_be(task, plan))
-        task, model = _best([(task, model), *_further(task, near)])
+        two = _in_two(given, []) if task.plan.snr is None and model.snr > NEARLY else ()
+        task, model = _best([(task, model), *_further(task, near), *_further(given, two)])
     best, others = model, [plan for plan in others if plan not in rivals]
     if is_coarse(task.plan, model.snr, model.nbytes):
         task, model = _nearer(task, model, others)
@@ -107,7 +110,10 @@ def _near(followed: Sequence[tuple[Task, Model]]) -> Sequence[Plan]:
             task, model = _best(of_bits)
             near = alternatives(task.plan, task.source.organisation(None), model.snr, model.nbytes)
             plans |= {plan: None for plan in near if _may_be(task, plan) and plan not in tried}
-    plans |= {plan: None for task, _ in followed for plan in nodes_of_clusters(task.plan) if _fits(task, plan)}
+    _, best = _best(followed)
+    for task, model in followed:
+        if not _is_behind(model, best, task.plan.snr, FAR_BEHIND):
+            plans |= {plan: None for plan in nodes_of_clusters(task.plan) if _fits(task, plan)}
     return list(plans)
 
 
@@ -210,9 +216,9 @@ def _with_other_clusters(task: Task, model: Model, steps: Sequence[float]) -> tu
     return found
 
 
-def _is_behind(model: Model, best: Model, snr: float | None) -> bool:
-    """Whether more or fewer clusters would hardly make up for it: for a size in dB, for an SNR in bytes."""
-    return model.snr < best.snr - BEHIND if snr is None else model.nbytes > BEHIND_TIMES * best.nbytes
+def _is_behind(model: Model, best: Model, snr: float | None, far: tuple[float, float]) -> bool:
+    """Whether it is so `far` from the best, for a size in dB, for an SNR in times its bytes."""
+    return model.snr < best.snr - far[0] if snr is None else model.nbytes > far[1] * best.nbytes
 
 
 def _fits(task: Task, plan: Plan) -> bool:
@@ -225,15 +231,16 @@ def _in_two(task: Task, others: Sequence[Plan]) -> Iterator[Plan]:
     """The plan, the others, and one that merges and cuts nothing, with a first level that ends at what float16 keeps,
     and a second for what that leaves.
 
-    Where ranks do not reach that, the last of them gain little: then one that ends a dB before them, too.
+    Where ranks do not reach that, the last of them gain little: then one that ends a dB before them, too. What ends
+    far below is left: the second level would have too much to do.
     """
     whole = whole_plan(task.plan, task.source.organisation(None))
     for plan in dict.fromkeys((task.plan, *others, whole)):
         if len(plan.levels) > 1 or _is_verbatim(plan):
             continue
         goal = replace(plan, size=None, snr=ROUNDED)
-        firsts = list(_further(task, [goal]))
-        firsts += _further(task, [replace(goal, snr=model.snr - 1) for _, model in firsts if 1 < model.snr < ROUNDED])
+        firsts = [each for each in _further(task, [goal]) if each[1].snr > SHORT]
+        firsts += _further(task, [replace(goal, snr=model.snr - 1) for _, model in firsts if model.snr < ROUNDED])
         deeper = [_deeper(*each) for each in firsts]
         yield from (replace(each, snr=task.plan.snr, size=task.plan.size) for each in deeper if each is not None)
 

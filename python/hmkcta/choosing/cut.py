@@ -13,7 +13,7 @@ from ..axes import Axis, Organisation
 from ..lazy import lazy
 from .blocks import Blocks, halved, organised, split
 from .growth import Growth, growth_of
-from .spectra import cores
+from .spectra import Values, cores
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -28,7 +28,7 @@ class Cut:
         edges: mode sizes of a block before thinning.
         sizes: mode sizes of the whole.
         clusters: numbers of blocks along each mode.
-        precision: what Gram matrices are summed in.
+        precision: what cores and energies are found in.
         enough: share of the energy that ranks may leave untold.
     """
 
@@ -46,7 +46,7 @@ class Cut:
     enough: float
 
     @lazy
-    def core(self) -> F32:
+    def core(self) -> Values:
         """Their truncated HOSVD cores, no mode shorter than its entry of `limits`."""
         return cores(self.batch, self.limits, self.precision, self.enough)
 
@@ -55,7 +55,7 @@ class Cut:
         """What ranks of whole blocks are told by; None where no rows were left out."""
         return self.growth_of(self.batch, self.core, (1,) * len(self.grid), self.edges)
 
-    def growth_of(self, parts: F32, core: F32, way: Sequence[int], edges: Sequence[int]) -> Growth | None:
+    def growth_of(self, parts: F32, core: Values, way: Sequence[int], edges: Sequence[int]) -> Growth | None:
         """The same of the blocks cut into so many `parts` along each axis, by their cores and rows."""
         if not self.blocks.thinned:
             return None

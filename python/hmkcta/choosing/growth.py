@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .spectra import Ladder, cores, energies
+from .spectra import Ladder, Values, cores, energies
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -50,7 +50,7 @@ class Growth:
         return tuple(int(rank) for rank in np.minimum(np.round(grown), edge))
 
 
-def growth_of(batch: F32, core: F32, halved: F32, edges: Sequence[int], dtype: Any = np.float32) -> Growth:
+def growth_of(batch: F32, core: Values, halved: F32, edges: Sequence[int], dtype: Any = np.float32) -> Growth:
     """How ranks grow with the rows of blocks.
 
     Args:
@@ -71,9 +71,9 @@ def growth_of(batch: F32, core: F32, halved: F32, edges: Sequence[int], dtype: A
     return Growth(_left(batch, core), _left(halved, smaller), tuple(edges), turns)
 
 
-def _left(batch: F32, core: F32) -> tuple[F64, ...]:
+def _left(batch: F32, core: Values) -> tuple[F64, ...]:
     """Of each mode the logarithm of the share of error that each rank leaves."""
-    energy, kept = float(energies(batch).sum()), np.zeros(core.shape[1:])
+    energy, kept = float(energies(batch, core.dtype).sum()), np.zeros(core.shape[1:])
     for block in core:
         kept += np.square(block, dtype=np.float64)
     found = list[F64]()

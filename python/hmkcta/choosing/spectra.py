@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+Values = NDArray[np.floating]
 Ladder = tuple[int, ...]
 
 #: Most choices of ranks of a block, and by how much a rank at most grows from one that is looked at to the next.
 FEW_CHOICES, CHOICES = 2_500, 10_000
 GROWTH = (1.0, 1.08, 1.12, 1.16, 1.2, 1.25, 1.3, 1.35, 1.42, 1.5, 1.6, 1.8, 2.2)
-#: Squares summed in float32.
+#: Squares summed at once.
 TERMS = 1024
 #: Up to this side a Gram matrix is decomposed; beyond it a subspace of the rank wanted, and so many more, is iterated.
 SIDE, BESIDE, ITERATIONS = 160, 16, 1
@@ -50,18 +51,18 @@ def _ladder(limit: int, growth: float) -> Ladder:
     return tuple(ranks)
 
 
-def cores(batch: F32, limits: Sequence[int | None], dtype: Any = np.float32, enough: float = 0.0) -> F32:
+def cores(batch: F32, limits: Sequence[int | None], dtype: Any = np.float32, enough: float = 0.0) -> Values:
     """Blocks `[B, I_1, .., I_N]` rotated into their leading singular vectors: `[B, R_1, .., R_N]`; None: not rotated.
 
-    Gram matrices are formed in `dtype`. Ranks of a single block may end where they leave a share of its energy that is
-    small `enough`.
+    They are rotated in `dtype`: beyond some 60 dB the rounding of the largest elements to float32 is more than what
+    ranks leave. Ranks of a single block may end where they leave a share of its energy that is small `enough`.
     """
     order = batch.ndim - 1
     sizes = batch.shape[1:]
     first = min(range(order), key=lambda n: (limits[n] or sizes[n]) / sizes[n])
     turn = [(first + k) % order for k in range(order)]
-    core = _turned(batch, first)
-    beyond = enough * float(energies(batch).sum()) if len(batch) == 1 else 0.0
+    core: Values = _turned(batch, first)
+    beyond = enough * float(energies(batch, dtype).sum()) if len(batch) == 1 else 0.0
     for at, n in enumerate(turn):
         limit, rest = limits[n], core.shape[2:]
         unfolded = core.reshape(len(core), core.shape[1], -1)  # the turn brings each mode to the front
@@ -81,25 +82,23 @@ def _turned(batch: F32, first: int) -> F32:
     return turned.reshape(len(batch), *(batch.shape[1 + (first + k) % order] for k in range(order)))
 
 
-def _rotated(unfolded: F32, limit: int, still: int, dtype: Any, beyond: float) -> F32:
+def _rotated(unfolded: Values, limit: int, still: int, dtype: Any, beyond: float) -> Values:
     """``A^T U`` of every unfolding `[rows, columns]`, U being its leading left singular vectors.
 
     Of the columns, in so many groups of which each `still` is like the others, some groups are enough to find U. Fewer
     vectors than the limit may do where they are iterated, and leave no more than what is `beyond` notice.
     """
     rows, columns = unfolded.shape[1:]
+    unfolded = unfolded.astype(dtype, copy=False)
     if min(rows, columns) > SIDE and limit + BESIDE < min(rows, columns) // 2:
         return _wide_enough(unfolded, limit, beyond)
     if rows <= columns:
         step = _coprime_step(min(still // 64, columns // max(COLUMNS * rows, LEAST_COLUMNS)), still)
         thin = unfolded.reshape(*unfolded.shape[:2], still, -1)[:, :, ::step].reshape(*unfolded.shape[:2], -1)
-        thin = thin.astype(dtype, copy=False)
         vectors = np.linalg.eigh(thin @ thin.swapaxes(1, 2))[1]
-        return unfolded.swapaxes(1, 2) @ vectors[:, :, : -limit - 1 : -1].astype(np.float32)
-    exact = unfolded.astype(dtype, copy=False)
-    squares, vectors = np.linalg.eigh(exact.swapaxes(1, 2) @ exact)
-    scaled = (vectors * np.sqrt(np.maximum(squares, 0))[:, None])[:, :, : -limit - 1 : -1]
-    return np.asarray(scaled, np.float32)
+        return unfolded.swapaxes(1, 2) @ vectors[:, :, : -limit - 1 : -1]
+    squares, vectors = np.linalg.eigh(unfolded.swapaxes(1, 2) @ unfolded)
+    return (vectors * np.sqrt(np.maximum(squares, 0))[:, None])[:, :, : -limit - 1 : -1]
 
 
 def _coprime_step(step: int, length: int) -> int:
@@ -109,45 +108,48 @@ def _coprime_step(step: int, length: int) -> int:
     return max(1, step)
 
 
-def _wide_enough(unfolded: F32, limit: int, beyond: float) -> F32:
+def _wide_enough(unfolded: Values, limit: int, beyond: float) -> Values:
     """As `_iterated`, of the first of some growing ranks that leaves little; of the limit where none does."""
-    rank, energy = FIRST, float(energies(unfolded).sum())
+    rank, energy = FIRST, float(energies(unfolded, unfolded.dtype).sum())
     while beyond > 0 and rank * WIDER <= limit:
         found = _iterated(unfolded, rank)
-        if energy - float(energies(found).sum()) <= beyond:
+        if energy - float(energies(found, found.dtype).sum()) <= beyond:
             return found
         rank *= WIDER
     return _iterated(unfolded, limit)
 
 
-def _iterated(unfolded: F32, limit: int) -> F32:
+def _iterated(unfolded: Values, limit: int) -> Values:
     """As `_rotated`, by subspace iteration from random mixtures of all columns."""
     flipped = unfolded.swapaxes(1, 2)
-    mixed = unfolded @ _signs(unfolded.shape[2], limit + BESIDE)
+    mixed = unfolded @ _signs(unfolded.shape[2], limit + BESIDE).astype(unfolded.dtype)
     for _ in range(ITERATIONS):
         mixed = unfolded @ (flipped @ _orthonormal(mixed))
     seen = flipped @ _orthonormal(mixed)
     vectors = np.linalg.eigh((seen.swapaxes(1, 2) @ seen).astype(np.float64))[1]
-    return np.asarray(seen @ vectors[:, :, : -limit - 1 : -1], np.float32)
+    return np.asarray(seen @ vectors[:, :, : -limit - 1 : -1], unfolded.dtype)
 
 
-def _orthonormal(matrix: F32) -> F32:
-    """An orthonormal basis, by Cholesky; of short vectors where columns depend on each other."""
+def _orthonormal(matrix: Values) -> Values:
+    """An orthonormal basis; of float32 by Cholesky, which is faster, and has short vectors where columns depend on each
+    other: what is 60 dB below others is lost."""
+    if matrix.dtype == np.float64:
+        return np.linalg.qr(matrix)[0]
     wide: F64 = matrix.astype(np.float64)
     gram: F64 = wide.swapaxes(1, 2) @ wide
     least: F64 = 1e-12 * np.einsum("bii->b", gram) + 1e-300
     factor = np.linalg.cholesky(gram + least[:, None, None] * np.eye(gram.shape[1]))
     inverse = np.linalg.inv(np.asarray(factor, np.float64))
-    return (wide @ inverse.swapaxes(1, 2)).astype(np.float32)
+    return (wide @ inverse.swapaxes(1, 2)).astype(matrix.dtype)
 
 
 def _signs(rows: int, columns: int) -> F32:
     return np.random.default_rng(0).choice(np.array([-1, 1], np.float32), (rows, columns))
 
 
-def captured(core: F32, steps: Sequence[Ladder | None]) -> F64:
+def captured(core: Values, steps: Sequence[Ladder | None]) -> F64:
     """Energy that HOSVD captures at each choice of ranks: `[B, entries of each ladder]`; None: all rows of the mode."""
-    table = np.square(core)
+    table: Any = np.square(core)
     lengths = [1 if own is None else len(own) for own in steps]
     for n in sorted(range(len(steps)), key=lambda n: lengths[n] / core.shape[1 + n]):
         # Sums of few squares may be of float32, sums of these may not.
@@ -168,10 +170,10 @@ def _sums(rows: int, ranks: Ladder | None) -> F64:
     return ((row >= starts[:, None]) & (row < ends[:, None])).astype(np.float64)
 
 
-def energies(batch: F32) -> F64:
-    """Squared norm of every block."""
+def energies(batch: Values, dtype: Any = np.float32) -> F64:
+    """Squared norm of every block, of sums in `dtype` of some terms each."""
     flat = batch.reshape(len(batch), -1)
     whole = flat.shape[1] // TERMS * TERMS
     first = flat[:, :whole].reshape(len(flat), -1, TERMS)
     rest = np.square(flat[:, whole:], dtype=np.float64).sum(axis=1)
-    return np.einsum("bci,bci->bc", first, first).sum(axis=1, dtype=np.float64) + rest
+    return np.einsum("bci,bci->bc", first, first, dtype=dtype).sum(axis=1, dtype=np.float64) + rest

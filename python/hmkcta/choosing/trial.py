@@ -26,7 +26,7 @@ from .caps import Ranks, Room, capped
 from .cut import Cut
 from .detail import detail_of
 from .growth import Growth
-from .spectra import Ladder, captured, cores, energies, ladders
+from .spectra import Ladder, Values, captured, cores, energies, ladders
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -51,11 +51,13 @@ MOST_OF_ONE = 4
 HIGHEST = (MOST_RANKS_ALONE, 64)
 #: What float16 leaves, as a share of the energy, at the most; errors below it are not told apart, unless a goal asks.
 VERBATIM = 1e-7
+#: So many dB more energy than its share a sample may have.
+LOUDER = 10.0
 #: What float32 can tell.
 FINEST = 1e-14
 #: Of the error that a goal leaves, the share from which on further ranks are not told apart.
 UNTOLD = 0.05
-#: Beyond so many dB Gram matrices are summed in float64.
+#: Beyond so many dB cores and energies are found in float64.
 PRECISE = 50.0
 #: What numbers of so many bits leave by themselves, as a share of what their level is to hold, which is little where a
 #: first level of rank one, of float16 numbers, takes most of the energy.
@@ -95,7 +97,7 @@ class Trial:
     @property
     def floor(self) -> float:
         """Errors below this share of the energy are not told apart: what reaches a goal is, by its bytes."""
-        beyond = 0.0 if self.ceiling is None else self.ceiling + 1
+        beyond = 0.0 if self.ceiling is None else self.ceiling + LOUDER
         return max(FINEST, min(VERBATIM, 10 ** (-beyond / 10)))
 
     def worths(
@@ -168,7 +170,7 @@ class Trial:
         chosen = [None if flag else limit for flag, limit in zip(flags, limits, strict=True)]
         core = cores(parts, chosen, self._precision)
         steps, meant = _steps(chosen, caps, len(parts), cut.growth_of(parts, core, way, edges))
-        energy, table = energies(parts), captured(core, steps)
+        energy, table = energies(parts, self._precision), captured(core, steps)
         choices = choices_of(meant, cut.edges, flags, max(1, self.decode_cost - 1), clusters, self.bits)
         together = (len(cut.batch), prod(way), -1)
         whole, tables = energy.reshape(together).sum(axis=(1, 2)), table.reshape(together).sum(axis=1)
@@ -195,8 +197,9 @@ class Trial:
         rows = dict(zip((axis.name for axis in axes), blocks.edges, strict=True))
         edges = tuple(prod(rows[name] for name in mode) for mode in organisation)
         limits = self._limits(batch.shape[1:], edges, prod(grid))
-        return Cut(axes, organisation, grid, blocks, batch, energies(batch), limits, edges, sizes, clusters,
-                    self._precision, self._enough)
+        energy, precision = energies(batch, self._precision), self._precision
+        return Cut(axes, organisation, grid, blocks, batch, energy, limits, edges, sizes, clusters, precision,
+                   self._enough)
 
     def _limits(self, have: Sequence[int], edges: Sequence[int], blocks: int) -> tuple[int, ...]:
         """Highest rank of each mode of so many blocks: what there is, what the bytes can store, what may be decoded.
@@ -213,7 +216,7 @@ class Trial:
 
     @property
     def _precision(self) -> Any:
-        """What Gram matrices are summed in: a high SNR asks small singular values to be told apart."""
+        """What cores are found in: a high SNR asks small singular values to be told apart."""
         return np.float64 if self.ceiling is not None and self.ceiling > PRECISE else np.float32
 
     @property
@@ -261,7 +264,7 @@ class Trial:
         held = capped(plan, mode_sizes(self.source.axes, candidate.organisation), self.memory)
         return free if held is plan else None if held is None else held.levels[-1].ranks
 
-    def _core(self, cut: Cut, flags: Sequence[bool]) -> F32:
+    def _core(self, cut: Cut, flags: Sequence[bool]) -> Values:
         """Cores with all energy along the modes left undecomposed."""
         had = zip(flags, cut.batch.shape[1:], cut.limits, strict=True)
         # The core of a matrix is diagonal: a rank of one of its modes has its energy at that rank of the other.

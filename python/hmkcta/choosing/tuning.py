@@ -46,7 +46,7 @@ OTHER = 2.5
 #: The values as float16, if they fit, are a rival for a size of what comes so near their SNR in dB, or beyond it.
 ROUNDED = 12.0
 #: Within so many dB of float16's own error plans for a size are alike: then by the bytes that they take to so many dB.
-ALIKE, EXACT = 1.0, 100.0
+ALIKE, EXACT = 10.0, 100.0
 #: Candidates that are judged so near the best are fitted, too, of arrays of up to so many elements: the more, the fewer
 #: bits an element is to take, as fits of low ranks take less time; no fewer and no more than these.
 BESIDE, FITTED, AT_ONE_BIT, NEAR = 1.5, 1 << 24, 2.5, (2, 8)
