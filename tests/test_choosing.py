@@ -22,7 +22,7 @@ from hmkcta.choosing.spectra import cores
 from hmkcta.choosing.trial import Trial, trial_of
 from hmkcta.choosing.tuning import _near_best  # pyright: ignore[reportPrivateUsage]
 from hmkcta.fit import EFFORTS
-from hmkcta.grids import allowed, few_grids, uncut_grids
+from hmkcta.grids import allowed, few_grids, single_grids, uncut_grids
 from hmkcta.source import prepare
 from hmkcta.synthetic import light_field
 from hmkcta.tucker import core_energies, full_core
@@ -347,7 +347,7 @@ def test_only_a_race_for_an_snr_lets_grids_far_behind_change(
     samples = 1 << 16, 1 << 17
     monkeypatch.setitem(CARES, EFFORTS["medium"], replace(CARES[EFFORTS["medium"]], compare=samples))
     seen, few = judged(monkeypatch, array, **goal), set(few_grids(array.shape))
-    begun = few | set(uncut_grids(array.shape))
+    begun = few | set(uncut_grids(array.shape)) | set(single_grids(array.shape))
     first, second = ({what[1] for what in seen if (what[0], what[2]) == (plain, sample)} for sample in samples)
     assert first >= begun
     assert (first > begun) == doubted

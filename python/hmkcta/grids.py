@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from itertools import product
 from math import prod
 
-#: Block edges never fall below this, nor elements of a block below so many times the sum of its edges.
+#: Block edges never fall below this, unless to single indices, nor elements of a block below so many times the sum of
+#: its edges.
 SMALLEST_EDGE, THIN = 4, 4
 #: Most blocks.
 MOST_BLOCKS = 4096
@@ -26,6 +27,19 @@ def uncut_grids(shape: Sequence[int]) -> list[tuple[int, ...]]:
     return sorted(grids)
 
 
+def single_grids(shape: Sequence[int]) -> list[tuple[int, ...]]:
+    """One axis cut into its single indices, all others uncut, halved, or as in the last of the few grids: what moves
+    from frame to frame has low ranks in each frame alone.
+
+    >>> single_grids((10, 48, 5))
+    [(10, 1, 1), (10, 2, 1), (1, 1, 5), (1, 2, 5), (1, 3, 5)]
+    """
+    blocks = few_grids(shape)[-1]
+    others = dict.fromkeys([(1,) * len(shape), tuple(min(2, count) for count in blocks), blocks])
+    grids = (changed(grid, n, size) for n, size in enumerate(shape) for grid in others)
+    return [grid for grid in dict.fromkeys(grids) if max(grid) > 1 and worth_cutting(grid, shape)]
+
+
 def worth_cutting(grid: Sequence[int], shape: Sequence[int]) -> bool:
     """Whether there are not too many blocks, nor such thin ones that one vector for each axis is most of a block."""
     edges = [size / count for size, count in zip(shape, grid, strict=True) if size > 1]
@@ -36,8 +50,30 @@ def changed(grid: tuple[int, ...], n: int, count: int) -> tuple[int, ...]:
     return (*grid[:n], count, *grid[n + 1 :])
 
 
+def more(count: int, size: int, by: int = 0) -> int:
+    """Twice as many blocks of an axis, or so many more; its single indices where blocks would be too short.
+
+    >>> more(3, 32), more(3, 32, 1), more(5, 32)
+    (6, 4, 32)
+    """
+    count = count + by if by else 2 * count
+    return count if count * SMALLEST_EDGE <= size else size
+
+
+def fewer(count: int, size: int, by: int = 0) -> int:
+    """Half as many blocks, or so many less; of single indices the smallest blocks there are.
+
+    >>> fewer(6, 32), fewer(6, 32, 1), fewer(32, 32), fewer(1, 32)
+    (3, 5, 8, 0)
+    """
+    if count * SMALLEST_EDGE > size:
+        return max(1, size // SMALLEST_EDGE) if count > 1 else 0
+    return count - by if by else count // 2
+
+
 def allowed(count: int, n: int, grid: tuple[int, ...], shape: Sequence[int]) -> bool:
     """Whether axis n may be cut into so many blocks, the others as they are."""
     if count < grid[n]:
         return count > 0
-    return count <= shape[n] / SMALLEST_EDGE and worth_cutting(changed(grid, n, count), shape)
+    long_enough = count * SMALLEST_EDGE <= shape[n] or count == shape[n]
+    return count > grid[n] and long_enough and worth_cutting(changed(grid, n, count), shape)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import permutations
 
-from ..grids import allowed, changed
+from ..grids import allowed, changed, fewer, more
 from .candidates import Candidate
 from .judging import Choice, Ranked, Search, worth_of
 from .trial import Kinds
@@ -59,11 +59,13 @@ def _around(
     """
     worth, (modes, grid) = now[0], (now[1].organisation, now[1].grid)
     shape, count = search.trial.source.shape, grid[n]
-    steps = [step for step in (1, -1) if (n, step) not in hopeless and allowed(count + step, n, grid, shape)]
-    found = search.best([(modes, changed(grid, n, count + step)) for step in steps], sample, kinds=kinds)
+    next_to = {1: more(count, shape[n], 1), -1: fewer(count, shape[n], 1)}
+    steps = [step for step, next_count in next_to.items()
+             if (n, step) not in hopeless and allowed(next_count, n, grid, shape)]
+    found = search.best([(modes, changed(grid, n, next_to[step])) for step in steps], sample, kinds=kinds)
     hopeless |= {(n, step) for step, (reached, _) in zip(steps, found, strict=True) if reached < worth - HOPELESS}
     near = [step for step, (reached, _) in zip(steps, found, strict=True) if reached > worth - STEEP]
-    further = [2 * count if step > 0 else count // 2 for step in near]
+    further = [more(count, shape[n]) if step > 0 else fewer(count, shape[n]) for step in near]
     many = [(modes, changed(grid, n, many)) for many in further if allowed(many, n, grid, shape)]
     return found + search.best(many, sample, kinds=kinds)
 
@@ -71,8 +73,9 @@ def _around(
 def _exchanged(search: Search, now: Candidate, sample: int, kinds: Kinds) -> Ranked:
     """Candidates with one block more along an axis for one less along another."""
     choices: list[Choice] = []
-    for less, more in permutations((n for n, count in enumerate(now.grid) if count > 1), 2):
-        fewer = changed(now.grid, less, now.grid[less] - 1)
-        if allowed(fewer[more] + 1, more, fewer, search.trial.source.shape):
-            choices.append((now.organisation, changed(fewer, more, fewer[more] + 1)))
+    for m, n in permutations((n for n, count in enumerate(now.grid) if count > 1), 2):
+        grid, shape = now.grid, search.trial.source.shape
+        grid = changed(grid, m, fewer(grid[m], shape[m], 1))
+        if allowed(count := more(grid[n], shape[n], 1), n, grid, shape):
+            choices.append((now.organisation, changed(grid, n, count)))
     return search.best(choices, sample, kinds=kinds)

@@ -11,7 +11,7 @@ from itertools import product
 from math import inf
 
 from ..axes import Organisation
-from ..grids import allowed, changed, few_grids, uncut_grids
+from ..grids import allowed, changed, few_grids, fewer, more, single_grids, uncut_grids
 from ..progress import Progress, Told, share_of
 from .candidates import Candidate
 from .climbing import SURELY_WORSE, WORTHWHILE
@@ -36,7 +36,7 @@ def finalists(search: Search, fixed: bool, progress: Progress, *, narrow: bool) 
     shape, care = search.trial.source.shape, search.care
     grids = few_grids(shape)
     choices = [] if fixed else _surveyed(search, grids, progress, narrow=narrow)
-    choices += product([search.plain], [*grids, *uncut_grids(shape)])
+    choices += product([search.plain], [*grids, *uncut_grids(shape), *single_grids(shape)])
     found = list[tuple[float, Candidate]]()
     if narrow:
         search.narrow(search.best(choices, care.survey), care.compare[0])
@@ -112,8 +112,8 @@ def _raced(search: Search, racing: Ranked, sample: int, margins: tuple[float, fl
         best = max(map(worth_of, racing))
         ended += [now for now, on in zip(racing, gained, strict=True) if not on]
         racing = sorted((now for now, on in zip(racing, gained, strict=True) if on), key=worth_of, reverse=True)
-        fewer = min((len(before) + 1) // 2, sum(worth > best - far for worth, _ in racing))
-        ended, racing = ended + racing[fewer:], racing[:fewer]
+        left = min((len(before) + 1) // 2, sum(worth > best - far for worth, _ in racing))
+        ended, racing = ended + racing[left:], racing[:left]
         told(len(ended) / (len(ended) + len(racing)))
     return list(dict.fromkeys(sorted(ended, key=worth_of, reverse=True)))
 
@@ -121,14 +121,15 @@ def _raced(search: Search, racing: Ranked, sample: int, margins: tuple[float, fl
 def _stepped(search: Search, racing: Ranked, n: int, sample: int, worse: float) -> Ranked:
     """Each candidate, or what is better with twice or half as many blocks along axis n."""
     tried: list[tuple[int, bool, Choice]] = []
-    for (number, (_, each)), more in product(enumerate(racing), (True, False)):
-        count = 2 * each.grid[n] if more else each.grid[n] // 2
-        lost = search.losses.get((each.organisation, each.undecomposed, n, more), 0.0)
-        if lost < worse and allowed(count, n, each.grid, search.trial.source.shape):
-            tried.append((number, more, (each.organisation, changed(each.grid, n, count))))
+    shape = search.trial.source.shape
+    for (number, (_, each)), step in product(enumerate(racing), (more, fewer)):
+        count = step(each.grid[n], shape[n])
+        lost = search.losses.get((each.organisation, each.undecomposed, n, step is more), 0.0)
+        if lost < worse and allowed(count, n, each.grid, shape):
+            tried.append((number, step is more, (each.organisation, changed(each.grid, n, count))))
     found = list(racing)
-    for (number, more, _), item in zip(tried, search.best([choice for *_, choice in tried], sample), strict=True):
-        way = (item[1].organisation, racing[number][1].undecomposed, n, more)
+    for (number, is_more, _), item in zip(tried, search.best([choice for *_, choice in tried], sample), strict=True):
+        way = (item[1].organisation, racing[number][1].undecomposed, n, is_more)
         search.losses[way] = max(search.losses.get(way, 0.0), racing[number][0] - item[0])
         found[number] = max(found[number], item, key=worth_of)
     return found
