@@ -149,7 +149,7 @@ def gathered(plan: Plan) -> Iterator[Plan]:
     """
     first, below = plan.levels
     cut = [n for n, count in enumerate(first.clusters) if count > 1]
-    if len(cut) < 2 or first.cells > FEW_CLUSTERS:
+    if not 2 <= len(cut) < first.order or first.cells > FEW_CLUSTERS:
         return
     kept = [n for n in range(first.order) if n == cut[0] or n not in cut]
     merged = tuple(name for n in cut for name in plan.organisation[n])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from math import prod
+from math import inf, prod
 
 from .alternatives import (
     ROUNDING_FROM,
@@ -110,11 +110,11 @@ def _near(followed: Sequence[tuple[Task, Model]]) -> Sequence[Plan]:
             task, model = _best(of_bits)
             near = alternatives(task.plan, task.source.organisation(None), model.snr, model.nbytes)
             plans |= {plan: None for plan in near if _may_be(task, plan) and plan not in tried}
-    _, best = _best(followed)
-    for task, model in followed:
+    task, best = _best(followed)
+    for other, model in followed:
         if not _is_behind(model, best, task.plan.snr, FAR_BEHIND):
-            plans |= {plan: None for plan in nodes_of_clusters(task.plan) if _fits(task, plan)}
-    return list(plans)
+            plans |= {plan: None for plan in nodes_of_clusters(other.plan)}
+    return [plan for plan in plans if _fits(task, plan, best)]
 
 
 def _two_of_bytes(followed: Sequence[tuple[Task, Model]], task: Task) -> list[Plan]:
@@ -210,7 +210,7 @@ def _with_other_clusters(task: Task, model: Model, steps: Sequence[float]) -> tu
         before = None
         while found is not before:
             before, near = found, (with_clusters_times(found[0].plan, factor) for factor in (step, 1 / step))
-            plans = [plan for plan in near if plan is not None and plan not in tried and _fits(task, plan)]
+            plans = [plan for plan in near if plan is not None and plan not in tried and _fits(task, plan, found[1])]
             tried.update(plans)
             found = _best([found, *_further(task, plans)])
     return found
@@ -221,10 +221,13 @@ def _is_behind(model: Model, best: Model, snr: float | None, far: tuple[float, f
     return model.snr < best.snr - far[0] if snr is None else model.nbytes > far[1] * best.nbytes
 
 
-def _fits(task: Task, plan: Plan) -> bool:
-    """Whether a size has room for ranks of one, before clusters are looked for."""
+def _fits(task: Task, plan: Plan, best: Model) -> bool:
+    """Whether ranks of one, before clusters are looked for, leave room in a size, or in the bytes of the best for an
+    SNR."""
     least = (replace(level, ranks=tuple(rank and 1 for rank in level.ranks), own=False) for level in plan.levels)
-    return task.plan.size is None or planned_bytes(replace(plan, levels=tuple(least)), task.source) <= task.plan.size
+    snr, size = task.plan.snr, task.plan.size
+    most = size if size is not None else best.nbytes if snr is None or best.snr >= snr else inf
+    return planned_bytes(replace(plan, levels=tuple(least)), task.source) <= most
 
 
 def _in_two(task: Task, others: Sequence[Plan]) -> Iterator[Plan]:
