@@ -150,3 +150,23 @@ def test_more_is_never_worse() -> None:
     snr_at = [fitted(size=size, quality="fast").snr for size in (12_000, 16_000, 20_000, 26_000)]
     assert bytes_of == sorted(bytes_of)
     assert snr_at == sorted(snr_at)
+
+
+def test_a_rank_far_beyond_its_goal_is_parted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A rank of all texels together costs as many numbers; of rows and of columns a few, which take less to come to."""
+    y, x = np.ogrid[0:1:40j, 0:1:44j]
+    texels = 1.5 + np.sin(3 * x + 2 * y) + 0.5 * np.cos(4 * x * y)
+    rng = np.random.default_rng(0)
+    values = np.abs(rng.standard_normal((9, 10)))[..., None, None] * (texels + 0.1 * rng.standard_normal(texels.shape))
+    modes = (("light", "view"), ("y", "x"))
+    matrix = replace(parse_plan("R<=*,90 bits=8", modes), snr=15.0)
+
+    def tuned(*_: Any, **__: Any) -> list[Plan]:
+        return [matrix]
+
+    monkeypatch.setattr("hmkcta.encode.tune", tuned)
+    alone, parted = (compress(values, plan, axes="light,view,y,x", snr=15.0, threads=1) for plan in (matrix, None))
+    assert alone.snr > 18
+    assert parted.plan.organisation == (("light", "view"), ("y",), ("x",))
+    assert parted.snr >= 15
+    assert parted.nbytes < 0.8 * alone.nbytes

@@ -99,19 +99,26 @@ def with_bits(plan: Plan, bits: int) -> Plan:
 
 def nodes_of_clusters(plan: Plan) -> Iterator[Plan]:
     """Nodes below a level of rank one for clusters of the data along one mode, as many and more: each has ranks of its
-    own then, none where all of its rows are alike.
+    own then, none where all of its rows are alike. Also with the other modes parted into their axes.
 
     >>> from hmkcta import parse_plan
-    >>> [str(each) for each in nodes_of_clusters(parse_plan("R<=8,* C=16,1", (("y",), ("x",))))]
-    ['R=1,* C=16,1 / R<=8,*', 'R=1,* C=64,1 / R<=8,*', 'R=1,* C=256,1 / R<=8,*']
+    >>> [str(each) for each in nodes_of_clusters(parse_plan("R<=8,* C=16,1", (("y",), ("x", "rgb"))))]
+    ['R=1,* C=16,1 / R<=8,*', 'R=1,* C=64,1 / R<=8,*', 'R=1,* C=256,1 / R<=8,*', 'R=1,1,1 C=64,1,1 / R<=8,160,160']
     """
     first, *others = plan.levels
     if others or not first.own or not _is_of_one_mode(first):
         return
     below = replace(first, clusters=(1,) * first.order)
-    for times in MORE_NODES:
-        clusters = _counted(first, min(first.cells * times, FEW_CLUSTERS))
-        yield replace(plan, levels=(_of_data(_of_rank_one(first), clusters), below))
+    counts = [min(first.cells * times, FEW_CLUSTERS) for times in MORE_NODES]
+    for count in counts:
+        yield replace(plan, levels=(_of_data(_of_rank_one(first), _counted(first, count)), below))
+    parts = [((mode,) if clusters > 1 else tuple((name,) for name in mode), rank)
+             for mode, rank, clusters in zip(plan.organisation, first.ranks, first.clusters, strict=True)]
+    modes = tuple(mode for part, _ in parts for mode in part)
+    if len(modes) > first.order:
+        ranks = tuple(rank if len(part) == 1 else MOST_RANKS for part, rank in parts for _ in part)
+        clustered = plan.organisation[first.clusters.index(first.cells)]
+        yield _nodes(plan, modes, ranks, clustered, counts[1])
 
 
 def with_clusters_times(plan: Plan, factor: float) -> Plan | None:
@@ -154,11 +161,17 @@ def gathered(plan: Plan) -> Iterator[Plan]:
     kept = [n for n in range(first.order) if n == cut[0] or n not in cut]
     merged = tuple(name for n in cut for name in plan.organisation[n])
     modes = tuple(merged if n == cut[0] else plan.organisation[n] for n in kept)
-    ranks = tuple(MOST_RANKS if n == cut[0] else below.ranks[n] for n in kept)
-    ones = (1,) * len(kept)
-    level = LevelSpec(ranks, ones, ones, below.scheme, own=True, bits=below.bits)
-    clusters = tuple(first.cells if n == cut[0] else 1 for n in kept)
-    yield replace(plan, organisation=modes, levels=(_of_data(_of_rank_one(level), clusters), level))
+    yield _nodes(plan, modes, tuple(MOST_RANKS if n == cut[0] else below.ranks[n] for n in kept), merged, first.cells)
+
+
+def _nodes(
+    plan: Plan, modes: Organisation, ranks: tuple[int | None, ...], clustered: tuple[str, ...], count: int
+) -> Plan:
+    """The plan's goal with nodes, of up to these ranks, for so many clusters of the data along one of these modes."""
+    last, ones = plan.levels[-1], (1,) * len(modes)
+    below = LevelSpec(ranks, ones, ones, last.scheme, own=True, bits=last.bits)
+    clusters = tuple(count if mode == clustered else 1 for mode in modes)
+    return replace(plan, organisation=modes, levels=(_of_data(_of_rank_one(below), clusters), below))
 
 
 def whole_plan(plan: Plan, plain: Organisation) -> Plan:

@@ -60,7 +60,8 @@ def parted(plan: Plan, axes: Sequence[Axis]) -> Iterator[Plan]:
     ['R<=40,60,9']
     """
     (level, *more), sizes = plan.levels, {axis.name: axis.size for axis in axes}
-    if more or not level.own or level.cells > 1 or prod(sizes.values()) > LARGE:
+    is_one = level.cells == 1 or bool(level.fewest)  # of a choice of blocks one node may have come
+    if more or not level.own or not is_one or prod(sizes.values()) > LARGE:
         return
     for n in (n for n, mode in enumerate(plan.organisation) if len(mode) > 1):
         apart = tuple((name,) for name in plan.organisation[n])

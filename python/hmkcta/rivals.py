@@ -38,6 +38,9 @@ BEHIND, FAR_BEHIND = (1.5, 1.25), (6.0, 3.0)
 #: Elements up to which numbers of clusters are told apart by fits in all steps, the first from each start.
 SMALL, STEPS = 1 << 22, (1.5, 1.25, 1.125)
 
+#: A task with a plan, and the model that it came to.
+Followed = tuple[Task, Model]
+
 
 def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]) -> Model:
     """The model of the task's plan; where it misses its SNR, of the first further plan that does not, or the best.
@@ -51,23 +54,12 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
     """
     # Of values that are transformed the trial knows the errors' size, not where they will be large.
     doubtful = task.plan.size is not None or task.source.value_transform.name != "identity" or _is_worth(task)
-    given = task
     rivals = [plan for plan in others if task.plan.size is not None or not _is_verbatim(plan)] if doubtful else []
-    followed = [(task, follow(task)), *_further(task, rivals)]
+    given, followed = task, [(task, follow(task)), *_further(task, rivals)]
     own = task, model = _best(followed)
     if _is_worth(task):
         followed += _further(task, _near(followed))
-        task, model = _best(followed)
-        if task.plan.levels[-1].bits == BITS[0] and model.snr > (task.plan.snr or model.snr) + BEYOND:
-            most, two = LESS * model.nbytes, _further(task, _two_of_bytes(followed, task))
-            task, model = _best([(task, model), *(each for each in two if each[1].nbytes < most)])
-        if (task.plan.snr or model.snr) > NEARLY:
-            task, model = _best([(task, model), *_further(given, dict.fromkeys(_in_two(given, others)))])
-        behind = model is own[1] or _is_behind(own[1], model, task.plan.snr, BEHIND)
-        starts = [(task, model)] if behind else [own, (task, model)]
-        first, *finer_steps = STEPS if prod(task.source.shape) <= SMALL else STEPS[-1:]
-        task, model = _best([_with_other_clusters(*start, [first]) for start in starts])
-        task, model = _with_other_clusters(task, model, finer_steps)
+        task, model = _compared(given, own, followed, others)
     elif _is_held(task):
         near = (plan for plan in narrower(task.plan, model.snr) if _may_be(task, plan))
         two = _in_two(given, []) if task.plan.snr is None and model.snr > NEARLY else ()
@@ -75,9 +67,9 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
     best, others = model, [plan for plan in others if plan not in rivals]
     if is_coarse(task.plan, model.snr, model.nbytes):
         task, model = _nearer(task, model, others)
-        return _with_other_clusters(task, model, STEPS[-1:])[1] if model is not best and _is_worth(task) else model
-    further = _spare(task, model, followed, others)
-    for plan in further:
+        again = model is not best and _is_worth(task)
+        return _with_other_clusters(task, model, STEPS[-1:], set())[1] if again else model
+    for plan in _spare(task, model, followed, others):
         if task.plan.snr is None or best.snr >= task.plan.snr:
             break
         missed(f"a plan chosen for {task.plan.snr:g} dB came to {model.snr:.2f}: another is tried, {plan}")
@@ -86,9 +78,24 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
     return best if task.plan.snr is None else _unless_verbatim(task, best, others)
 
 
-def _spare(
-    task: Task, model: Model, followed: Sequence[tuple[Task, Model]], others: Sequence[Plan]
-) -> list[Plan]:
+def _compared(given: Task, own: Followed, followed: Sequence[Followed], others: Sequence[Plan]) -> Followed:
+    """The best of what was followed, of plans of two levels where these may do better, and of other numbers of clusters
+    from there and from the best of the trial's `own` on."""
+    task, model = _best(followed)
+    if task.plan.levels[-1].bits == BITS[0] and model.snr > (task.plan.snr or model.snr) + BEYOND:
+        most, two = LESS * model.nbytes, _further(task, _two_of_bytes(followed, task))
+        task, model = _best([(task, model), *(each for each in two if each[1].nbytes < most)])
+    if (task.plan.snr or model.snr) > NEARLY:
+        task, model = _best([(task, model), *_further(given, dict.fromkeys(_in_two(given, others)))])
+    behind = model is own[1] or _is_behind(own[1], model, task.plan.snr, BEHIND)
+    starts = [(task, model)] if behind else [own, (task, model)]
+    first, *finer_steps = STEPS if prod(task.source.shape) <= SMALL else STEPS[-1:]
+    tried = set[Plan]()
+    task, model = _best([_with_other_clusters(*start, [first], tried) for start in starts])
+    return _with_other_clusters(task, model, finer_steps, tried)
+
+
+def _spare(task: Task, model: Model, followed: Sequence[Followed], others: Sequence[Plan]) -> list[Plan]:
     """Plans for an SNR that the model has missed, those of fewer bytes first."""
     spare, deeper = list(others), _deeper(task, model)
     if deeper is not None:
@@ -101,7 +108,7 @@ def _spare(
     return spare
 
 
-def _near(followed: Sequence[tuple[Task, Model]]) -> Sequence[Plan]:
+def _near(followed: Sequence[Followed]) -> Sequence[Plan]:
     """Alternatives of the best with each number of bits, as which of these is better may hang on them; and nodes of the
     clusters of all."""
     plans, tried = dict[Plan, None](), {task.plan for task, _ in followed}
@@ -113,11 +120,11 @@ def _near(followed: Sequence[tuple[Task, Model]]) -> Sequence[Plan]:
     task, best = _best(followed)
     for other, model in followed:
         if not _is_behind(model, best, task.plan.snr, FAR_BEHIND):
-            plans |= {plan: None for plan in nodes_of_clusters(other.plan)}
+            plans |= dict.fromkeys(nodes_of_clusters(other.plan))
     return [plan for plan in plans if _fits(task, plan, best)]
 
 
-def _two_of_bytes(followed: Sequence[tuple[Task, Model]], task: Task) -> list[Plan]:
+def _two_of_bytes(followed: Sequence[Followed], task: Task) -> list[Plan]:
     """For an SNR a plan of bytes with a level below it for what bytes leave of themselves.
 
     Its first level is that of the plan of bytes that came nearest, or else the last of the task's, alone.
@@ -150,7 +157,7 @@ def _is_held(task: Task) -> bool:
     return not streamed and task.run.effort.candidates > EFFORTS["fast"].candidates
 
 
-def _best(followed: Sequence[tuple[Task, Model]]) -> tuple[Task, Model]:
+def _best(followed: Sequence[Followed]) -> Followed:
     """For a size the model of the highest SNR; for an SNR the smallest that reaches it, or the nearest if none does."""
     snr, nearest = followed[0][0].plan.snr, max(followed, key=lambda each: each[1].snr)
     if snr is None:
@@ -178,7 +185,7 @@ def _verbatim_bytes(task: Task, plan: Plan) -> int:
     return plan.levels[-1].bits // 8 * prod(task.source.shape)
 
 
-def _nearer(task: Task, model: Model, others: Sequence[Plan]) -> tuple[Task, Model]:
+def _nearer(task: Task, model: Model, others: Sequence[Plan]) -> Followed:
     """The best of a model beyond its goal and those of plans that may come nearer to it."""
     own = finer(task.plan, task.source.axes)
     plans = [*([] if own is None else [own]), *parted(task.plan, task.source.axes)]
@@ -187,7 +194,7 @@ def _nearer(task: Task, model: Model, others: Sequence[Plan]) -> tuple[Task, Mod
     return _best([(task, model), *_further(task, plans)])
 
 
-def _further(task: Task, plans: Iterable[Plan]) -> Iterator[tuple[Task, Model]]:
+def _further(task: Task, plans: Iterable[Plan]) -> Iterator[Followed]:
     """Models of further plans, except those that cannot be followed: there is a model already.
 
     The least file of such a plan is larger than the goal, or memory does not do.
@@ -203,9 +210,10 @@ def _further(task: Task, plans: Iterable[Plan]) -> Iterator[tuple[Task, Model]]:
         yield further, model
 
 
-def _with_other_clusters(task: Task, model: Model, steps: Sequence[float]) -> tuple[Task, Model]:
-    """The best of more clusters of the data and of fewer, in such steps while that helps."""
-    found, tried = (task, model), {task.plan}
+def _with_other_clusters(task: Task, model: Model, steps: Sequence[float], tried: set[Plan]) -> Followed:
+    """The best of more clusters of the data and of fewer, in such steps while that helps; none that was `tried`."""
+    found = task, model
+    tried.add(task.plan)
     for step in steps:
         before = None
         while found is not before:
