@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import inf, isfinite
+from math import inf, isfinite, prod
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +36,8 @@ F32 = NDArray[np.float32]
 
 #: How far above an SNR goal a fit may end, in dB, how often a fit is repeated to land there, and how far above many
 #: nodes, whose choices come in small steps, aim; where promises too poor and too good are so near each other it ends.
-OVERSHOOT, ATTEMPTS, MARGIN, NARROW = 0.25, 16, 0.05, 0.03
+#: Where values as they are would take less there are few attempts.
+OVERSHOOT, ATTEMPTS, FEW_ATTEMPTS, MARGIN, NARROW = 0.25, 16, 3, 0.05, 0.03
 #: The most that is reckoned with of an error that is allowed for what numbers of a byte leave.
 MOST_ROUNDING = 0.3
 
@@ -149,7 +150,8 @@ class _LastLevel:
         looked for between those two.
         """
         aim, best, tried, poor, good = snr, None, set[bytes](), _NOTHING, _EVERYTHING
-        for _ in range(ATTEMPTS):
+        wasteful = self.ways[0][0].bits / 8 * sum(prod(node.sizes) for node in self.tree.levels[-1])
+        for attempt in range(ATTEMPTS):
             error = max(self.goal.energy * 10 ** (-aim / 10) - self.elsewhere, 0.0)
             chosen = trimmed(self.spectra, allocate(self.spectra, error=error), error)
             if chosen.choice.tobytes() in tried:
@@ -165,6 +167,8 @@ class _LastLevel:
             now = self._promised(chosen), reached
             poor, good = (max(poor, now), good) if reached < snr else (poor, min(good, now))
             if snr <= reached <= snr + OVERSHOOT or good[0] - poor[0] < NARROW:
+                break
+            if attempt + 1 >= FEW_ATTEMPTS and chosen.nbytes > wasteful:  # the values themselves would take less
                 break
             aim = _aimed(snr, now, poor, good) + (MARGIN if len(self.spectra) > 1 else 0.0)
         last = best or allocate(self.spectra, error=0.0)

@@ -55,6 +55,8 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
     # Of values that are transformed the trial knows the errors' size, not where they will be large.
     doubtful = task.plan.size is not None or task.source.value_transform.name != "identity" or _is_worth(task)
     rivals = [plan for plan in others if task.plan.size is not None or not _is_verbatim(plan)] if doubtful else []
+    if (task.plan.snr or 0.0) > ROUNDED:  # which one level hardly reaches
+        rivals = [plan for plan in rivals if len(plan.levels) > 1]
     given, followed = task, [(task, follow(task)), *_further(task, rivals)]
     own = task, model = _best(followed)
     if _is_worth(task):
@@ -246,7 +248,7 @@ def _in_two(task: Task, others: Sequence[Plan]) -> Iterator[Plan]:
     far below is left: the second level would have too much to do.
     """
     whole = whole_plan(task.plan, task.source.organisation(None))
-    for plan in dict.fromkeys((task.plan, *others, whole)):
+    for plan in dict.fromkeys(map(_in_one, (task.plan, *others, whole))):
         if len(plan.levels) > 1 or _is_verbatim(plan):
             continue
         goal = replace(plan, size=None, snr=ROUNDED)
@@ -254,6 +256,14 @@ def _in_two(task: Task, others: Sequence[Plan]) -> Iterator[Plan]:
         firsts += _further(task, [replace(goal, snr=model.snr - 1) for _, model in firsts if model.snr < ROUNDED])
         deeper = [_deeper(*each) for each in firsts]
         yield from (replace(each, snr=task.plan.snr, size=task.plan.size) for each in deeper if each is not None)
+
+
+def _in_one(plan: Plan) -> Plan:
+    """The plan, or where its nodes are blocks below a level of rank one a level of these blocks, all of equal ranks."""
+    first, *others = plan.levels
+    if len(others) != 1 or not others[0].own or others[0].cuts or not first.grid:
+        return plan
+    return replace(plan, levels=(others[0].cut_into(first.grid, plan.organisation),))
 
 
 def _deeper(task: Task, model: Model) -> Plan | None:
