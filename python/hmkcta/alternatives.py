@@ -18,7 +18,7 @@ from .plan import MOST_RANKS, LevelSpec, Plan
 ROUNDING_FROM = {16: 55.0, 8: 33.0}
 #: Between so many dB numbers of eight bits and of sixteen may each take fewer bytes, up to the latter below a level of
 #: rank one.
-EITHER, EITHER_BELOW = (36.0, 50.0), 60.0
+EITHER, EITHER_BELOW = (36.0, 50.0), 80.0
 #: Blocks of a mode up to which clusters of the data take their place: finding more takes minutes.
 FEW_CLUSTERS = 512
 #: How many times as many nodes of clusters are tried as there were clusters in a node.
@@ -95,6 +95,16 @@ def with_bits(plan: Plan, bits: int) -> Plan:
     """
     above = (replace(level, bits=max(bits, level.bits)) for level in plan.levels[:-1])
     return replace(plan, levels=(*above, replace(plan.levels[-1], bits=bits)))
+
+
+def with_last_bits(plan: Plan, bits: int) -> Plan:
+    """The plan with so many bits for a number of its last level alone.
+
+    >>> from hmkcta import parse_plan
+    >>> str(with_last_bits(parse_plan("R=1 / R=2", (("y",), ("x",))), 8))
+    'R=1,1 / R=2,2 bits=8'
+    """
+    return replace(plan, levels=(*plan.levels[:-1], replace(plan.levels[-1], bits=bits)))
 
 
 def nodes_of_clusters(plan: Plan) -> Iterator[Plan]:

@@ -15,6 +15,7 @@ from .alternatives import (
     whole_plan,
     with_bits,
     with_clusters_times,
+    with_last_bits,
 )
 from .axes import mode_sizes
 from .errors import HmkctaError
@@ -28,8 +29,8 @@ from .plan import Plan
 from .predict import is_streamed, memory_limit
 
 #: From so many dB on a second level is tried, below a first that ends at as many as float16 keeps of one, and at no
-#: less than so many.
-NEARLY, ROUNDED, SHORT = 64.0, 68.0, 40.0
+#: less than so many; up to so many also one of bytes.
+NEARLY, ROUNDED, SHORT, BOTH = 64.0, 68.0, 40.0, 106.0
 #: So many dB beyond its goal is far; so many bytes keep of most values; a second level must save a tenth.
 BEYOND, OF_BYTES, LESS = 3.0, 36.0, 0.9
 #: A model that lies so many dB behind another, or takes so many times its bytes, stays there whatever the number of
@@ -232,8 +233,11 @@ def _is_behind(model: Model, best: Model, snr: float | None, far: tuple[float, f
 
 
 def _fits(task: Task, plan: Plan, best: Model) -> bool:
-    """Whether ranks of one, before clusters are looked for, leave room in a size, or in the bytes of the best for an
-    SNR."""
+    """Whether there are rows for its clusters, and before these are looked for room for ranks of one, in a size or in the
+    bytes of the best for an SNR."""
+    sizes = mode_sizes(task.source.axes, plan.organisation)
+    if any(clusters > size for clusters, size in zip(plan.levels[0].clusters, sizes, strict=True)):
+        return False
     least = (replace(level, ranks=tuple(rank and 1 for rank in level.ranks), own=False) for level in plan.levels)
     snr, size = task.plan.snr, task.plan.size
     most = size if size is not None else best.nbytes if snr is None or best.snr >= snr else inf
@@ -254,8 +258,11 @@ def _in_two(task: Task, others: Sequence[Plan]) -> Iterator[Plan]:
         goal = replace(plan, size=None, snr=ROUNDED)
         firsts = [each for each in _further(task, [goal]) if each[1].snr > SHORT]
         firsts += _further(task, [replace(goal, snr=model.snr - 1) for _, model in firsts if model.snr < ROUNDED])
-        deeper = [_deeper(*each) for each in firsts]
-        yield from (replace(each, snr=task.plan.snr, size=task.plan.size) for each in deeper if each is not None)
+        deeper = [plan for plan in (_deeper(*each) for each in firsts) if plan is not None]
+        # Bytes do for what a level of float16 numbers leaves, and hold some 40 dB of it.
+        narrow = [with_last_bits(each, min(BITS)) for each in deeper if (task.plan.snr or 0.0) < BOTH]
+        both = [*(each for each in narrow if task.bits is None), *deeper]
+        yield from (replace(each, snr=task.plan.snr, size=task.plan.size) for each in both)
 
 
 def _in_one(plan: Plan) -> Plan:

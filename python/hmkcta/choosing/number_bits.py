@@ -55,11 +55,14 @@ def searched_by_bits(search: Search, look: Look, bits: int | None, fixed: bool) 
 
 
 def _worth_of_same(search: Search, best: Candidate) -> float:
-    """What a search's numbers are worth in the blocks, or with clusters, that are best with others."""
+    """What a search's numbers are worth in the blocks, or with clusters, that are best with others, or with none: what
+    has exact ranks needs no blocks where numbers are as exact."""
+    whole = [(best.organisation, (1,) * len(best.grid))]
+    worth = worth_of(search.best(whole, search.care.refine)[0])
     if best.clusters:
-        return max(map(worth_of, clustered(search.goal, best.organisation)))
+        return max(worth, *map(worth_of, clustered(search.goal, best.organisation)))
     blocks = [(best.organisation, best.grid)]
-    return search.best(blocks, search.care.refine, kinds=(best.undecomposed,))[0][0]
+    return max(worth, worth_of(search.best(blocks, search.care.refine, kinds=(best.undecomposed,))[0]))
 
 
 def _to_the_end(own: Search, look: Look, fixed: bool) -> tuple[Search, float, Candidate]:

@@ -32,6 +32,9 @@ EXAMPLES = (
     'hmkcta plan wood.npy --plan "R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2"',
 )
 
+#: SNR in dB that a level of float16 numbers does not surely reach.
+ONE_LEVEL = 64.0
+
 
 @click.command("plan", cls=Command, examples=EXAMPLES)
 @click.argument("source", metavar="SRC", type=File())
@@ -111,6 +114,12 @@ def _largest(plan: Plan, goal: Goal) -> Plan:
                                       for level in plan.levels))
 
 
+def _doubt(report: dict[str, Any]) -> str:
+    """What to say of a plan whose numbers round by more than its goal leaves."""
+    beyond = report["snr"] is not None and report["snr"] > ONE_LEVEL and len(report["levels"]) == 1
+    return f", whose one level may end at {ONE_LEVEL:g} dB" if beyond else ""
+
+
 def as_text(report: dict[str, Any]) -> str:
     """The plan for people."""
     count = report["predicted_bytes"]
@@ -126,7 +135,7 @@ def as_text(report: dict[str, Any]) -> str:
     commands = ["To do it:", f"  {report['command']}"]
     if report["goal_command"] is not None:
         commands = ["To do it, and keep the best of this plan and others like it:", f"  {report['goal_command']}",
-                    "This plan alone:", f"  {report['command']}"]
+                    "This plan alone" + _doubt(report) + ":", f"  {report['command']}"]
     return "\n".join([
         f"organisation  {report['organisation']}  ({modes})",
         *([f"goal          {', '.join(goals)}"] if goals else []),
