@@ -20,7 +20,7 @@ from cli_tools import report, run, saved, smooth
     (np.ones((1, 1)), "no smaller than its source of 8 bytes"),
     (np.arange(3.0), "no smaller than its source of 24 bytes"),
     (np.where(np.arange(6720).reshape(12, 20, 28) % 3000 == 7, 9e4, smooth(12, 20, 28)), "--transform asinh:"),
-    (smooth(16, 20, 24), None),
+    (smooth(20, 24, 28), None),
 ], ids=["vector", "offset", "tiny", "one number", "three numbers", "outliers", "none"])
 def test_what_figures_do_not_tell_is_said(array: NDArray[Any], sentence: str | None, tmp_path: Path) -> None:
     path, words = saved(tmp_path / "a.npy", array), ("--quality", "fast", "--overwrite")

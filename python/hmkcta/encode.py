@@ -124,7 +124,8 @@ def compress(
         transform: value transform for high dynamic range, e.g. ``log1p``; None: identity.
         nan: value to put for NaN and infinity; None: refuse them.
         bits: of each core and basis number in the file, 16 (float16) or 8; None: as the plan says, for a chosen one
-            eight as far as that does, up to some 40 dB, or 60 below a first level of rank one, which has always 16.
+            eight as far as that does, up to some 40 dB, or some 40 more below a first level of 16; one of rank one
+            always has 16.
         kind: ``svbrdf``, ``lightfield``, ``volume`` or ``generic``, whose roles the axes must have; None: what their
             roles make.
         seed: the same seed makes the same file.

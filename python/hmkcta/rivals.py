@@ -233,7 +233,7 @@ def _is_behind(model: Model, best: Model, snr: float | None, far: tuple[float, f
 
 
 def _fits(task: Task, plan: Plan, best: Model) -> bool:
-    """Whether there are rows for its clusters, and before these are looked for room for ranks of one, in a size or in the
+    """Whether there are rows for its clusters, and before these are looked for room for ranks of one, in a size or the
     bytes of the best for an SNR."""
     sizes = mode_sizes(task.source.axes, plan.organisation)
     if any(clusters > size for clusters, size in zip(plan.levels[0].clusters, sizes, strict=True)):
