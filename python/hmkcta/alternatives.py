@@ -32,7 +32,7 @@ def alternatives(plan: Plan, plain: Organisation, snr: float, nbytes: int) -> It
     >>> plain = (("y",), ("x",))
     >>> [str(each) for each in alternatives(parse_plan("R=1,1 grid=x:3 / R<=8,8", plain), plain, 40.0, 1000)]
     ['R=1,1 C=1,3 / R<=8,8', 'R=1,1 grid=x:3 / R<=8,8 bits=8']
-    >>> [str(each) for each in alternatives(parse_plan("R<=8,*", plain), plain, 66.0, 1000)]
+    >>> [str(each) for each in alternatives(parse_plan("R<=8,*", plain), plain, 86.0, 1000)]
     ['R=1,* / R<=8,*', 'R=1,1 / R<=160,160']
     """
     first, *others = plan.levels
