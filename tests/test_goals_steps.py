@@ -170,3 +170,10 @@ def test_a_rank_far_beyond_its_goal_is_parted(monkeypatch: pytest.MonkeyPatch) -
     assert parted.plan.organisation == (("light", "view"), ("y",), ("x",))
     assert parted.snr >= 15
     assert parted.nbytes < 0.8 * alone.nbytes
+
+
+def test_an_organisation_that_is_given_is_kept() -> None:
+    """Also where a rank is far beyond the goal, and where two levels are compared."""
+    options: dict[str, Any] = {"axes": dataset().axes, "organisation": "time+z, y+x", "threads": 1}
+    for snr in (10.0, 70.0):
+        assert compress(dataset().values, snr=snr, **options).plan.organisation == (("time", "z"), ("y", "x"))

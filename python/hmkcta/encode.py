@@ -177,7 +177,8 @@ def compress(
                                    device=device.described, **asdict(wanted)))
         plans = [plan] if plan else run.journal.plans(lambda: _chosen(source, run, wanted))
         task = Task(
-            source, plans[0], scheme, wanted.decode_cost, kind or source.kind, run, wanted.max_memory, wanted.bits
+            source, plans[0], scheme, wanted.decode_cost, kind or source.kind, run, wanted.max_memory, wanted.bits,
+            wanted.organisation is not None,
         )
         with kernels.use(device):
             model = follow(task) if plan else follow_any(task, plans[1:], lambda said: warn(said, stacklevel=4))

@@ -47,7 +47,8 @@ UNTOLD = 0.02
 @dataclass(frozen=True)
 class Task:
     """A plan to follow on a source: subdivision scheme (``auto``: the best of three), decode cost, kind of data, most
-    bytes of memory (None: half of what is free), bits of a number (None: as suits the goal)."""
+    bytes of memory (None: half of what is free), bits of a number (None: as suits the goal), whether the organisation
+    is given."""
 
     source: Source
     plan: Plan
@@ -57,6 +58,7 @@ class Task:
     run: Run
     memory: int | None = None
     bits: int | None = None
+    organised: bool = False
 
 
 def follow(task: Task) -> Model:

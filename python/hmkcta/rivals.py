@@ -200,9 +200,12 @@ def _nearer(task: Task, model: Model, others: Sequence[Plan]) -> Followed:
 def _further(task: Task, plans: Iterable[Plan]) -> Iterator[Followed]:
     """Models of further plans, except those that cannot be followed: there is a model already.
 
-    The least file of such a plan is larger than the goal, or memory does not do.
+    The least file of such a plan is larger than the goal, or memory does not do; or it is of another organisation than
+    the one given.
     """
     for plan in plans:
+        if task.organised and plan.organisation != task.plan.organisation:
+            continue
         further = replace(task, plan=plan)
         try:
             model = follow(further)
