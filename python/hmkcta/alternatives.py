@@ -97,16 +97,6 @@ def with_bits(plan: Plan, bits: int) -> Plan:
     return replace(plan, levels=(*above, replace(plan.levels[-1], bits=bits)))
 
 
-def with_last_bits(plan: Plan, bits: int) -> Plan:
-    """The plan with so many bits for a number of its last level alone.
-
-    >>> from hmkcta import parse_plan
-    >>> str(with_last_bits(parse_plan("R=1 / R=2", (("y",), ("x",))), 8))
-    'R=1,1 / R=2,2 bits=8'
-    """
-    return replace(plan, levels=(*plan.levels[:-1], replace(plan.levels[-1], bits=bits)))
-
-
 def nodes_of_clusters(plan: Plan) -> Iterator[Plan]:
     """Nodes below a level of rank one for clusters of the data along one mode, as many and more: each has ranks of its
     own then, none where all of its rows are alike. Also with the other modes parted into their axes.
@@ -118,16 +108,15 @@ def nodes_of_clusters(plan: Plan) -> Iterator[Plan]:
     first, *others = plan.levels
     if others or not first.own or not _is_of_one_mode(first):
         return
-    below = replace(first, clusters=(1,) * first.order)
+    clustered = plan.organisation[first.clusters.index(first.cells)]
     counts = [min(first.cells * times, FEW_CLUSTERS) for times in MORE_NODES]
     for count in counts:
-        yield replace(plan, levels=(_of_data(_of_rank_one(first), _counted(first, count)), below))
+        yield _nodes(plan, plan.organisation, first.ranks, clustered, count)
     parts = [((mode,) if clusters > 1 else tuple((name,) for name in mode), rank)
              for mode, rank, clusters in zip(plan.organisation, first.ranks, first.clusters, strict=True)]
     modes = tuple(mode for part, _ in parts for mode in part)
     if len(modes) > first.order:
         ranks = tuple(rank if len(part) == 1 else MOST_RANKS for part, rank in parts for _ in part)
-        clustered = plan.organisation[first.clusters.index(first.cells)]
         yield _nodes(plan, modes, ranks, clustered, counts[1])
 
 

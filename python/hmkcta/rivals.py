@@ -15,7 +15,6 @@ from .alternatives import (
     whole_plan,
     with_bits,
     with_clusters_times,
-    with_last_bits,
 )
 from .axes import mode_sizes
 from .errors import HmkctaError
@@ -263,7 +262,7 @@ def _in_two(task: Task, others: Sequence[Plan]) -> Iterator[Plan]:
         firsts += _further(task, [replace(goal, snr=model.snr - 1) for _, model in firsts if model.snr < ROUNDED])
         deeper = [plan for plan in (_deeper(*each) for each in firsts) if plan is not None]
         # Bytes do for what a level of float16 numbers leaves, and hold some 40 dB of it.
-        narrow = [with_last_bits(each, min(BITS)) for each in deeper if (task.plan.snr or 0.0) < BOTH]
+        narrow = [with_bits(each, min(BITS)) for each in deeper if (task.plan.snr or 0.0) < BOTH]
         both = [*(each for each in narrow if task.bits is None), *deeper]
         yield from (replace(each, snr=task.plan.snr, size=task.plan.size) for each in both)
 

@@ -30,7 +30,8 @@ def climbed(search: Search, start: Candidate, sample: int, reached: float) -> tu
     kinds = tuple(dict.fromkeys(each.undecomposed for worth, each in around if worth > now[0] - HOPELESS))
     idle, n, before = 0, 0, len(search.seen)
     own = (start.organisation, start.undecomposed)
-    lost = {(n, 1 if more else -1): loss for (*kind, n, more), loss in search.losses.items() if tuple(kind) == own}
+    lost = {(axis, 1 if is_more else -1): loss
+            for (*kind, axis, is_more), loss in search.losses.items() if tuple(kind) == own}
     hopeless = {way for way, loss in lost.items() if loss > SURELY_WORSE}
     while idle <= len(start.grid) and len(search.seen) - before < search.care.steps:
         if idle < len(start.grid):
@@ -72,10 +73,9 @@ def _around(
 
 def _exchanged(search: Search, now: Candidate, sample: int, kinds: Kinds) -> Ranked:
     """Candidates with one block more along an axis for one less along another."""
-    choices: list[Choice] = []
+    choices, shape = list[Choice](), search.trial.source.shape
     for m, n in permutations((n for n, count in enumerate(now.grid) if count > 1), 2):
-        grid, shape = now.grid, search.trial.source.shape
-        grid = changed(grid, m, fewer(grid[m], shape[m], 1))
+        grid = changed(now.grid, m, fewer(now.grid[m], shape[m], 1))
         if allowed(count := more(grid[n], shape[n], 1), n, grid, shape):
             choices.append((now.organisation, changed(grid, n, count)))
     return search.best(choices, sample, kinds=kinds)

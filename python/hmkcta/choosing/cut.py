@@ -60,4 +60,4 @@ class Cut:
         if not self.blocks.thinned:
             return None
         fewer = organised(split(halved(self.blocks), way), self.axes, self.organisation)
-        return growth_of(parts, core, fewer, edges, self.precision)
+        return growth_of(parts, core, fewer, edges)

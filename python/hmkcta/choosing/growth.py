@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import log, prod
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +49,7 @@ class Growth:
         return tuple(int(rank) for rank in np.minimum(np.round(grown), edge))
 
 
-def growth_of(batch: F32, core: Values, halved: F32, edges: Sequence[int], dtype: Any = np.float32) -> Growth:
+def growth_of(batch: F32, core: Values, halved: F32, edges: Sequence[int]) -> Growth:
     """How ranks grow with the rows of blocks.
 
     Args:
@@ -58,7 +57,6 @@ def growth_of(batch: F32, core: Values, halved: F32, edges: Sequence[int], dtype
         core: their HOSVD cores, `[B, R_1, .., R_N]`.
         halved: the blocks with every second row along the axes that were thinned.
         edges: rows of each mode of whole blocks.
-        dtype: as of `cores`.
 
     >>> rows = np.random.default_rng(0).random((1, 40, 60), np.float32)
     >>> noise = growth_of(rows, cores(rows, (40, 40)), rows[:, ::2, ::2], (80, 120))
@@ -66,7 +64,7 @@ def growth_of(batch: F32, core: Values, halved: F32, edges: Sequence[int], dtype
     (1, 18, 39)
     """
     have, fewer = batch.shape[1:], halved.shape[1:]
-    smaller = cores(halved, [min(rank, size) for rank, size in zip(core.shape[1:], fewer, strict=True)], dtype)
+    smaller = cores(halved, [min(rank, size) for rank, size in zip(core.shape[1:], fewer, strict=True)], core.dtype)
     turns = log(prod(edges) / prod(have)) / log(prod(have) / prod(fewer))
     return Growth(_left(batch, core), _left(halved, smaller), tuple(edges), turns)
 
