@@ -20,6 +20,7 @@ from .predict import (
     MODEL,
     WORKING,
     blocks,
+    is_precise,
     is_streamed,
     joint_bytes,
     memory_limit,
@@ -40,8 +41,9 @@ _MEASURING = 36
 #: Bytes of the interpreter with everything loaded; the share of what a stage took that its heaps keep from the next.
 _BASE, _KEPT = 56 * 2**20, 0.3
 #: Bytes for each element of a slab of a source that is checked, of the next one, and of a sample that plans are judged
-#: on; and what each further thread takes of the latter, as samples are seldom at their largest together.
-_CHECKED, _NEXT, _SAMPLED, _BESIDE = 17, 6, 18, 0.6
+#: on in float32 and in float64; and what each further thread takes of the latter, as samples are seldom at their
+#: largest together.
+_CHECKED, _NEXT, _SAMPLED, _BESIDE = 17, 6, (18, 32), 0.6
 #: Bytes for each element of a block that shares none with others, which is fitted in place; of a workset of one cell.
 _BLOCK, _ALONE = 8, 12
 #: Copies of a slab that are made while it is read and worked on, or cut into blocks; and of its projections.
@@ -147,16 +149,17 @@ def _slabs(plan: Plan, sizes: Sequence[int], limit: int, threads: int, cut: int 
     return int(4 * copies * SLAB * max(1, min(threads, limit // SLAB)))
 
 
-def choosing_bytes(elements: int, effort: Effort, threads: int, memory: int | None) -> int:
-    """Most bytes that choosing a plan takes beside the process and a source in memory.
+def choosing_bytes(elements: int, effort: Effort, threads: int, memory: int | None, snr: float | None) -> int:
+    """Most bytes that choosing a plan, for an SNR in dB or a size, takes beside the process and a source in memory.
 
-    >>> 100e6 < choosing_bytes(1 << 23, EFFORTS["medium"], threads=2, memory=None) < 300e6
+    >>> 100e6 < choosing_bytes(1 << 23, EFFORTS["medium"], threads=2, memory=None, snr=40.0) < 300e6
     True
     """
-    together = sampled_together(elements, memory)
+    together = sampled_together(elements, memory, snr)
     sample = min(elements, together, CARES.get(effort, CARES[EFFORTS["medium"]]).refine)
     further = max(1, min(threads, together // (2 * sample))) - 1
-    sampled = _SAMPLED * min(elements, 2 * sample)  # blocks are seldom thinned to less than twice what is asked for
+    # Blocks are seldom thinned to less than twice what is asked for.
+    sampled = _SAMPLED[is_precise(snr)] * min(elements, 2 * sample)
     checked = _CHECKED * min(elements, CHECKED) + _NEXT * min(max(0, elements - CHECKED), CHECKED)
     return checked + int(sampled * (1 + _BESIDE * further))
 

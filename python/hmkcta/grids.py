@@ -36,8 +36,8 @@ def single_grids(shape: Sequence[int]) -> list[tuple[int, ...]]:
     """
     blocks = few_grids(shape)[-1]
     others = dict.fromkeys([(1,) * len(shape), tuple(min(2, count) for count in blocks), blocks])
-    grids = (changed(grid, n, size) for n, size in enumerate(shape) for grid in others)
-    return [grid for grid in dict.fromkeys(grids) if max(grid) > 1 and worth_cutting(grid, shape)]
+    grids = (changed(grid, n, size) for n, size in enumerate(shape) if size > 1 for grid in others)
+    return [grid for grid in dict.fromkeys(grids) if worth_cutting(grid, shape)]
 
 
 def worth_cutting(grid: Sequence[int], shape: Sequence[int]) -> bool:
@@ -69,6 +69,17 @@ def fewer(count: int, size: int, by: int = 0) -> int:
     if count * SMALLEST_EDGE > size:
         return max(1, size // SMALLEST_EDGE) if count > 1 else 0
     return count - by if by else count // 2
+
+
+def coarser(grid: Sequence[int], shape: Sequence[int]) -> tuple[int, ...]:
+    """Blocks of twice the edges, or a little less; of single indices the smallest blocks there are.
+
+    >>> coarser((5, 30, 1), (48, 30, 3))
+    (3, 7, 1)
+    """
+    single = [count > 1 and count * SMALLEST_EDGE > size for count, size in zip(grid, shape, strict=True)]
+    halves = ((count + 1) // 2 for count in grid)
+    return tuple(fewer(size, size) if one else half for half, one, size in zip(halves, single, shape, strict=True))
 
 
 def allowed(count: int, n: int, grid: tuple[int, ...], shape: Sequence[int]) -> bool:

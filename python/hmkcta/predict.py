@@ -25,6 +25,8 @@ FLAT = 5
 #: Elements of all the samples that are worked on at once while a plan is chosen, at most and, where memory is scarce,
 #: at the least; and bytes of memory for each.
 TOGETHER, FEWEST, EACH = 1 << 24, 1 << 20, 40
+#: Beyond so many dB samples are looked at in float64, so that fewer elements have room.
+PRECISE, WIDER = 50.0, 2
 
 
 def memory_limit(plan: Plan, sizes: Sequence[int], memory: int | None) -> int:
@@ -158,15 +160,21 @@ def check_least_memory(elements: int, memory: int | None, *, choosing: bool) -> 
         check_memory(least, "compressing this array", "allow more with max_memory or --max-memory", memory)
 
 
-def sampled_together(elements: int, memory: int | None) -> int:
-    """Elements of all the samples of a tensor that are worked on at once while a plan is chosen.
+def sampled_together(elements: int, memory: int | None, snr: float | None) -> int:
+    """Elements of all the samples of a tensor that are worked on at once while a plan for an SNR in dB is chosen.
 
     Raises:
         HmkctaError: the memory given is less than the smallest samples take.
     """
     hint = "give the levels by --plan, or raise --max-memory"
     check_memory(PROCESS + EACH * min(elements, FEWEST), "choosing a plan", hint, memory)
-    return min(TOGETHER, max(FEWEST, (memory_budget(memory) - PROCESS) // EACH))
+    wider = WIDER if is_precise(snr) else 1
+    return min(TOGETHER, max(FEWEST, (memory_budget(memory) - PROCESS) // EACH) // wider)
+
+
+def is_precise(snr: float | None) -> bool:
+    """Whether plans for an SNR in dB, if there is one, are judged in float64: small singular values are told apart."""
+    return snr is not None and snr > PRECISE
 
 
 def is_streamed(elements: int, limit: int) -> bool:

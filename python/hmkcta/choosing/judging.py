@@ -80,7 +80,7 @@ class Search:
 
     def anew(self, goal: Trial) -> Search:
         """A search for another goal, in which nothing has been judged."""
-        return replace(self, goal=goal, trial=goal, highest=-inf, rivals=[], losses={}, seen={})
+        return replace(self, goal=goal, trial=goal, highest=-inf, settled=0, rivals=[], losses={}, seen={})
 
     def best(
         self, choices: Sequence[Choice], sample: int, told: Told = nobody, kinds: Kinds = ()

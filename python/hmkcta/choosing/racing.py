@@ -129,8 +129,9 @@ def _stepped(search: Search, racing: Ranked, n: int, sample: int, worse: float) 
             tried.append((number, step is more, (each.organisation, changed(each.grid, n, count))))
     found = list(racing)
     for (number, is_more, _), item in zip(tried, search.best([choice for *_, choice in tried], sample), strict=True):
-        way = (item[1].organisation, racing[number][1].undecomposed, n, is_more)
-        search.losses[way] = max(search.losses.get(way, 0.0), racing[number][0] - item[0])
+        if item[1].grid[n] < shape[n]:  # what single indices lose tells nothing of blocks
+            way = (item[1].organisation, racing[number][1].undecomposed, n, is_more)
+            search.losses[way] = max(search.losses.get(way, 0.0), racing[number][0] - item[0])
         found[number] = max(found[number], item, key=worth_of)
     return found
 

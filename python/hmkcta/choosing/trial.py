@@ -19,6 +19,7 @@ from ..filesize import planned_bytes
 from ..metrics import snr_db
 from ..narrow import LEFT
 from ..plan import MOST_RANKS_ALONE
+from ..predict import is_precise
 from ..source import Source
 from .blocks import Blocks, Samples, finer, organised, split
 from .candidates import Candidate, bytes_beside, clusters_of, plan_of
@@ -57,8 +58,6 @@ LOUDER = 10.0
 FINEST = 1e-14
 #: Of the error that a goal leaves, the share from which on further ranks are not told apart.
 UNTOLD = 0.05
-#: Beyond so many dB cores and energies are found in float64.
-PRECISE = 50.0
 #: What numbers of so many bits leave by themselves, as a share of what their level is to hold, which is little where a
 #: first level of rank one, of float16 numbers, takes most of the energy.
 ROUNDING = {16: 0.0, 8: LEFT}
@@ -216,13 +215,13 @@ class Trial:
 
     @property
     def _precision(self) -> Any:
-        """What cores are found in: a high SNR asks small singular values to be told apart."""
-        return np.float64 if self.ceiling is not None and self.ceiling > PRECISE else np.float32
+        """What cores and energies are found in."""
+        return np.float64 if is_precise(self.ceiling) else np.float32
 
     @property
     def _enough(self) -> float:
         """Share of the energy whose ranks are beyond the goal, whatever other modes leave."""
-        return 0.0 if self.ceiling is None or self.ceiling > PRECISE else UNTOLD * 10 ** (-self.ceiling / 10)
+        return 0.0 if self.ceiling is None or is_precise(self.ceiling) else UNTOLD * 10 ** (-self.ceiling / 10)
 
     def _judged(self, cut: Cut, choice: tuple[int, ...]) -> tuple[list[tuple[float, Candidate]], list[int]]:
         """Candidates that leave the chosen modes undecomposed, and the ranks of the one without blocks."""

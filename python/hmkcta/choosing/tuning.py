@@ -17,7 +17,7 @@ from ..axes import Organisation, folded, mode_sizes
 from ..errors import invalid
 from ..filesize import planned_bytes
 from ..fit import EFFORTS
-from ..grids import SMALLEST_EDGE, changed, few_grids
+from ..grids import SMALLEST_EDGE, changed, coarser, few_grids
 from ..hierarchy import Run
 from ..plan import Plan
 from ..predict import is_streamed, sampled_together, workset_limit
@@ -76,10 +76,11 @@ def tune(
         HmkctaError: the size is too small for the array, or `memory` bytes (None: half of what is free) for a search.
     """
     elements = prod(source.shape)
-    together, room = sampled_together(elements, memory), room_of(elements, memory)
+    asked = ceiling if snr is None else snr
+    together, room = sampled_together(elements, memory, asked), room_of(elements, memory)
     check_room(source, organisation, room)
     plain = next(organisations(source.axes)) if organisation is None else organisation
-    trial = trial_of(source, size, ceiling if snr is None else snr, decode_cost, run.seed)
+    trial = trial_of(source, size, asked, decode_cost, run.seed)
     trial = replace(trial, room=2 * together, memory=room)
     care = CARES.get(run.effort, CARES[EFFORTS["medium"]])
     held = not is_streamed(elements, workset_limit(memory))
@@ -88,6 +89,7 @@ def tune(
     search, worth, best = searched_by_bits(search, look, bits, organisation is not None)
     if trial.ceiling is None and worth > -10 * log10(VERBATIM) - ALIKE:
         search = search.anew(replace(search.goal, ceiling=EXACT))
+        search.together = sampled_together(elements, memory, EXACT)
         worth, best = look(search, organisation is not None, inf)
     gained, best = _cut_further(search, best, run.progress)
     worth += gained
@@ -97,8 +99,8 @@ def tune(
             allowed = f"at least {least} bytes for an array of {elements} elements"
             raise invalid("size-too-small", "size", f"{size} bytes", allowed, _more_room(source.shape))
         size = least
-    if search.highest > (ceiling or inf):
-        snr, size = snr or ceiling, None  # what fills the bytes beyond the ceiling reaches it with fewer
+    if ceiling is not None and worth > (search.goal.ceiling or inf):
+        snr, size = ceiling, None  # what fills the bytes beyond the ceiling reaches it with fewer
     verbatim = search.goal.verbatim(plain)
     may_be = bits in (None, verbatim[1].bits)
     found, best = best, verbatim[1] if may_be and verbatim[0] > worth else best
@@ -214,7 +216,7 @@ def _settled(
     shape = search.trial.source.shape
     whole = (1,) * len(shape)
     again = [(c.organisation, c.grid) for c in ended]
-    again += [(c.organisation, tuple((count + 1) // 2 for count in c.grid)) for c in ended[:COARSER]]
+    again += [(c.organisation, coarser(c.grid, shape)) for c in ended[:COARSER]]
     again += [(search.plain, grid) for grid in few_grids(shape)[:2] if search.near(search.plain, LAGGING)]
     again += [(modes, whole) for modes in search.matrices()]
     again = list(dict.fromkeys(again))
@@ -269,7 +271,8 @@ def _cut_further(search: Search, best: Candidate, progress: Progress) -> tuple[f
 
 
 def _cut_along(search: Search, now: Candidate, n: int) -> Iterator[Candidate]:
-    """The candidate whose blocks may each be cut in two along axis n, and that with blocks twice as long besides."""
+    """The candidate whose blocks may each be cut in two along axis n, and that with blocks twice as long besides: of
+    single indices pairs."""
     grid = now.grid
     if _undecomposed(search, now, n) or prod(now.cuts) >= MOST_CUTS:
         return

@@ -79,7 +79,7 @@ def expected(plan: Plan, source: Source, goal: Goal, *, choosing: bool) -> Forec
     threads = thread_count(options["threads"])
     effort = EFFORTS[options["quality"]]
     held, memory = 0 if isinstance(source.array, np.memmap) else source.array.nbytes, options["max_memory"]
-    before = choosing_bytes(prod(source.shape), effort, threads, memory) if choosing else 0
+    before = choosing_bytes(prod(source.shape), effort, threads, memory, plan.snr) if choosing else 0
     sizes = mode_sizes(source.axes, plan.organisation)
     return forecast(plan, sizes, effort, threads, memory, held=held, choosing=before)
 
