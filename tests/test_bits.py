@@ -215,7 +215,7 @@ def test_what_misses_its_snr_in_bytes_is_tried_with_two(monkeypatch: pytest.Monk
         followed.append(task.plan)
         return follow(replace(task, plan=replace(task.plan, snr=15.0)) if task.plan.levels[-1].bits == 8 else task)
 
-    monkeypatch.setattr("hmkcta.rivals.follow", weak)
+    monkeypatch.setattr("hmkcta.followed.follow", weak)
     with pytest.warns(UserWarning, match="another is tried"):
         model = fitted(snr=25.0, quality="fast")
     assert model.snr >= 25

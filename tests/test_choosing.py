@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dense_reference import energy, snr, tucker_product
 from hmkcta import HmkctaError, choose_plan, compress, parse_plan
-from hmkcta.allocation import allocate, choices_of, pareto, ration, spectrum
+from hmkcta.allocation import allocate, choices_of, merged, pareto, ration, spectrum
 from hmkcta.axes import Organisation
 from hmkcta.choosing.candidates import Candidate
 from hmkcta.choosing.growth import growth_of
@@ -97,6 +97,12 @@ def test_a_spectrums_steps_are_the_corners_of_its_hull() -> None:
     assert 4 < len(found.steps) < len(found.nbytes)
     below = np.interp(found.nbytes, nbytes, error) - 1e-6 * found.error[0]
     assert (found.error >= below).all()  # no choice lies below the hull
+
+
+def test_ways_keep_their_numbers_where_one_stores_nothing() -> None:
+    own = spectrum(core_energies(noise(8, 9), (8, 9), np.random.default_rng(0)), 72.0, (8, 9), [False] * 2, 4096)
+    second, third = (replace(own, way=np.full_like(own.way, way)) for way in (1, 2))
+    assert [set(merged(ways).way) for ways in ([third], [second, third])] == [{2}, {1}]
 
 
 def test_few_nodes_use_their_bytes() -> None:

@@ -240,7 +240,7 @@ def test_a_size_for_a_plan_of_fixed_shape_is_not_ignored() -> None:
     assert refused(plan="R=2", size=2000).where == "size"
 
 
-@pytest.mark.parametrize("plan", ["R<=10 C=2,3,2 K=2", "R=1 / R<=10 C=2,3,2"])
+@pytest.mark.parametrize("plan", ["R<=10 C=2,3,2 K=2", "R=1 / R<=10 C=2,3,2", "R<=10 grid=axis0:2,axis1:3 K=2"])
 def test_own_ranks_with_clusters_of_the_data_are_those_of_one_level(plan: str) -> None:
     """Cells are disjoint then, and ranks are judged on them; overlapping ones, or those of many nodes, are not."""
     with pytest.raises(HmkctaError, match="own-ranks-clusters"):
@@ -256,6 +256,12 @@ def test_a_size_below_the_tables_names_the_least(plan: str | None) -> None:
     assert fitted("light_field", plan=plan, size=least, quality="fast").nbytes <= least
     again = refused(plan=plan, size=least - 1, quality="fast", axes=dataset("light_field").axes)
     assert again.allowed == error.allowed
+
+
+def test_a_size_below_the_tables_of_clusters_is_refused() -> None:
+    """Clusters are parted anew by the ranks that a size affords, of which there are none."""
+    tensor = np.random.default_rng(0).random((20, 30)).astype(np.float32)
+    assert refused(tensor, "R<=8 C=1,4", size=50).reason == "size-too-small"
 
 
 def test_an_snr_out_of_reach_is_tried_and_reported() -> None:
@@ -308,7 +314,7 @@ def test_where_a_plan_misses_its_snr_another_is_tried(monkeypatch: pytest.Monkey
         followed.append(task.plan)
         return follow(replace(task, plan=replace(task.plan, snr=20.0)) if len(followed) == 1 else task)
 
-    monkeypatch.setattr("hmkcta.rivals.follow", weak)
+    monkeypatch.setattr("hmkcta.followed.follow", weak)
     with pytest.warns(UserWarning, match=r"a plan chosen for 40 dB came to 2\d\.\d+: another is tried, R="):
         model = fitted("material", snr=40.0, bits=16, quality="fast")
     assert model.snr >= 40

@@ -320,6 +320,13 @@ def test_a_sum_of_two_levels_is_recovered() -> None:
     assert_recovered(10 * coarse + fine, "R=3 grid=axis0:3,axis1:2,axis2:2 / R=1")
 
 
+def test_blocks_of_a_merged_mode_may_outnumber_a_nodes_rows() -> None:
+    """16 nodes of 2 x 2 texels, to be cut by 4 x 4 again: each texel is a block, of rank one."""
+    options = {"axes": ["light", "y", "x"], "organisation": "light, y+x"}
+    tensor = np.random.default_rng(0).random((6, 8, 8)).astype(np.float32)
+    assert fitted(tensor, "R=1 grid=y:4,x:4 / R=1 grid=y:4,x:4", **options).snr > 60
+
+
 def test_unfolding_of_the_reference_is_the_papers() -> None:
     """A check of the reference itself: the norm of a mode's unfolding is the tensor's, its rows are the mode's."""
     tensor = smooth(3, 4, 5)

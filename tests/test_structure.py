@@ -34,6 +34,8 @@ LAYERS = (
     ("adaptive", "alternatives", "measure"),
     ("choosing", "measure_streamed"),
     ("follow", "forecast"),
+    ("followed",),
+    ("second_levels",),
     ("rivals",),
     ("encode",),
     ("pictures", "readers", "synthetic"),

@@ -68,6 +68,8 @@ def _parted_anew(
     within = inf if goal.size is None else float(goal.size)
     beyond = 0.0 if goal.snr is None else goal.energy * 10 ** (-goal.snr / 10)
     affordable = np.flatnonzero((choices.nbytes <= within) & (choices.error >= beyond))
+    if not len(affordable):
+        return []
     best = affordable[np.argmin(choices.error[affordable])]
     if choices.nbytes[best] == choices.nbytes[0]:  # nothing is stored
         return []

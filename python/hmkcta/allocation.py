@@ -107,15 +107,16 @@ def spectrum(
 
 
 def merged(ways: Sequence[Spectrum], *, hull: bool = True) -> Spectrum:
-    """The choices of a node that can be cut in several ways, numbered as they come; `hull`: as of `spectrum`."""
+    """The choices of a node that can be cut in several ways; `hull`: as of `spectrum`."""
     if len(ways) == 1:
         return ways[0]
-    number = np.repeat(np.arange(len(ways)), [len(own.error) for own in ways])
-    error, nbytes, ranks = (np.concatenate([getattr(own, of) for own in ways]) for of in ("error", "nbytes", "ranks"))
+    error, nbytes, ranks, way = (
+        np.concatenate([getattr(own, of) for own in ways]) for of in ("error", "nbytes", "ranks", "way")
+    )
     order = np.lexsort((-error, nbytes))
     order = order[pareto(nbytes[order], error[order])]
     error, nbytes = error[order], nbytes[order]
-    return Spectrum(error, nbytes, ranks[order], _hull(nbytes, error) if hull else np.arange(len(order)), number[order])
+    return Spectrum(error, nbytes, ranks[order], _hull(nbytes, error) if hull else np.arange(len(order)), way[order])
 
 
 @dataclass(frozen=True)

@@ -167,17 +167,14 @@ def _nodes(
     plan: Plan, modes: Organisation, ranks: tuple[int | None, ...], clustered: tuple[str, ...], count: int
 ) -> Plan:
     """The plan's goal with nodes, of up to these ranks, for so many clusters of the data along one of these modes."""
-    last, ones = plan.levels[-1], (1,) * len(modes)
-    below = LevelSpec(ranks, ones, ones, last.scheme, own=True, bits=last.bits)
+    below = LevelSpec.of_one_cell(ranks, plan.levels[-1].bits, plan.levels[-1].scheme)
     clusters = tuple(count if mode == clustered else 1 for mode in modes)
     return replace(plan, organisation=modes, levels=(_of_data(_of_rank_one(below), clusters), below))
 
 
 def whole_plan(plan: Plan, plain: Organisation) -> Plan:
     """The plan of the same goal that merges no axes and cuts none: ranks of their own for the whole (HOSVD)."""
-    ones = (1,) * len(plain)
-    bits = plan.levels[-1].bits
-    whole = LevelSpec((MOST_RANKS,) * len(plain), ones, ones, plan.levels[0].scheme, own=True, bits=bits)
+    whole = LevelSpec.of_one_cell((MOST_RANKS,) * len(plain), plan.levels[-1].bits, plan.levels[0].scheme)
     return replace(plan, organisation=plain, levels=(whole,))
 
 

@@ -181,7 +181,7 @@ def compress(
             wanted.organisation is not None,
         )
         with kernels.use(device):
-            model = follow(task) if plan else follow_any(task, plans[1:], lambda said: warn(said, stacklevel=4))
+            model = follow(task) if plan else follow_any(task, plans[1:], lambda said: warn(said, stacklevel=5))
     if misses(model.snr, goal := task.plan.snr):
         said = f"the SNR is {model.snr:.2f} dB, below the {goal:g} dB asked for; the model is the best found"
         warn(said, GoalMissed, stacklevel=2)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, prod
 
 import numpy as np
@@ -80,7 +80,8 @@ def examined(
     def examine(s: int) -> None:
         def of(way: int) -> Spectrum | None:
             part = share_of(told, way, len(ways))
-            return _spectrum_of(tree, nodes[s], ways[way], goal, decode_cost, run.seed, part, threads // workers)
+            found = _spectrum_of(tree, nodes[s], ways[way], goal, decode_cost, run.seed, part, threads // workers)
+            return None if found is None else replace(found, way=np.full_like(found.way, way))
 
         workers = max(1, min(threads, len(ways), BESIDE // max(1, nodes[s].elements)))
         spectra[s] += [own for own in in_order(of, range(len(ways)), workers) if own is not None]

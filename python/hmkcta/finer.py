@@ -66,9 +66,8 @@ def parted(plan: Plan, axes: Sequence[Axis]) -> Iterator[Plan]:
     for n in (n for n, mode in enumerate(plan.organisation) if len(mode) > 1):
         apart = tuple((name,) for name in plan.organisation[n])
         modes = (*plan.organisation[:n], *apart, *plan.organisation[n + 1 :])
-        ranks = tuple(min(MOST_RANKS, prod(sizes[name] for name in mode)) for mode in modes)
-        ones = (1,) * len(modes)
-        yield replace(plan, organisation=modes, levels=(LevelSpec(ranks, ones, ones, own=True, bits=level.bits),))
+        ranks = [min(MOST_RANKS, prod(sizes[name] for name in mode)) for mode in modes]
+        yield replace(plan, organisation=modes, levels=(LevelSpec.of_one_cell(ranks, level.bits),))
 
 
 def is_coarse(plan: Plan, snr: float, nbytes: int) -> bool:

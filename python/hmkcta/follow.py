@@ -77,7 +77,7 @@ def follow(task: Task) -> Model:
         if number:
             _descend(task, tree, plan.levels[number - 1], spec)
             if not tree.levels[-1]:  # nothing is left to approximate
-                tree.levels.pop()
+                ascend(tree)
                 break
         axes = task.source.axes
         if spec.own:

@@ -19,7 +19,7 @@ from .errors import invalid
 from .executors import Pool, Queue
 from .fit import Effort, Labels, fit_level, refit_level
 from .journal import NoJournal
-from .memberships import uniform_blocks
+from .memberships import grid_blocks
 from .metrics import squared_norm
 from .pieces import Piece, Rows, SubTensor
 from .plan import LevelSpec
@@ -385,15 +385,6 @@ def grid_labels(spec: LevelSpec, axes: Sequence[Axis], organisation: Organisatio
         if not counts:
             return None
         modes = zip(node.rows, organisation, strict=True)
-        return [_block_numbers(rows, [(size[name], counts.get(name, 1)) for name in mode]) for rows, mode in modes]
+        return [grid_blocks(rows, [(size[name], counts.get(name, 1)) for name in mode]) for rows, mode in modes]
 
     return labels
-
-
-def _block_numbers(rows: NDArray[np.intp], axes: Sequence[tuple[int, int]]) -> NDArray[np.intp]:
-    """Flattened block number of each row of a (merged) mode whose axes have the given sizes and block counts."""
-    number = np.zeros(len(rows), np.intp)
-    for index, (_, count) in zip(np.unravel_index(rows, [size for size, _ in axes]), axes, strict=True):
-        distinct, position = np.unique(index, return_inverse=True)
-        number = number * count + uniform_blocks(len(distinct), min(count, len(distinct)))[position]
-    return number

@@ -58,10 +58,27 @@ def block_sizes(size: int, blocks: int) -> list[int]:
 def uniform_blocks(size: int, clusters: int) -> NDArray[np.intp]:
     """Block number of each row, the first blocks longer by one (paper, footnote 1).
 
-    >>> np.bincount(uniform_blocks(10, 4)).tolist()
-    [3, 3, 2, 2]
+    Shorter are the last C - mod(I, C); by the footnote's mod(I, C) of them 8 rows in 3 blocks would be 3 + 2 + 2.
+
+    >>> np.bincount(uniform_blocks(8, 3)).tolist()
+    [3, 3, 2]
     """
     return np.repeat(np.arange(clusters), block_sizes(size, clusters))
+
+
+def grid_blocks(rows: NDArray[np.intp], axes: Sequence[tuple[int, int]]) -> NDArray[np.intp]:
+    """Flattened block number of each row of a (merged) mode whose axes have the given sizes and block counts.
+
+    Of fewer rows than blocks some blocks have none: then those that have are numbered.
+
+    >>> grid_blocks(np.arange(8), [(2, 2), (4, 2)]).tolist()
+    [0, 0, 1, 1, 2, 2, 3, 3]
+    """
+    number = np.zeros(len(rows), np.intp)
+    for index, (_, count) in zip(np.unravel_index(rows, [size for size, _ in axes]), axes, strict=True):
+        distinct, position = np.unique(index, return_inverse=True)
+        number = number * count + uniform_blocks(len(distinct), min(count, len(distinct)))[position]
+    return number if len(rows) >= prod(count for _, count in axes) else np.unique(number, return_inverse=True)[1]
 
 
 def sampled_rows(tensor: NDArray[Any], n: int) -> NDArray[Any]:

@@ -67,7 +67,7 @@ class LevelSpec:
         if self.bits not in BITS:
             raise invalid("bits", "bits of the level", self.bits, " or ".join(map(str, BITS)))
         if any(count < 1 for _, count in self.cuts):
-            raise invalid("clusters-too-small", "cut<=", _grid_text(self.cuts), "1 or more of each axis")
+            raise invalid("clusters-too-small", "cut<=", _grid_text(self.cuts, {}), "1 or more of each axis")
         if not len(self.ranks) == len(self.clusters) == len(self.mixture):
             found = f"{len(self.ranks)} R, {len(self.clusters)} C, {len(self.mixture)} K"
             raise invalid("level-modes", "level", found, "as many of each as there are modes")
@@ -89,6 +89,12 @@ class LevelSpec:
                 raise invalid(
                     "undecomposed-clustered", f"C of {mode}", clusters, "1, as R=* leaves the mode undecomposed"
                 )
+
+    @classmethod
+    def of_one_cell(cls, most: Sequence[int | None], bits: int = 16, scheme: str = "most") -> LevelSpec:
+        """Whose nodes are one cell with ranks of their own, up to so `most` (``R<=..``)."""
+        ones = (1,) * len(most)
+        return cls(tuple(most), ones, ones, scheme, own=True, bits=bits)
 
     @property
     def order(self) -> int:
@@ -181,7 +187,7 @@ class LevelSpec:
 
         text = ("R<=" if self.own else "R=") + ",".join("*" if r is None else str(r) for r in self.ranks)
         if self.cuts:
-            text += f" cut<={_grid_text(self.cuts)}"
+            text += f" cut<={_grid_text(self.cuts, {})}"
         elif self.grid:
             text += f" grid={_grid_text(self.grid, dict(self.fewest))}"
         elif self.cells > 1:
@@ -191,9 +197,8 @@ class LevelSpec:
         return text if self.bits == BITS[0] else f"{text} bits={self.bits}"
 
 
-def _grid_text(grid: Sequence[tuple[str, int]], fewest: Mapping[str, int] | None = None) -> str:
-    least = fewest or {}
-    return ",".join(f"{axis}:{f'{least[axis]}-' if axis in least else ''}{count}" for axis, count in grid)
+def _grid_text(grid: Sequence[tuple[str, int]], fewest: Mapping[str, int]) -> str:
+    return ",".join(f"{axis}:{f'{fewest[axis]}-' if axis in fewest else ''}{count}" for axis, count in grid)
 
 
 def _clusters(grid: Sequence[tuple[str, int]], organisation: Organisation) -> tuple[int, ...]:
@@ -358,11 +363,11 @@ def check_plan(plan: Plan, sizes: Sequence[int]) -> None:
         if level.own and (number < len(plan.levels) or (plan.snr is None and plan.size is None)):
             allowed = "R<= in the last level only, together with a goal"
             raise invalid("own-ranks-place", f"level {number}", str(level), allowed, "say an snr or a size")
-        if level.own and level.cells > 1 and not level.grid and (len(plan.levels) > 1 or max(level.mixture) > 1):
+        if level.own and (max(level.mixture) > 1 or (level.cells > 1 and not level.grid and len(plan.levels) > 1)):
             allowed = "R<= with blocks, grid=AXIS:COUNT, with C where it is the only level and K=1, or below clusters"
             raise invalid("own-ranks-clusters", f"level {number}", str(level), allowed)
         if len(level.ways(plan.organisation)) > MOST_WAYS:
-            allowed = f"at most {MOST_WAYS} ways to cut a node: products of divisors of the counts"
+            allowed = f"at most {MOST_WAYS} ways to cut a node, combinations of numbers of blocks"
             raise invalid("plan-grid", f"level {number}", str(level), allowed)
         for n, (rank, size) in enumerate(zip(level.ranks, sizes, strict=True)):
             if rank is not None and min(rank, size) > HIGHEST_RANK and not level.own:

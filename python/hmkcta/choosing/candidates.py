@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import prod
 
 import numpy as np
@@ -54,7 +54,7 @@ def plan_of(source: Source, best: Candidate, snr: float | None, size: int | None
         return Plan(best.organisation, (own,), snr, size)
     carrier = LevelSpec(tuple(None if rank is None else 1 for rank in most), clusters, ones, "most", grid)
     cuts = tuple((axis.name, count) for axis, count in zip(source.axes, best.cuts, strict=False) if count > 1)
-    own = LevelSpec(most, ones, ones, own=True, cuts=cuts, bits=best.bits)
+    own = replace(LevelSpec.of_one_cell(most, best.bits), cuts=cuts)
     return Plan(best.organisation, (carrier, own), snr, size)
 
 

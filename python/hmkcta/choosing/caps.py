@@ -44,7 +44,7 @@ class Room:
         """Bytes that are asked for before a level of one cell is fitted to a node of these sizes; 0: few enough."""
         if prod(sizes) <= self.limit:
             return 0
-        level = _level(ranks)
+        level = LevelSpec.of_one_cell(ranks)
         fitted, joint = workset(sizes, level, self.limit), _joint(sizes, ranks)
         most = max(joint, PROCESS + WORKING * fitted if fitted > self.limit else 0)
         whole = prod(sizes) == self.elements
@@ -126,18 +126,13 @@ def _caps(room: Room, sizes: tuple[int, ...], ranks: Ranks) -> Ranks | None:
     return found
 
 
-def _level(ranks: Ranks) -> LevelSpec:
-    ones = (1,) * len(ranks)
-    return LevelSpec(ranks, ones, ones, own=True)
-
-
 def _joint(sizes: Sequence[int], ranks: Ranks) -> int:
-    return PROCESS // 2 + joint_bytes(sizes, _level(ranks))
+    return PROCESS // 2 + joint_bytes(sizes, LevelSpec.of_one_cell(ranks))
 
 
 def _fewer_columns(sizes: Sequence[int], ranks: Ranks, _: int) -> Ranks | None:
     """A lower cap for the mode whose bases are largest."""
-    own = _level(ranks).clamped(sizes).ranks
+    own = LevelSpec.of_one_cell(ranks).clamped(sizes).ranks
     n = max(range(len(sizes)), key=lambda n: sizes[n] * (own[n] or 0))
     rank = own[n] or 1
     return None if rank == 1 else (*ranks[:n], rank * 7 // 8, *ranks[n + 1 :])
@@ -148,7 +143,7 @@ def _fewer_rows(sizes: Sequence[int], ranks: Ranks, limit: int) -> Ranks | None:
 
     How far an undecomposed mode is thinned goes by the highest cap of the others.
     """
-    steps, ways = thinning(sizes, _level(ranks).clamped(sizes), limit), list[tuple[int, int, int]]()
+    steps, ways = thinning(sizes, LevelSpec.of_one_cell(ranks).clamped(sizes), limit), list[tuple[int, int, int]]()
     for n, (size, step, rank) in enumerate(zip(sizes, steps, ranks, strict=True)):
         ways.append((size // (FEWEST * next_step(step, undecomposed=rank is None)), size, n))
     cap, _, chosen = max(ways)

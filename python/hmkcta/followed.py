@@ -1,0 +1,55 @@
+"""Models of plans that were followed for one goal: further ones, and the best."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+
+from .errors import HmkctaError
+from .follow import Task, follow
+from .model import Model
+from .plan import Plan
+
+#: A task with a plan, and the model that it came to.
+Followed = tuple[Task, Model]
+
+
+def fitted(task: Task) -> Followed:
+    """The task with the model that its plan comes to."""
+    return task, follow(task)
+
+
+def further(task: Task, plans: Iterable[Plan]) -> Iterator[Followed]:
+    """Models of further plans, except those that cannot be followed: there is a model already.
+
+    The least file of such a plan is larger than the goal, or memory does not do; or it is of another organisation than
+    the one given.
+    """
+    for plan in plans:
+        if task.organised and plan.organisation != task.plan.organisation:
+            continue
+        try:
+            found = fitted(replace(task, plan=plan))
+        except HmkctaError as error:
+            if error.reason not in ("size-too-small", "memory"):
+                raise
+            continue
+        yield found
+
+
+def best_of(followed: Sequence[Followed]) -> Followed:
+    """For a size the model of the highest SNR; for an SNR the smallest that reaches it, or the nearest if none does."""
+    snr, nearest = followed[0][0].plan.snr, max(followed, key=lambda each: each[1].snr)
+    if snr is None:
+        return nearest
+    return min((each for each in followed if each[1].snr >= snr), key=lambda each: each[1].nbytes, default=nearest)
+
+
+def may_be(task: Task, plan: Plan) -> bool:
+    """Whether numbers have the bits that are asked for."""
+    return task.bits in (None, plan.levels[-1].bits)
+
+
+def is_verbatim(plan: Plan) -> bool:
+    """Whether it leaves the values as they are."""
+    return len(plan.levels) == 1 and not any(plan.levels[0].ranks)

@@ -1,0 +1,81 @@
+"""Plans of two levels, where the numbers of one are not exact enough: a second level for what float16, or bytes, leave.
+
+The ranks of the first are those that it was fitted with for less, alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+from .alternatives import whole_plan, with_bits
+from .axes import mode_sizes
+from .follow import Task
+from .followed import Followed, further, is_verbatim, may_be
+from .model import Model
+from .narrow import BITS
+from .plan import Plan
+
+#: The first level ends at as many dB as float16 keeps of one, and at no less than so many; up to so many dB in all the
+#: second may also be of bytes.
+ROUNDED, SHORT, BOTH = 68.0, 40.0, 106.0
+#: So many dB bytes keep of most values.
+OF_BYTES = 36.0
+
+
+def below_float16(task: Task, others: Sequence[Plan]) -> Iterator[Plan]:
+    """The task's plan, the others, and one that merges and cuts nothing, with a first level that ends at what float16
+    keeps, and a second for what that leaves. The first levels are fitted as plans are asked for.
+
+    Where ranks do not reach that, the last of them gain little: then one that ends a dB before them, too. What ends
+    far below is left: the second level would have too much to do.
+    """
+    whole = whole_plan(task.plan, task.source.organisation(None))
+    sizes = mode_sizes(task.source.axes, whole.organisation)
+    whole = replace(whole, levels=tuple(level.clamped(sizes) for level in whole.levels))
+    for plan in dict.fromkeys(map(_in_one, (task.plan, *others, whole))):
+        if len(plan.levels) > 1 or is_verbatim(plan):
+            continue
+        goal = replace(plan, size=None, snr=ROUNDED)
+        firsts = [each for each in further(task, [goal]) if each[1].snr > SHORT]
+        firsts += further(task, [replace(goal, snr=model.snr - 1) for _, model in firsts if model.snr < ROUNDED])
+        below = [plan for plan in (deeper(*each) for each in firsts) if plan is not None]
+        # Bytes do for what a level of float16 numbers leaves, and hold some 40 dB of it.
+        narrow = [with_bits(each, min(BITS)) for each in below if (task.plan.snr or 0.0) < BOTH]
+        both = [*(each for each in narrow if task.bits is None), *below]
+        yield from (replace(each, snr=task.plan.snr, size=task.plan.size) for each in both)
+
+
+def below_bytes(task: Task, followed: Sequence[Followed]) -> list[Plan]:
+    """For an SNR a plan of bytes with a level below it for what bytes leave of themselves.
+
+    Its first level is that of the plan of bytes that came nearest, or else the last of the task's, alone.
+    """
+    (*above, last), goal = task.plan.levels, task.plan.snr
+    if goal is None or not may_be(task, with_bits(task.plan, min(BITS))):
+        return []
+    short = [each for each in followed if each[0].plan.levels[-1].bits == min(BITS) and each[1].snr < goal]
+    below = [deeper(*each) for each in sorted(short, key=lambda each: -each[1].snr)]
+    if not any(below) and last.own and all(level.cells == 1 for level in above):
+        alone = replace(task.plan, levels=(replace(last, bits=min(BITS)),), snr=min(goal, OF_BYTES))
+        below = [deeper(*each) for each in further(task, [alone])]
+    return [replace(plan, snr=goal) for plan in below if plan is not None][:1]
+
+
+def deeper(task: Task, model: Model) -> Plan | None:
+    """A plan of one level as it was fitted, and below it a second with ranks of its own; None where that cannot be."""
+    (own, *more), top = task.plan.levels, model.bounds[0]
+    own, found = next((way for way in own.ways(task.plan.organisation) if way.clusters == top.clusters), own), top.ranks
+    if more or not own.own or model.decode_cost >= task.decode_cost or 0 in found:  # 0: nothing was stored
+        return None
+    ranks = tuple(None if most is None else rank for most, rank in zip(own.ranks, found, strict=True))
+    below = replace(own, clusters=(1,) * own.order, grid=())
+    return replace(task.plan, levels=(replace(own, ranks=ranks, own=False), below))
+
+
+def _in_one(plan: Plan) -> Plan:
+    """The plan, or where its nodes are blocks below a level of rank one a level of these blocks, all of equal ranks."""
+    first, *others = plan.levels
+    if len(others) != 1 or not others[0].own or others[0].cuts or not first.grid:
+        return plan
+    return replace(plan, levels=(others[0].cut_into(first.grid, plan.organisation),))
