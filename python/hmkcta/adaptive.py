@@ -50,7 +50,7 @@ def fit_to_goal(tree: Hierarchy, ways: Sequence[Way], goal: Goal, decode_cost: i
     spectra = examined(tree, ways, goal, decode_cost, run)
     further = _parted_anew(tree, ways, spectra[0], goal, run)
     if further:
-        spectra[0] += examined(tree, further, goal, decode_cost, run)[0]
+        spectra[0] += examined(tree, further, goal, decode_cost, run, first=len(ways))[0]
         ways += further
     found = [(s, merged(own, hull=len(nodes) > 1)) for s, own in enumerate(spectra) if own]
     if found:

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 
-#: Most nodes that give back what the last step of all hulls leaves unused, or use it; of more nodes than these the last
-#: step is a small one.
+#: At most so many changes off the hulls after the multiplier is found, to use what the last step along them leaves
+#: unused; none of more nodes than so many, whose last step is a small one.
 TRIMS, FEW = 8, 256
 #: Two multipliers are close enough where the bytes that they spend differ by this share.
 CLOSE = 0.01
-#: Choices that leave so many times what cheaper ones leave, of all nodes together, are those of no node.
+#: A choice is left out that leaves, over all nodes, so many times the error of the best that is cheaper.
 ASIDE = 2.0
 #: The nodes of a grid differ by a row along each mode: so many shapes, whose choices are kept.
 SHAPES = 16

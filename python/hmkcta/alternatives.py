@@ -74,7 +74,7 @@ def _asked(plan: Plan, snr: float) -> float:
 
 
 def below_rank_one(plan: Plan, bits: int) -> Iterator[Plan]:
-    """The plan of one level with ranks of its own below a level of rank one: nodes where there were blocks.
+    """The plan's one level of ranks of its own below a level of rank one; blocks stay, clusters of the data do not.
 
     >>> from hmkcta import parse_plan
     >>> [str(each) for each in below_rank_one(parse_plan("R<=8,* C=4,1", (("y",), ("x",))), 8)]

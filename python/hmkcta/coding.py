@@ -1,4 +1,5 @@
-"""Block-sparse coding: slices of a tensor as combinations of a few clusters' dictionary columns (paper, section 5).
+"""Block-sparse coding: slices of a tensor as combinations of a few clusters' dictionary columns (optimal search, which
+section 5 of the paper names).
 
 For slice t_i and cluster subset S the least squared error is |t_i|^2 less the gain b_S^T H_SS^-1 b_S, with b = D^T t_i
 and H = D^T D, all in parameter space. The optimal search looks at every subset, the greedy one lets subsets grow by

@@ -115,12 +115,13 @@ def compress(
             text, ``"light, view, y, x"``; None: an xarray's own.
         snr: least SNR in dB of the stored numbers. With explicit levels: no deeper than needed.
         size: most bytes of the whole file. Neither: 1/100 of the float32 bytes or 50 dB, whichever is less.
-        decode_cost: most multiply-adds for one scattered element, for a chosen plan.
+        decode_cost: most multiply-adds for one scattered element: bounds ranks that are chosen, those of a chosen plan
+            and of ``R<=`` in a written one. Written ranks are kept.
         quality: ``fast``, ``medium`` or ``thorough``: how long the fit tries.
         organisation: axes merged into modes, ``"light+rgb, view, y+x"``; None: the `Plan`'s, chosen, or a mode for
             each axis.
-        scheme: ``most``, ``least``, ``uniform`` or ``auto`` (the best of the three) subdivision of explicit levels,
-            whatever those of a `Plan` say.
+        scheme: ``most``, ``least``, ``uniform`` or ``auto`` (the best of the three; above ``R<=`` ``most``) subdivision
+            of explicit levels, whatever those of a `Plan` say.
         transform: value transform for high dynamic range, e.g. ``log1p``; None: identity.
         nan: value to put for NaN and infinity; None: refuse them.
         bits: of each core and basis number in the file, 16 (float16) or 8; None: as the plan says, for a chosen one

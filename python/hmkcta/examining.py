@@ -68,9 +68,9 @@ class Goal:
 
 
 def examined(
-    tree: Hierarchy, ways: Sequence[Way], goal: Goal, decode_cost: int, run: Run
+    tree: Hierarchy, ways: Sequence[Way], goal: Goal, decode_cost: int, run: Run, first: int = 0
 ) -> list[list[Spectrum]]:
-    """Of every node its choices in each way; none where there is nothing to store."""
+    """Of every node its choices in each way, numbered from the `first` on; none where there is nothing to store."""
     nodes, told = tree.levels[-1], within(tree.levels[-1], EXAMINING, run)
     spectra: list[list[Spectrum]] = [[] for _ in nodes]
     # What is streamed shares out its own work, and where memory is given there is none for more at once.
@@ -81,7 +81,7 @@ def examined(
         def of(way: int) -> Spectrum | None:
             part = share_of(told, way, len(ways))
             found = _spectrum_of(tree, nodes[s], ways[way], goal, decode_cost, run.seed, part, threads // workers)
-            return None if found is None else replace(found, way=np.full_like(found.way, way))
+            return None if found is None else replace(found, way=np.full_like(found.way, first + way))
 
         workers = max(1, min(threads, len(ways), BESIDE // max(1, nodes[s].elements)))
         spectra[s] += [own for own in in_order(of, range(len(ways)), workers) if own is not None]

@@ -1,8 +1,9 @@
 """One level on one node: MK-CTA (paper, section 3.2; equation 2).
 
-A disjoint start, then over-relaxed sweeps: cluster subsets and rows of one mode after another, then all cores, by joint
-least squares in the Gram domain; on small nodes Gauss-Seidel HOOI over the cells takes the place of half of them. Each
-step lowers the error or leaves it.
+It starts from disjoint clusters (K_n = 1). Sweeps follow: for one mode after another the K_n cluster subsets of every
+row and its rows of the bases are found by joint least squares in the Gram domain, over-relaxed, and then all cores. On
+small nodes the second half of the sweeps is Gauss-Seidel HOOI instead, one cell after another. Each step lowers the
+error or leaves it.
 """
 
 from __future__ import annotations
@@ -30,18 +31,18 @@ class Effort:
     """How much time a fit may take.
 
     Attributes:
-        candidates: disjoint starts tried for each node's memberships, where they stay disjoint.
-        starts: the same, where they will overlap; one is taken as it is.
-        sweeps: over all modes; those of joint rows, which come first, search for cluster subsets.
-        hooi: HOOI rounds where there is nothing to search (0: plain HOSVD), or too much.
+        candidates: disjoint starts that are compared where K_n = 1 in all modes.
+        starts: the same where some K_n > 1; a single one is taken as it is.
+        sweeps: over all modes, where some K_n > 1; those of joint rows, which come first, search for cluster subsets.
+        hooi: HOOI rounds where K_n = 1 (0: plain HOSVD), or where the search is ``fast``.
         backfits: rounds in which every level is refitted to what the others leave.
     """
 
-    candidates: int = 3
-    starts: int = 3
-    sweeps: int = 3
-    hooi: int = 2
-    backfits: int = 1
+    candidates: int
+    starts: int
+    sweeps: int
+    hooi: int
+    backfits: int
 
     def at(self, level: int, levels: int) -> Effort:
         """For a level (from 1) of so many.
@@ -52,7 +53,11 @@ class Effort:
         return self if level == levels else replace(self, sweeps=2 * self.sweeps)
 
 
-EFFORTS = {"fast": Effort(2, 1, 2, 2, 0), "medium": Effort(3, 3, 5, 4, 1), "thorough": Effort(13, 13, 12, 8, 4)}
+EFFORTS = {
+    "fast": Effort(candidates=2, starts=1, sweeps=2, hooi=2, backfits=0),
+    "medium": Effort(candidates=3, starts=3, sweeps=5, hooi=4, backfits=1),
+    "thorough": Effort(candidates=13, starts=13, sweeps=12, hooi=8, backfits=4),
+}
 
 #: Elements that starts are judged on: by what disjoint blocks capture, and by a joint sweep.
 SAMPLE, JUDGED = 2_000_000, 1 << 19

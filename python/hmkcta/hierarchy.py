@@ -62,7 +62,7 @@ class Node(SubTensor):
         cells: the fitted cells as they will be stored (float16 numbers); None: the node adds nothing and is a leaf.
         parts: for each mode the part of every row at the next level; None: a leaf.
         children: one for each combination of parts, in C order.
-        piece: where its elements lie, if the tensor is streamed; None then: it is the whole tensor.
+        piece: the piece of the scratch file that holds its elements; None: they are in memory, or it is the whole.
     """
 
     cells: Cells | None = None

@@ -1,4 +1,4 @@
-"""Soft cluster memberships of a mode: features of its rows, balanced k-means, K-subspaces, uniform blocks."""
+"""Disjoint starts for the clusters of a mode: features of its rows, balanced k-means, K-subspaces, uniform blocks."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from .subspaces import subspace_clusters
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-#: Columns of the row features, and elements looked at to find them; more of either changed nothing (algorithm notes).
+#: Columns of the row features, and elements looked at to find them; more of either changed nothing.
 FEATURES, SAMPLE = 12, 2_000_000
 #: Up to this side Gram matrices are decomposed exactly; beyond it so many iterations find the leading vectors.
 EXACT_SIDE, ITERATIONS = 512, 8
 #: Rounds of k-means; it ends sooner where labels stay as they are. Of more rows than these, and than so many for each
 #: cluster, some are parted: with more, errors fall by some hundredths, unless a few rows are unlike all others.
 ROUNDS, ROWS, ROWS_EACH = 8, 1 << 15, 256
-#: Row normalisations f <- f |f|^(p-1) with size caps (times I/C), the most often best ones first.
+#: Row normalisations f <- f |f|^(p-1) with size caps (times I/C), in the order of how often they were best.
 CANDIDATES: tuple[tuple[float, float | None], ...] = (
     (0.2, 1.2),
     (0.5, 1.5),

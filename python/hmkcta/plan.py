@@ -150,7 +150,7 @@ class LevelSpec:
 
     @property
     def disjoint(self) -> bool:
-        """Whether the cells are the blocks of a grid, which share no element."""
+        """Whether the cells are the blocks of a grid, which share no element and are parted as they are."""
         return self.cells > 1 and bool(self.grid) and max(self.mixture) == 1 and self.scheme != "uniform"
 
     def alone(self, sizes: Sequence[int]) -> LevelSpec:

@@ -69,7 +69,7 @@ def _rivals(task: Task, others: Sequence[Plan]) -> list[Plan]:
 
 def _hopeful(task: Task, rivals: Sequence[Plan]) -> list[Plan]:
     """The rivals, but for an SNR that one level hardly reaches those of one."""
-    return [plan for plan in rivals if (task.plan.snr or 0.0) <= ROUNDED or len(plan.levels) > 1]
+    return [plan for plan in rivals if (task.plan.snr or 0.0) <= ROUNDED[max(BITS)] or len(plan.levels) > 1]
 
 
 def _compared(given: Task, followed: list[Followed], others: Sequence[Plan]) -> tuple[Followed, list[Followed]]:

@@ -1,5 +1,5 @@
-"""Cluster subsets and rows of one mode, jointly optimal given all else, by coding in the dictionary of the others; and
-the cores of all cells, jointly optimal given all bases.
+"""Of one mode, with the cores and all other bases given, the best cluster subsets of every row and its rows of the
+bases, by coding in the dictionary that these make; and the best cores of all cells, with all bases given.
 
 `extend` adds clusters by the residual's energy where even H does not fit.
 """

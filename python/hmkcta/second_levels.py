@@ -16,9 +16,9 @@ from .model import Model
 from .narrow import BITS
 from .plan import Plan
 
-#: The first level ends at as many dB as float16 keeps of one, and at no less than so many; up to so many dB in all the
-#: second may also be of bytes.
-ROUNDED, SHORT, BOTH = 68.0, 40.0, 106.0
+#: The first level ends at as many dB as its numbers keep of one, by their bits, and at no less than so many; up to so
+#: many dB in all the second may also be of bytes.
+ROUNDED, SHORT, BOTH = {16: 68.0, 8: 43.0}, 40.0, 106.0
 #: So many dB bytes keep of most values.
 OF_BYTES = 36.0
 
@@ -36,9 +36,10 @@ def below_float16(task: Task, others: Sequence[Plan]) -> Iterator[Plan]:
     for plan in dict.fromkeys(map(_in_one, (task.plan, *others, whole))):
         if len(plan.levels) > 1 or is_verbatim(plan):
             continue
-        goal = replace(plan, size=None, snr=ROUNDED)
+        enough = ROUNDED[plan.levels[0].bits]
+        goal = replace(plan, size=None, snr=enough)
         firsts = [each for each in further(task, [goal]) if each[1].snr > SHORT]
-        firsts += further(task, [replace(goal, snr=model.snr - 1) for _, model in firsts if model.snr < ROUNDED])
+        firsts += further(task, [replace(goal, snr=model.snr - 1) for _, model in firsts if model.snr < enough])
         below = [plan for plan in (deeper(*each) for each in firsts) if plan is not None]
         # Bytes do for what a level of float16 numbers leaves, and hold some 40 dB of it.
         narrow = [with_bits(each, min(BITS)) for each in below if (task.plan.snr or 0.0) < BOTH]

@@ -1,8 +1,9 @@
 """Which sub-tensor of the next level each row goes to (paper, section 4.2).
 
 The error of row i approximated by its k-th cluster subset alone is |t_i|^2 - 2 x_ik b_ik + x_ik^T H_kk x_ik; the most
-significant scheme takes the subset with the least, the least significant the one with the largest.
-No part gets many more rows than others: rows that share a cluster would all stay together.
+significant scheme takes the subset with the least, the least significant the one with the largest. Modes are judged one
+at a time, the others keeping all their subsets, where the paper sums errors over the subdivided tensors of all modes.
+Where K_n > 1 no part gets more than `CAP` I_n / C_n rows: rows that share a cluster would all stay together.
 """
 
 from __future__ import annotations

@@ -130,8 +130,8 @@ def full_core(
 ) -> tuple[F32, float]:
     """The tensor rotated into the singular vectors of its unfoldings, the strongest first: its HOSVD core.
 
-    A mode of limit None is left as it is; one longer than its unfolding has columns comes as long as those are many,
-    one that is long and of which few vectors are wanted with as many, or with those that leave `enough`. Other modes
+    A mode of limit None is not rotated. One longer than its unfolding has columns comes out with as many rows as they
+    are many, and a long one of a low limit with `limit` rows, or fewer if these leave no more than `enough`. Others
     keep their length.
 
     Returns:

@@ -104,7 +104,7 @@ class Trial:
     ) -> list[tuple[float, Candidate]]:
         """Every candidate with this organisation and grid: dB, and octaves of bytes beyond the ceiling.
 
-        Of `kinds`, if any, only those that leave one of these sets of modes undecomposed.
+        Of `kinds`, if any that the grid leaves uncut, only those that leave one of these sets of modes undecomposed.
         """
         cut = self._cut(organisation, grid, sample)
         if not cut.energy.any():
