@@ -141,11 +141,11 @@ def test_names_of_maps_and_spectra_have_roles(name: str, role: str) -> None:
 
 
 def test_clusters_are_those_that_the_ranks_were_judged_with() -> None:
-    """800 rows in eight subspaces of three dimensions, parted anew once ranks are known: the best way is the one fitted."""
+    """800 rows in eight subspaces of three dimensions, parted anew once ranks are known: the best is fitted."""
     rng = np.random.default_rng(0)
     subspace = rng.integers(0, 8, 800)
     bases = rng.standard_normal((8, 3, 30))
-    rows = np.einsum("id,idc->ic", rng.standard_normal((800, 3)), bases[subspace])
+    rows: NDArray[np.float64] = np.einsum("id,idc->ic", rng.standard_normal((800, 3)), bases[subspace])
     rows += 0.05 * rng.standard_normal(rows.shape)
     found = [compress(rows, "R<=16,* C=8,1", size=size, threads=1).snr for size in (9_000, 10_000, 11_000)]
     assert found[0] > 6

@@ -26,7 +26,7 @@ from .hierarchy import (
 )
 from .memberships import by_subspaces, start_candidates
 from .memory import check_memory, format_bytes, give_back_freed_memory
-from .metrics import snr_db
+from .metrics import noise_at, snr_db
 from .narrow import LEFT
 from .plan import LevelSpec
 from .predict import MODEL, PROCESS
@@ -66,7 +66,7 @@ def _parted_anew(
         return []
     choices = merged(spectra, hull=False)
     within = inf if goal.size is None else float(goal.size)
-    beyond = 0.0 if goal.snr is None else goal.energy * 10 ** (-goal.snr / 10)
+    beyond = 0.0 if goal.snr is None else noise_at(goal.snr, goal.energy)
     affordable = np.flatnonzero((choices.nbytes <= within) & (choices.error >= beyond))
     if not len(affordable):
         return []
@@ -134,7 +134,7 @@ class _LastLevel:
 
     def _rounding(self, energy: float) -> float:
         """What bytes will leave of so much energy, but no more than a share of what an SNR allows."""
-        allowed = inf if self.goal.snr is None else self.goal.energy * 10 ** (-self.goal.snr / 10)
+        allowed = inf if self.goal.snr is None else noise_at(self.goal.snr, self.goal.energy)
         return min(energy * LEFT, MOST_ROUNDING * allowed) if self.ways[0][0].bits == 8 else 0.0
 
     def to_size(self, size: int) -> None:
@@ -154,7 +154,7 @@ class _LastLevel:
         aim, best, tried, poor, good = snr, None, set[bytes](), _NOTHING, _EVERYTHING
         wasteful = self.ways[0][0].bits / 8 * sum(prod(node.sizes) for node in self.tree.levels[-1])
         for attempt in range(ATTEMPTS):
-            error = max(self.goal.energy * 10 ** (-aim / 10) - self.elsewhere, 0.0)
+            error = max(noise_at(aim, self.goal.energy) - self.elsewhere, 0.0)
             chosen = trimmed(self.spectra, allocate(self.spectra, error=error), error)
             if chosen.choice.tobytes() in tried:
                 if best is not None:

@@ -14,16 +14,16 @@ from numpy.typing import NDArray
 
 from . import backends as kernels
 from .cells import Cells, empty_cells
-from .executors import Pool, Queue, in_order
+from .executors import Queue, in_order, repeatedly
 from .fit import COLD, WARM, Effort, Labels
 from .metrics import squared_norm
 from .pieces import Piece
 from .plan import LevelSpec
 from .progress import Told
-from .search import orthonormalise
+from .search import orthonormal_again
 from .streamed import Block, Streamed
 from .tucker import core_energies
-from .workset import SAMPLED, fit_streamed, refit_streamed, thinning
+from .workset import SAMPLED, fit_streamed, refit_streamed, workset_steps
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -63,7 +63,7 @@ def fit_outside(
 
 def refit_outside(residual: Streamed, number: int, cells: Cells, told: Told) -> Cells:
     """Back-fitting of the cells of level `number`, memberships kept."""
-    orthonormalise(cells)
+    orthonormal_again(cells)
     if not cells.spec.disjoint:
         return refit_streamed(residual, number, cells)
 
@@ -96,7 +96,7 @@ def energies(
         if large is None:
             tensor = cut.settled(Block(piece.rows, cut.read(piece)))
         else:
-            tensor = large.sample(thinning(piece.sizes, spec.alone(piece.sizes), min(cut.limit, SAMPLED)))
+            tensor = large.sample(workset_steps(piece.sizes, spec.alone(piece.sizes), min(cut.limit, SAMPLED)))
         own = squared_norm(tensor)
         norm = own if large is None else large.error
         return norm / (own or 1.0) * core_energies(tensor, limits, np.random.default_rng(seed)), norm
@@ -135,7 +135,7 @@ def _each_cell(
     """Put in its place what the work makes of every cell and its tensor, which is less all levels but `number`."""
     cut = residual.in_blocks(labels, cells.spec.clusters, number)
     sizes = [piece.elements for piece in cut.pieces]
-    queue, done = Queue(sizes, cut.limit), 0
+    queue = Queue(sizes, cut.limit)
 
     def next_cell() -> int:
         with queue.next() as c:
@@ -147,15 +147,8 @@ def _each_cell(
             return sizes[c]
 
     each = 1 if len(sizes) >= residual.threads else residual.threads
-    with Pool(residual.threads) as pool, kernels.threads(each, after=residual.threads):
-        futures = [pool.submit(next_cell) for _ in sizes]
-        try:
-            for future in futures:
-                done += future.result()
-                told(done / sum(sizes))
-        except BaseException:
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
+    with kernels.threads(each, after=residual.threads):
+        repeatedly(next_cell, len(sizes), residual.threads, lambda done: told(done / sum(sizes)))
 
 
 def _labels(cells: Cells) -> Labels:

@@ -62,6 +62,26 @@ def in_order(work: Callable[[S], T], items: Sequence[S], workers: int) -> Iterat
             raise
 
 
+def repeatedly(work: Callable[[], int], times: int, workers: int, told: Callable[[int], None]) -> None:
+    """Do the work so many times, side by side; `told` hears what the results add up to.
+
+    >>> repeatedly(lambda: 2, 3, 1, print)
+    2
+    4
+    6
+    """
+    done = 0
+    with Pool(workers) as pool:
+        futures = [pool.submit(work) for _ in range(times)]
+        try:
+            for future in futures:
+                done += future.result()
+                told(done)
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+
+
 class Queue:
     """Work by weight: the heaviest first that fits beside what is being done.
 

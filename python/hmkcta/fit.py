@@ -20,7 +20,7 @@ from .cells import Cells, empty_cells
 from .memberships import start_candidates, strided_sample
 from .metrics import squared_norm
 from .plan import LevelSpec
-from .search import OVER_RELAXED, extend, orthonormalise, sweep
+from .search import OVER_RELAXED, extend, orthonormal_again, sweep
 from .tucker import st_hosvd
 
 F32 = NDArray[np.float32]
@@ -78,7 +78,7 @@ def fit_level(
     rng: np.random.Generator,
     labels: Labels | None = None,
     *,
-    own: bool = False,
+    overwrite: bool = False,
 ) -> Cells:
     """Fit one level to a node's (residual) tensor of shape I_1 x .. x I_N.
 
@@ -88,16 +88,16 @@ def fit_level(
         effort: how long to try.
         rng: for starts.
         labels: the disjoint memberships to start from; None: the best of several candidates.
-        own: the tensor is not needed any more, and may be overwritten.
+        overwrite: the tensor is not needed any more, and may be overwritten.
 
     Returns:
         The cells in float32, not yet rounded.
     """
     spec = spec.clamped(tensor.shape)
     if spec.cells == 1:
-        return _hooi(tensor, spec, effort, rng, own)
+        return _hooi(tensor, spec, effort, rng, overwrite)
     if spec.search == "fast" or max(spec.mixture) == 1:
-        return _sequential(tensor if own else tensor.copy(), spec, effort, labels, rng)
+        return _sequential(tensor if overwrite else tensor.copy(), spec, effort, labels, rng)
     cells = _start(tensor, spec, effort, labels, rng)
     joint = effort.sweeps if _joint_pays(cells) else (effort.sweeps + 1) // 2
     omegas = [OVER_RELAXED if number < effort.sweeps else 1.0 for number in range(2, joint + 1)]
@@ -123,7 +123,7 @@ def _sequential(
 
 def refit_level(cells: Cells, residual: F32) -> None:
     """Sweeps over fitted cells with the memberships they have; they and the residual they leave change in place."""
-    orthonormalise(cells)
+    orthonormal_again(cells)
     if max(cells.spec.mixture) == 1 or cells.spec.search == "fast":
         kernels.fit_cells(cells, residual, 1, WARM)
         return
@@ -153,7 +153,7 @@ def left_by(cells: Cells, tensor: F32) -> F32:
     return residual
 
 
-def _hooi(tensor: F32, spec: LevelSpec, effort: Effort, rng: np.random.Generator, own: bool) -> Cells:
+def _hooi(tensor: F32, spec: LevelSpec, effort: Effort, rng: np.random.Generator, overwrite: bool) -> Cells:
     """C_n = 1 throughout: truncated HOSVD, then HOOI rounds (paper, section 3.1)."""
     members = [np.zeros((size, 1), np.uint16) for size in tensor.shape]
     cells = empty_cells(tensor.shape, spec, members, rng)
@@ -164,7 +164,7 @@ def _hooi(tensor: F32, spec: LevelSpec, effort: Effort, rng: np.random.Generator
             cells.bases[n][:, 0, 0, : basis.shape[1]] = basis
     cells.cores[:] = 0
     cells.cores[(0, *map(slice, core.shape))] = core
-    residual = tensor if own else tensor.copy()
+    residual = tensor if overwrite else tensor.copy()
     kernels.accumulate(cells, residual, -1.0)
     kernels.fit_cells(cells, residual, effort.hooi, WARM)
     return cells

@@ -30,7 +30,7 @@ from .hmkfile import encoded_size
 from .measure import measure_both
 from .measure_streamed import measure_streamed
 from .memory import give_back_freed_memory
-from .metrics import snr_db
+from .metrics import noise_at, snr_db
 from .model import Model
 from .pack import bounds, pack_levels
 from .packed import LevelQuality, Metadata, PackedLevel
@@ -117,7 +117,7 @@ def _begun(task: Task) -> tuple[Hierarchy, Goal]:
         return _snr(task, tree, energy)
 
     told = task.plan.snr is not None and task.source.value_transform.name == "identity"
-    untold = UNTOLD * energy * 10 ** (-(task.plan.snr or 0.0) / 10) if told else 0.0
+    untold = UNTOLD * noise_at(task.plan.snr or 0.0, energy) if told else 0.0
     return tree, Goal(task.plan.size, task.plan.snr, energy, file_bytes, snr_now, task.memory, untold)
 
 

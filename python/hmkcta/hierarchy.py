@@ -16,7 +16,7 @@ from .axes import Axis, Organisation
 from .cells import Cells
 from .disjoint import fit_outside, refit_outside
 from .errors import invalid
-from .executors import Pool, Queue
+from .executors import Queue, repeatedly
 from .fit import Effort, Labels, fit_level, refit_level
 from .journal import NoJournal
 from .memberships import grid_blocks
@@ -27,7 +27,7 @@ from .predict import side_by_side
 from .progress import Progress, Told
 from .streamed import Saved, Streamed, thinned_cells
 from .subdivision import subdivide
-from .workset import SAMPLED, thinning
+from .workset import SAMPLED, workset_steps
 
 F32 = NDArray[np.float32]
 
@@ -150,7 +150,7 @@ def in_parallel(
     grouped = groupby(range(len(nodes)), key=lambda s: s if outside is None else id(nodes[s].piece))
     groups = [list(group) for _, group in grouped]
     sizes = [sum(nodes[s].elements for s in group) for group in groups]
-    total, done = max(1, sum(sizes)), 0
+    total = max(1, sum(sizes))
     queue = Queue(sizes, total if outside is None else outside.limit)
 
     def together() -> int:
@@ -166,15 +166,8 @@ def in_parallel(
     run.progress(stage, 0.0)
     workers = run.threads if workers is None else workers
     each = 1 if len(groups) >= MANY * run.threads and workers == run.threads else run.threads
-    with Pool(max_workers=workers) as pool, kernels.threads(each, after=run.threads):
-        futures = [pool.submit(together) for _ in groups]
-        try:
-            for future in futures:
-                done += future.result()
-                run.progress(stage, done / total)
-        except BaseException:
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
+    with kernels.threads(each, after=run.threads):
+        repeatedly(together, len(groups), workers, lambda done: run.progress(stage, done / total))
     if outside is not None and any(node.piece is not None for node in nodes):
         outside.settle()
 
@@ -257,7 +250,7 @@ def sampled(tree: Hierarchy, node: Node, spec: LevelSpec) -> tuple[F32, list[int
     outside = streamed(tree, node)
     if outside is None:
         return None
-    steps = thinning(outside.shape, spec.clamped(outside.shape), min(outside.limit, SAMPLED))
+    steps = workset_steps(outside.shape, spec.clamped(outside.shape), min(outside.limit, SAMPLED))
     return outside.sample(steps, 0 if node.piece else len(tree.levels) - 1), steps
 
 
@@ -269,7 +262,7 @@ def thinned(tree: Hierarchy, spec: LevelSpec) -> Hierarchy:
     for node in tree.levels[-1]:
         outside = streamed(tree, node)
         if outside is not None and node.cells is not None:
-            steps = thinning(outside.shape, spec, min(outside.limit, SAMPLED))
+            steps = workset_steps(outside.shape, spec, min(outside.limit, SAMPLED))
             cells = thinned_cells(node.cells, steps)
             small = whole(outside.sample(steps))
             small.levels[0][0].cells = cells

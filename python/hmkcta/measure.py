@@ -13,7 +13,7 @@ from .conventions import meant
 from .decode import add_level
 from .errors import invalid
 from .memory import drop_pages
-from .metrics import snr_db
+from .metrics import noise_at, snr_db
 from .model import Model
 from .packed import LevelQuality
 from .progress import Progress
@@ -110,7 +110,7 @@ def measure_both(model: Model, source: Any, *, nan: float | None = None, progres
 
 def _is_coarse(sums: Sums) -> bool:
     """Whether errors of all levels are so large that float32 tells them."""
-    return all(np.isfinite(noise) and noise > sums.signal * 10 ** (-FINE / 10) for noise in sums.noise)
+    return all(np.isfinite(noise) and noise > noise_at(FINE, sums.signal) for noise in sums.noise)
 
 
 def _summed(

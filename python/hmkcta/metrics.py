@@ -21,6 +21,15 @@ def snr_db(signal: float, noise: float) -> float:
     return inf if noise == 0 else -inf if signal == 0 else 10 * log10(signal / noise)
 
 
+def noise_at(snr: float, signal: float = 1.0) -> float:
+    """The sum of squared errors that an SNR in dB allows: ``signal 10^(-snr / 10)``.
+
+    >>> noise_at(20.0, 100.0)
+    1.0
+    """
+    return signal * 10 ** (-snr / 10)
+
+
 def squared_norm(tensor: NDArray[np.float32]) -> float:
     """Sum of squares in float64, piece by piece.
 

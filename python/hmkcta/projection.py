@@ -19,7 +19,7 @@ from .cells import Cells
 
 F32 = NDArray[np.float32]
 #: I_m, C_m or R_m: what an axis of a projection runs over.
-Axis = tuple[str, int]
+Extent = tuple[str, int]
 
 #: A projection, and the bases beside it, may have as many numbers as the tensor, or this many; beyond, modes are
 #: projected one by one.
@@ -97,16 +97,16 @@ def project_one(cells: Cells, tensor: F32, n: int) -> F32:
     return project(cells, tensor, sorted((n, shortest))).onto(cells, n)
 
 
-def _lanes(pair: tuple[int, int], kept: Sequence[int]) -> list[Axis]:
+def _lanes(pair: tuple[int, int], kept: Sequence[int]) -> list[Extent]:
     return [*(("C", m) for m in pair), ("R", pair[0]), *(("C", m) for m in kept), ("R", pair[1])]
 
 
-def _sizes(cells: Cells, axes: Sequence[Axis]) -> list[int]:
+def _sizes(cells: Cells, axes: Sequence[Extent]) -> list[int]:
     sizes = {"I": cells.sizes, "C": cells.spec.clusters, "R": cells.ranks}
     return [sizes[kind][m] for kind, m in axes]
 
 
-def _spread(cells: Cells, m: int, lanes: Sequence[Axis]) -> F32:
+def _spread(cells: Cells, m: int, lanes: Sequence[Extent]) -> F32:
     """U_m of all cells over the lanes: `[I_m, R_m, lanes]`."""
     rows = [cells.sizes[m], cells.ranks[m]]
     dense = kernels.dense_basis(cells, m).reshape(*cells.spec.clusters, *rows)

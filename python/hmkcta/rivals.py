@@ -32,6 +32,8 @@ NEARLY, BEYOND, LESS = 64.0, 3.0, 0.9
 #: A model that lies so many dB behind another, or takes so many times its bytes, stays there whatever the number of
 #: clusters; and if so many, also with nodes of them.
 BEHIND, FAR_BEHIND = (1.5, 1.25), (6.0, 3.0)
+#: Of nodes, those of like rows take no rank: so many at least are taken to have one.
+FILLED = 0.5
 #: Elements up to which numbers of clusters are told apart by fits in all steps, the first from each start.
 SMALL, STEPS = 1 << 22, (1.5, 1.25, 1.125)
 
@@ -199,13 +201,17 @@ def _is_behind(model: Model, best: Model, snr: float | None, far: tuple[float, f
 
 
 def _fits(task: Task, plan: Plan, best: Model) -> bool:
-    """Whether there are rows for its clusters, and before these are looked for room for ranks of one above its last
-    level, whose nodes may take nothing, in a size or the bytes of the best for an SNR."""
+    """Whether there are rows for its clusters, and before these are looked for room for ranks of one, in a size or the
+    bytes of the best for an SNR; of nodes below a first level for those of a share."""
     sizes = mode_sizes(task.source.axes, plan.organisation)
     if any(clusters > size for clusters, size in zip(plan.levels[0].clusters, sizes, strict=True)):
         return False
-    certain = plan.levels[:-1] or plan.levels[0].ways(plan.organisation)[:1]
-    least = (replace(level, ranks=tuple(rank and 1 for rank in level.ranks), own=False) for level in certain)
+    first, *below = (
+        replace(level.ways(plan.organisation)[0], ranks=tuple(rank and 1 for rank in level.ranks), own=False)
+        for level in plan.levels
+    )
+    least = planned_bytes(replace(plan, levels=(first,)), task.source)
+    if below:
+        least += int(FILLED * (planned_bytes(replace(plan, levels=(first, *below)), task.source) - least))
     snr, size = task.plan.snr, task.plan.size
-    most = size if size is not None else best.nbytes if snr is None or best.snr >= snr else inf
-    return planned_bytes(replace(plan, levels=tuple(least)), task.source) <= most
+    return least <= (size if size is not None else best.nbytes if snr is None or best.snr >= snr else inf)

@@ -48,7 +48,7 @@ def sweep(
                 refit_cores(cells, products, y, n)
 
 
-def orthonormalise(cells: Cells) -> None:
+def orthonormal_again(cells: Cells) -> None:
     """Orthonormal columns in every mode, in place, where stored ones have the lengths that bytes want."""
     for n, skip in enumerate(cells.undecomposed):
         if not skip and cells.spec.bits == 8:

@@ -36,7 +36,7 @@ def below_float16(task: Task, others: Sequence[Plan]) -> Iterator[Plan]:
     for plan in dict.fromkeys(map(_in_one, (task.plan, *others, whole))):
         if len(plan.levels) > 1 or is_verbatim(plan):
             continue
-        enough = ROUNDED[plan.levels[0].bits]
+        enough = ROUNDED[plan.levels[-1].bits]
         goal = replace(plan, size=None, snr=enough)
         firsts = [each for each in further(task, [goal]) if each[1].snr > SHORT]
         firsts += further(task, [replace(goal, snr=model.snr - 1) for _, model in firsts if model.snr < enough])

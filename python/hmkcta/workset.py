@@ -41,14 +41,14 @@ SAMPLED = 1 << 23
 PROJECTED = 1 << 22
 
 
-def thinning(sizes: Sequence[int], spec: LevelSpec, limit: int) -> list[int]:
+def workset_steps(sizes: Sequence[int], spec: LevelSpec, limit: int) -> list[int]:
     """Steps that leave up to `limit` elements: of the two longest decomposed modes, of others where that is too few.
 
     Undecomposed modes come first where cells share no element: a pass makes up for what was left out.
 
-    >>> thinning((174, 58, 400, 380), LevelSpec((2, 2, 3, 3), (4, 3, 4, 4), (2, 2, 2, 2)), 2**26)
+    >>> workset_steps((174, 58, 400, 380), LevelSpec((2, 2, 3, 3), (4, 3, 4, 4), (2, 2, 2, 2)), 2**26)
     [1, 1, 5, 5]
-    >>> thinning((10092, 152000), LevelSpec((30, None), (1, 1), (1, 1)), 2**26)
+    >>> workset_steps((10092, 152000), LevelSpec((30, None), (1, 1), (1, 1)), 2**26)
     [1, 23]
     """
     steps = [1] * len(sizes)
@@ -92,7 +92,7 @@ def workset(sizes: Sequence[int], level: LevelSpec, limit: int) -> int:
     if spec.disjoint:
         sizes = blocks(sizes, spec)
         spec = spec.alone(sizes)
-    return _seen(sizes, thinning(sizes, spec, limit))
+    return _seen(sizes, workset_steps(sizes, spec, limit))
 
 
 def _seen(sizes: Sequence[int], steps: Sequence[int]) -> int:
@@ -116,7 +116,7 @@ def fitting_bytes(sizes: Sequence[int], level: LevelSpec, limit: int) -> int:
     also for what the first projection leaves.
     """
     spec = level.clamped(sizes)
-    steps = thinning(sizes, spec, limit)
+    steps = workset_steps(sizes, spec, limit)
     elements = _seen(sizes, steps)
     if spec.cells == 1:
         shares = [rank * step / size for rank, size, step in zip(spec.ranks, sizes, steps, strict=True) if rank]
@@ -156,10 +156,10 @@ def fit_streamed(
 ) -> Cells:
     """Cells of level `number` (from 0), whose node is the whole tensor; arguments as of `fit_level`."""
     spec = spec.clamped(residual.shape)
-    steps = thinning(residual.shape, spec, residual.limit)
+    steps = workset_steps(residual.shape, spec, residual.limit)
     sample = residual.sample(steps, number)
     chosen = None if labels is None else [part[::step] for part, step in zip(labels, steps, strict=True)]
-    cells = fit_level(sample, spec, effort, rng, chosen, own=True)
+    cells = fit_level(sample, spec, effort, rng, chosen, overwrite=True)
     del sample
     give_back_freed_memory()
     if max(steps) == 1:

@@ -39,6 +39,16 @@ class Candidate:
     clusters: tuple[int, ...] = ()
     bits: int = 16
 
+    @property
+    def kind(self) -> tuple[Organisation, tuple[int, ...], bool]:
+        """What candidates of a kind share, whatever their blocks."""
+        return self.organisation, self.undecomposed, self.carried
+
+    @property
+    def blocks(self) -> tuple[Organisation, tuple[int, ...], bool]:
+        """What candidates of the same blocks share, whatever their undecomposed modes."""
+        return self.organisation, self.grid, self.carried
+
 
 def plan_of(source: Source, best: Candidate, snr: float | None, size: int | None, decode_cost: int) -> Plan:
     """The candidate as a plan: blocks are cells of one level, or nodes below a first level of rank one."""

@@ -16,7 +16,7 @@ from ..memory import available_memory, check_memory, memory_budget
 from ..plan import LevelSpec, Plan
 from ..predict import FLAT, MODEL, PROCESS, WORKING, blocks, is_streamed, joint_bytes, workset_limit
 from ..source import Source
-from ..workset import FEWEST, next_step, thinning, workset
+from ..workset import FEWEST, next_step, workset, workset_steps
 from .candidates import clusters_of
 from .organisations import organisations
 
@@ -143,7 +143,7 @@ def _fewer_rows(sizes: Sequence[int], ranks: Ranks, limit: int) -> Ranks | None:
 
     How far an undecomposed mode is thinned goes by the highest cap of the others.
     """
-    steps, ways = thinning(sizes, LevelSpec.of_one_cell(ranks).clamped(sizes), limit), list[tuple[int, int, int]]()
+    steps, ways = workset_steps(sizes, LevelSpec.of_one_cell(ranks).clamped(sizes), limit), list[tuple[int, int, int]]()
     for n, (size, step, rank) in enumerate(zip(sizes, steps, ranks, strict=True)):
         ways.append((size // (FEWEST * next_step(step, undecomposed=rank is None)), size, n))
     cap, _, chosen = max(ways)

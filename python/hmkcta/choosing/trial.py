@@ -16,7 +16,7 @@ from ..allocation import Choices, best_of_one, choices_of, pareto, plausible, ra
 from ..axes import Organisation, mode_sizes
 from ..executors import in_order
 from ..filesize import planned_bytes
-from ..metrics import snr_db
+from ..metrics import noise_at, snr_db
 from ..narrow import LEFT
 from ..plan import MOST_RANKS_ALONE
 from ..predict import is_precise
@@ -62,7 +62,7 @@ UNTOLD = 0.05
 #: first level of rank one, of float16 numbers, takes most of the energy.
 ROUNDING = {16: 0.0, 8: LEFT}
 #: What bytes leave of the values themselves, in dB.
-VERBATIM_BYTES = 36.0
+VERBATIM_8_BITS = 36.0
 #: Bytes besides two float16 for each element, that no candidate worth a look takes.
 ENOUGH = 1 << 16
 
@@ -97,7 +97,7 @@ class Trial:
     def floor(self) -> float:
         """Errors below this share of the energy are not told apart: what reaches a goal is, by its bytes."""
         beyond = 0.0 if self.ceiling is None else self.ceiling + LOUDER
-        return max(FINEST, min(VERBATIM, 10 ** (-beyond / 10)))
+        return max(FINEST, min(VERBATIM, noise_at(beyond)))
 
     def worths(
         self, organisation: Organisation, grid: tuple[int, ...], sample: int, kinds: Kinds = ()
@@ -123,14 +123,14 @@ class Trial:
     def verbatim(self, organisation: Organisation) -> tuple[float, Candidate]:
         """All values as float16: two bytes each for an SNR of about 73 dB, whatever they are; or a byte for 36 dB."""
         every = tuple(range(len(organisation)))
-        bits = self.bits if self.ceiling is not None and self.ceiling <= VERBATIM_BYTES else 16
+        bits = self.bits if self.ceiling is not None and self.ceiling <= VERBATIM_8_BITS else 16
         candidate = Candidate(organisation, (1,) * len(self.source.shape), every, carried=False, bits=bits)
         nbytes = planned_bytes(plan_of(self.source, candidate, None, None, 1), self.source, seed=self.seed)
         if nbytes > self.size:
             return -OUT_OF_REACH - log2(nbytes), candidate
         if self._caps(candidate) is None or (self.memory is not None and not self.memory.holds(nbytes)):
             return _too_large(self.source.shape), candidate
-        reached = -10 * log10(VERBATIM) if bits == 16 else VERBATIM_BYTES
+        reached = -10 * log10(VERBATIM) if bits == 16 else VERBATIM_8_BITS
         if self.ceiling is None or reached <= self.ceiling:
             return reached, candidate
         return self.ceiling + log2(self.size / nbytes), candidate
@@ -221,7 +221,7 @@ class Trial:
     @property
     def _enough(self) -> float:
         """Share of the energy whose ranks are beyond the goal, whatever other modes leave."""
-        return 0.0 if self.ceiling is None or is_precise(self.ceiling) else UNTOLD * 10 ** (-self.ceiling / 10)
+        return 0.0 if self.ceiling is None or is_precise(self.ceiling) else UNTOLD * noise_at(self.ceiling)
 
     def _judged(self, cut: Cut, choice: tuple[int, ...]) -> tuple[list[tuple[float, Candidate]], list[int]]:
         """Candidates that leave the chosen modes undecomposed, and the ranks of the one without blocks."""
@@ -299,7 +299,7 @@ class Trial:
         worth = decibels(energy, error + rounding * energy)
         if self.ceiling is None or worth <= self.ceiling:
             return worth, spent
-        spent, _ = spend(error=energy * (10 ** (-self.ceiling / 10) - rounding))
+        spent, _ = spend(error=energy * (noise_at(self.ceiling) - rounding))
         return self.ceiling + log2(self.size / (spent / share + fixed)), spent
 
     def beside(self, candidate: Candidate) -> float:

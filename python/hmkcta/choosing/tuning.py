@@ -173,17 +173,17 @@ def _kinds(search: Search) -> Ranked:
     """The best candidate of every kind, of those judged by the goal's bytes on the largest sample."""
     kinds = dict[tuple[Organisation, tuple[int, ...], bool], tuple[float, Candidate]]()
     for worth, each in _last_judged(search, search.trial.size):
-        kinds.setdefault((each.organisation, each.undecomposed, each.carried), (worth, each))
+        kinds.setdefault(each.kind, (worth, each))
     return list(kinds.values())
 
 
 def _spare(search: Search, best: Candidate) -> list[Candidate]:
     """The best candidates that are of other kinds than the best and said to reach the goal."""
-    kind = (best.organisation, best.undecomposed, best.carried)
+    kind = best.kind
     others = [
         each
         for worth, each in _kinds(search)
-        if worth > (search.trial.ceiling or 0.0) and (each.organisation, each.undecomposed, each.carried) != kind
+        if worth > (search.trial.ceiling or 0.0) and each.kind != kind
     ]
     return others[:SPARE]
 
@@ -197,12 +197,12 @@ def _near_best(search: Search, best: Candidate) -> list[Candidate]:
         return []
     apart = dict[tuple[Organisation, tuple[int, ...], bool], tuple[float, Candidate]]()
     for worth, each in _last_judged(search, search.settled):
-        apart.setdefault((each.organisation, each.grid, each.carried), (worth, each))
+        apart.setdefault(each.blocks, (worth, each))
     ahead = [each for _, each in near(list(apart.values()), BESIDE)]
     bits_each = 8 * search.settled / prod(search.goal.source.shape)
     few = max(NEAR[0], min(NEAR[1], round(AT_ONE_BIT / bits_each**0.5)))
-    same = (best.organisation, best.grid, best.carried)
-    return [each for each in ahead[: few + 1] if (each.organisation, each.grid, each.carried) != same][:few]
+    same = best.blocks
+    return [each for each in ahead[: few + 1] if each.blocks != same][:few]
 
 
 def _settled(
