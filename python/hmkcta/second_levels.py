@@ -34,7 +34,7 @@ def below_float16(task: Task, others: Sequence[Plan]) -> Iterator[Plan]:
     sizes = mode_sizes(task.source.axes, whole.organisation)
     whole = replace(whole, levels=tuple(level.clamped(sizes) for level in whole.levels))
     for plan in dict.fromkeys(map(_in_one, (task.plan, *others, whole))):
-        if len(plan.levels) > 1 or is_verbatim(plan):
+        if len(plan.levels) != 1 or is_verbatim(plan):
             continue
         enough = ROUNDED[plan.levels[-1].bits]
         goal = replace(plan, size=None, snr=enough)
