@@ -69,7 +69,7 @@ def uniform_blocks(size: int, clusters: int) -> NDArray[np.intp]:
 def grid_blocks(rows: NDArray[np.intp], axes: Sequence[tuple[int, int]]) -> NDArray[np.intp]:
     """Flattened block number of each row of a (merged) mode whose axes have the given sizes and block counts.
 
-    Of fewer rows than blocks some blocks have none: then those that have are numbered.
+    Of fewer rows than blocks some blocks have none: then those that have are numbered. A node may have no rows.
 
     >>> grid_blocks(np.arange(8), [(2, 2), (4, 2)]).tolist()
     [0, 0, 1, 1, 2, 2, 3, 3]
@@ -77,7 +77,7 @@ def grid_blocks(rows: NDArray[np.intp], axes: Sequence[tuple[int, int]]) -> NDAr
     number = np.zeros(len(rows), np.intp)
     for index, (_, count) in zip(np.unravel_index(rows, [size for size, _ in axes]), axes, strict=True):
         distinct, position = np.unique(index, return_inverse=True)
-        number = number * count + uniform_blocks(len(distinct), min(count, len(distinct)))[position]
+        number = number * count + uniform_blocks(len(distinct), min(count, max(1, len(distinct))))[position]
     return number if len(rows) >= prod(count for _, count in axes) else np.unique(number, return_inverse=True)[1]
 
 
