@@ -15,12 +15,12 @@ import pytest
 from numpy.typing import NDArray
 
 import hmkcta
-from hmkcta import Axis, HmkctaError, Journal, LevelSpec, Plan, compress, parse_plan
+from hmkcta import Axis, HmkctaError, Journal, LevelSpec, Plan, compress, parse_plan, plan_checks
 from hmkcta import backends as kernels
-from hmkcta import plan as plan_module
 from hmkcta.executors import thread_count
 from hmkcta.hmkfile import DEFAULT_LIMITS
-from hmkcta.plan import check_plan
+from hmkcta.plan import HIGHEST_RANK
+from hmkcta.plan_checks import check_plan
 from hmkcta.render import Camera, Light, Scene, render
 from hmkcta.render.layout import lay_out
 from hmkcta.serve import serve
@@ -266,8 +266,17 @@ def test_plans_for_files_that_readers_refuse_are_refused_before_the_fit(text: st
     check_plan(parse_plan("R=1 C=60 / R=1", modes), sizes)
 
 
+@pytest.mark.parametrize(
+    "text", ["R<=8 grid=y:1-20000,x:1-20000", "R=1 / R<=8 cut<=y:999999999", "R<=8 grid=y:1-99,x:1-99"]
+)
+def test_ways_to_cut_a_node_are_counted_before_they_are_made(text: str) -> None:
+    modes = (("y",), ("x",))
+    with pytest.raises(HmkctaError, match=r"blocks along y|ways to cut"):
+        check_plan(replace(parse_plan(text, modes), size=5000), (100, 100))
+
+
 def test_plans_and_readers_have_the_same_limits() -> None:
-    plans = (plan_module.HIGHEST_RANK, plan_module.MOST_LEVELS, plan_module.MOST_NODES, plan_module.MOST_LEVEL_COST)
+    plans = (HIGHEST_RANK, plan_checks.MOST_LEVELS, plan_checks.MOST_NODES, plan_checks.MOST_LEVEL_COST)
     assert plans == (DEFAULT_LIMITS.rank, DEFAULT_LIMITS.levels, DEFAULT_LIMITS.nodes, DEFAULT_LIMITS.level_cost)
 
 

@@ -116,6 +116,14 @@ def test_packed_numbers_are_unpacked_and_fill_values_are_none(
     assert np.array_equal(array, np.where(VALUES == 7, np.nan, VALUES / 2 + 10), equal_nan=True)
 
 
+@pytest.mark.parametrize(("dtype", "fill"), [("i8", -9223372036854775806), ("u8", 18446744073709551614)])
+def test_fill_values_keep_all_their_digits(h5py: Any, tmp_path: Path, dtype: str, fill: int) -> None:
+    with h5py.File(tmp_path / "a.nc", "w") as file:
+        field = file.create_dataset("field", data=np.array([[1, 2, fill]], dtype))
+        field.attrs["_FillValue"] = np.array(fill, dtype)
+    assert np.array_equal(open_array(tmp_path / "a.nc"), [[1, 2, np.nan]], equal_nan=True)
+
+
 def test_unsigned_numbers_may_be_stored_as_signed_ones(h5py: Any, tmp_path: Path) -> None:
     """As netCDF says it, whose old files have no others; fill values are said in either type."""
     meant = np.array([[0, 7, 40_000], [65_535, 60_000, 1]], np.uint16)

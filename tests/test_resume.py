@@ -197,6 +197,16 @@ def test_the_memory_of_the_first_run_decides(tmp_path: Path, monkeypatch: pytest
     assert file_of(fitted(**options), tmp_path) != reference
 
 
+def test_what_was_cut_into_blocks_is_cut_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Levels below blocks of a streamed tensor read it in the order of these, also where their cells are recalled."""
+    monkeypatch.setattr("hmkcta.predict.WORKSET", 5000)
+    options = {"plan": "R=2,1,2,2 grid=y:2,x:2 / R=2,1,2,2 / R=1"}
+    reference, calls = file_of(fitted(**options), tmp_path), calls_of(**options)
+    for share in (0.3, 0.6, 0.95):
+        interrupted(tmp_path, int(share * calls), **options)
+        assert resumed(tmp_path, **options)[0] == reference
+
+
 def test_no_trace_of_a_run_that_cannot_be(tmp_path: Path) -> None:
     for options in ({"plan": "R=99"}, {"plan": "R=2,1,2,2", "size": 10}):
         with pytest.raises(HmkctaError), Journal(tmp_path / "partial") as journal:
@@ -237,10 +247,10 @@ def test_another_node_than_the_one_written_down(tmp_path: Path) -> None:
     """A journal that got mixed up is noticed, not mixed in."""
     interrupted(tmp_path, 40, **CASES["levels"])
     with Records(tmp_path) as log:
-        first = log.read((1, 0))
+        first = log.read((2, 0))
         assert first is not None
         log.clear()
-        log.append((2, 0), first)
+        log.append((3, 0), first)
     with pytest.raises(HmkctaError) as caught:
         resumed(tmp_path, **CASES["levels"])
     assert caught.value.reason == "partial-damaged"

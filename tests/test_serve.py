@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Generator
 from pathlib import Path
+from urllib.parse import parse_qs, quote, urlsplit
 
 import numpy as np
 import pytest
@@ -64,6 +65,18 @@ def test_page_and_file(server: Server, file: Path) -> None:
     assert (answer.status, body) == (200, file.read_bytes())
     assert answer.headers["X-Content-Type-Options"] == "nosniff"
     assert server.url == f"http://127.0.0.1:{server.port}/?file=files/a%20file.hmk"
+
+
+@pytest.mark.parametrize("name", ["run#3.hmk", "a?b.hmk", "a%20b.hmk", "50%.hmk", "é.hmk"])
+def test_any_name_is_served(name: str, model: Model, tmp_path: Path) -> None:
+    """The page reads a parameter of its address, and takes what it reads for an address."""
+    model.save(tmp_path / name)
+    with serve(tmp_path / name, page=PAGE) as running:
+        address = parse_qs(urlsplit(running.url).query)["file"][0]
+        assert "#" not in address
+        assert "?" not in address
+        answer, body = ask(running, "/" + quote(address, safe="/%"))
+    assert (answer.status, body) == (200, (tmp_path / name).read_bytes())
 
 
 @pytest.mark.parametrize(("asked", "begin", "end"), [("bytes=0-99", 0, 100), ("bytes=100-", 100, None),

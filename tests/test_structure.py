@@ -21,6 +21,7 @@ LAYERS = (
      "temporaries", "_native"),
     ("axes", "conventions", "goals", "grids", "memory", "transform", "tucker", "indexing"),
     ("plan", "packed", "scratch"),
+    ("plan_checks",),
     ("cells", "coding", "kmeans", "pieces", "predict", "storage", "hmkfile", "source", "_example"),
     ("backends",),
     ("projection", "journal", "memberships", "streamed"),

@@ -52,6 +52,12 @@ def test_a_decoder_never_makes_infinity(name: str, values: list[float]) -> None:
     assert np.isfinite(Transform(name).inverse(np.array(values, np.float32))).all()
 
 
+def test_float32_does_not_overflow_before_the_scale_is_applied() -> None:
+    value, small = np.array([1e29], np.float32), Transform("log1p", 1e-10)
+    np.testing.assert_allclose(small.inverse(small.forward(value)), value, rtol=1e-4)
+    assert np.isfinite(Transform("asinh", 1e-30).forward(np.array([1e10], np.float32))).all()
+
+
 @pytest.mark.parametrize(("text", "bad"), [
     ("log1p:0.5", -0.5), ("log1p", -2.0), ("log1p", np.nan), ("asinh", np.inf), ("sqrt", -1e-9), ("sqrt", np.nan),
 ])

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import base64
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -60,16 +61,24 @@ def packing(attributes: Mapping[str, Any], dtype: np.dtype[Any]) -> Packing | No
     # Several factors are somebody's own convention, for whatever axis.
     scale, offset = (float(values[0]) if values.size == 1 else otherwise
                      for values, otherwise in ((held["scale_factor"], 1.0), (held["add_offset"], 0.0)))
-    fills, meant = np.concatenate([held[name] for name in FILLS]), _signed(attributes, dtype)
-    fills = fills[np.isfinite(fills)]
-    if meant != dtype:  # they may be said in either type
-        count = 2.0 ** (8 * meant.itemsize)
-        least = -count / 2 if meant.kind == "i" else 0.0
-        fills = (fills - least) % count + least
-    fills = fills.astype(meant)
+    meant = _signed(attributes, dtype)
+    fills = _fills([number for name in FILLS for number in held[name].tolist()], dtype, meant)
     if (scale, offset) == (1.0, 0.0) and not fills.size:
         return None if meant == dtype else Packing(meant, meant, scale, offset, fills)
     return Packing(meant, scaled_type(dtype), scale, offset, fills)
+
+
+def _fills(said: Sequence[float], dtype: np.dtype[Any], meant: np.dtype[Any]) -> NDArray[Any]:
+    """Numbers that stand for nothing, as the type that is meant; of integers every digit counts."""
+    finite = [number for number in said if isfinite(number)]
+    if meant.kind == "f":
+        return np.array(finite, meant)
+    count = 1 << (8 * meant.itemsize)
+    least = -count // 2 if meant.kind == "i" else 0
+    whole = [int(number) for number in finite]
+    if meant != dtype:  # they may be said in either type
+        whole = [(number - least) % count + least for number in whole]
+    return np.array([number for number in whole if least <= number < least + count], meant)
 
 
 def _signed(attributes: Mapping[str, Any], dtype: np.dtype[Any]) -> np.dtype[Any]:

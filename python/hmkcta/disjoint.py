@@ -78,6 +78,12 @@ def refit_outside(residual: Streamed, number: int, cells: Cells, told: Told) -> 
     return cells
 
 
+def cut_as_fitted(residual: Streamed, number: int, cells: Cells) -> None:
+    """Cut the scratch file as fitting these cells of level `number` does: what comes after reads it in that order."""
+    if cells.spec.disjoint:
+        residual.in_blocks(_labels(cells), cells.spec.clusters, number)
+
+
 def energies(
     residual: Streamed, number: int, spec: LevelSpec, labels: Labels, limits_of: LimitsOf, seed: int, told: Told
 ) -> tuple[F64, float]:

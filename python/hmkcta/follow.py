@@ -34,7 +34,8 @@ from .metrics import noise_at, snr_db
 from .model import Model
 from .pack import bounds, pack_levels
 from .packed import LevelQuality, Metadata, PackedLevel
-from .plan import SCHEMES, LevelSpec, Plan, check_plan
+from .plan import SCHEMES, LevelSpec, Plan
+from .plan_checks import check_plan
 from .predict import is_streamed, memory_limit, room_beside
 from .source import Source
 from .streamed import Streamed
@@ -91,7 +92,10 @@ def follow(task: Task) -> Model:
             fit_nodes(tree, [spec] * len(tree.levels[-1]), own, labels, last=deepest and rounds == 0)
             if plan.snr is not None and goal.snr_now(tree) >= plan.snr:
                 break
-    if len(tree.levels) > 1:
+    # It lowers the error of transformed values, with which that of the values themselves may rise.
+    transformed = task.source.value_transform.name != "identity"
+    met = transformed and plan.snr is not None and goal.snr_now(tree) >= plan.snr
+    if len(tree.levels) > 1 and not met:
         for number in range(rounds):
             backfit(tree, run, last=number == rounds - 1)
     return _measured(task, tree)
@@ -99,9 +103,9 @@ def follow(task: Task) -> Model:
 
 def _begun(task: Task) -> tuple[Hierarchy, Goal]:
     """The hierarchy before any level, in memory or streamed, and the plan's goal with how it is measured."""
-    source, organisation = task.source, task.plan.organisation
+    source, organisation, journal = task.source, task.plan.organisation, task.run.journal
     sizes = mode_sizes(source.axes, organisation)
-    limit = task.run.journal.settled("limit", lambda: memory_limit(task.plan, sizes, task.memory))
+    limit = journal.settled(f"limit-{journal.step()}", lambda: memory_limit(task.plan, sizes, task.memory))
     if is_streamed(prod(source.shape), limit):
         check_worksets(task.plan, sizes, limit, task.memory)
         tree = whole(Streamed(source, organisation, task.run.threads, limit))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import product
-from math import prod
+from math import isqrt, prod
 
 #: Block edges never fall below this, unless to single indices, nor elements of a block below so many times the sum of
 #: its edges.
@@ -88,3 +88,13 @@ def allowed(count: int, n: int, grid: tuple[int, ...], shape: Sequence[int]) -> 
         return count > 0
     long_enough = count * SMALLEST_EDGE <= shape[n] or count == shape[n]
     return count > grid[n] and long_enough and worth_cutting(changed(grid, n, count), shape)
+
+
+def divisors(number: int) -> list[int]:
+    """Whole numbers that divide it, ascending.
+
+    >>> divisors(12)
+    [1, 2, 3, 4, 6, 12]
+    """
+    low = [n for n in range(1, isqrt(number) + 1) if number % n == 0]
+    return sorted({*low, *(number // n for n in low)})

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from . import backends as kernels
 from .axes import Axis, Organisation
 from .cells import Cells
-from .disjoint import fit_outside, refit_outside
+from .disjoint import cut_as_fitted, fit_outside, refit_outside
 from .errors import invalid
 from .executors import Queue, repeatedly
 from .fit import Effort, Labels, fit_level, refit_level
@@ -225,6 +225,8 @@ def fit_nodes(
             run.journal.keep(step, s, node.cells)
         else:
             node.cells = finished.cells
+            if outside is not None and node.piece is None and node.cells is not None:
+                cut_as_fitted(outside, level, node.cells)
         if outside is not None:
             outside.change(level, node.cells)
         elif tensor is not None:
@@ -342,6 +344,8 @@ def backfit(tree: Hierarchy, run: Run, *, last: bool = False) -> None:
             finished = run.journal.recall(step, s, node.sizes, old.spec)
             if finished is not None:
                 cells = finished.cells
+                if outside is not None and node.piece is None:
+                    cut_as_fitted(outside, level, old)
             elif outside is not None:
                 cells = refit_outside(outside, level, old.copy(), told).rounded()
             else:

@@ -69,7 +69,7 @@ def select(key: Any, shape: Sequence[int]) -> Selection:
         if item is None:
             result.append(1)
         elif isinstance(item, slice):
-            index = np.arange(shape[axis])[item]
+            index = np.arange(*item.indices(shape[axis]))
             found.append((len(result), index))
             result.append(len(index))
         elif isinstance(item, np.ndarray):

@@ -3,7 +3,7 @@
 Fitting is deterministic, so a run that is begun again makes the same steps in the same order; the fitted cells of a
 node are known by the number of the step and of the node. The residual is never stored: it follows from the cells.
 A journal is a folder with `run.json` (all that decides the result), `plan.json` (the plans, if they were chosen),
-`limit.json` (what memory allowed) and `nodes.log` (`recordlog.py`).
+`limit-<step>.json` (what memory allowed a plan) and `nodes.log` (`recordlog.py`).
 """
 
 from __future__ import annotations
@@ -234,7 +234,7 @@ class Journal(NoJournal):
         stored = self._read(RUN)
         if not isinstance(stored, dict):
             raise self._useless(f"no fields in {RUN}", "the files of a run")
-        before, now = cast("dict[str, Any]", stored), cast("dict[str, Any]", json.loads(json.dumps(run)))
+        before, now = cast("dict[str, Any]", stored), cast("dict[str, Any]", json.loads(_text(run)))
         differing = [name for name in {**before, **now} if before.get(name) != now.get(name)]
         if differing:
             found, allowed = (", ".join(f"{name} {json.dumps(fields.get(name))}" for name in differing)
@@ -251,7 +251,7 @@ class Journal(NoJournal):
 
     def _write(self, name: str, content: Any) -> None:
         with published(self.folder / name, overwrite=True) as file:
-            file.write(json.dumps(content, indent=1).encode())
+            file.write(_text(content).encode())
 
     def _useless(self, found: str, allowed: str) -> HmkctaError:
         return HmkctaError(Kind.CORRUPTION, "partial-damaged", str(self.folder), found=found, allowed=allowed,
@@ -357,3 +357,8 @@ def _plan(content: Mapping[str, Any]) -> Plan:
                   tuple((axis, count) for axis, count in level["fewest"]), level["bits"])
         for level in content["levels"])
     return Plan(tuple(map(tuple, content["organisation"])), levels, content["snr"], content["size"])
+
+
+def _text(content: Any) -> str:
+    """JSON, of NumPy's numbers as of Python's."""
+    return json.dumps(content, indent=1, default=lambda number: number.item())

@@ -24,7 +24,7 @@ from .transform import Transform
 F32 = NDArray[np.float32]
 
 #: Elements of a slab: many, so that the parts of small nodes in it are not tiny; some 12 bytes each. And how many slabs
-#: memory is shared out to at once: more threads than that would each have a smaller one.
+#: memory is shared out to: not one for each thread, as sums of slabs would differ in their last digits.
 SLAB, AT_ONCE = 1 << 23, 4
 
 
@@ -91,7 +91,7 @@ def measure_streamed(
         errors.below(root, 0, tuple(rows), values, left)
         return errors
 
-    slab = min(SLAB, max(SLAB // 8, residual.limit // (4 * min(residual.threads, AT_ONCE))))
+    slab = min(SLAB, max(SLAB // 8, residual.limit // (4 * AT_ONCE)))
     parts = source.parts(slab)
     for number, errors in enumerate(in_order(measured, parts, residual.workers(4 * slab)), start=1):
         total[0].merge(errors.plain)

@@ -211,7 +211,7 @@ class Model:
         """
         try:
             points = np.asarray(coords, np.float64)
-        except (TypeError, ValueError):  # words, or lists of different lengths
+        except (TypeError, ValueError, OverflowError):  # words, lists of different lengths, huge whole numbers
             allowed = f"[.., {self.ndim}] numbers, one an axis"
             raise invalid("argument-type", "coords", shown(coords), allowed) from None
         if not points.ndim or points.shape[-1] != self.ndim:
@@ -276,7 +276,7 @@ class Model:
         along = [d for index in modes for d, length in enumerate(index.shape) if length > 1]
         if along != sorted(set(along)) or self._transform.name != "identity":
             return False
-        if out.dtype != np.float32 or not out.flags.c_contiguous:
+        if out.dtype != np.float32 or not (out.flags.c_contiguous and out.flags.aligned):
             return False
         for part in slabs(chosen.shape, _IN_PLACE):
             rows = [index.reshape(-1) for index in self._in_modes(cut(chosen.axes, part))]

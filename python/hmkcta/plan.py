@@ -15,6 +15,7 @@ from numbers import Integral
 from .axes import Organisation, check_modes
 from .errors import expect, invalid
 from .goals import check_goal
+from .grids import divisors
 from .narrow import BITS
 
 SCHEMES = ("most", "least", "uniform")
@@ -24,13 +25,9 @@ OPTIMAL_SUBSETS = 64
 
 #: Most ranks of a mode that a file may have.
 HIGHEST_RANK = 1024
-#: What no reader takes without being told to: levels, nodes, and multiply-adds for one element of a level.
-MOST_LEVELS, MOST_NODES, MOST_LEVEL_COST = 16, 1_000_000, 2**20
 #: Most ranks of a mode that a chosen plan may have: of one that is decomposed alone, and of several.
 MOST_RANKS_ALONE, MOST_RANKS = 640, 160
 
-#: Most ways to cut a node (cut<=..), each of which is tried on it.
-MOST_WAYS = 64
 
 #: Beyond this many cells, or columns PC R_n of all their bases of a mode, joint least squares give way to Gauss-Seidel
 #: alone: their Gram matrix H_n has (PC R_n)^2 numbers, and each takes the contraction of two cores.
@@ -111,18 +108,23 @@ class LevelSpec:
         """
         if not self.cuts and not self.fewest:
             return [self]
-        counts = [[(axis, n) for n in range(1, most + 1) if most % n == 0] for axis, most in self.cuts]
+        names, counts = zip(*self.block_counts, strict=True)
+        grids = (tuple((name, n) for name, n in zip(names, grid, strict=True) if n > 1) for grid in product(*counts))
+        return [replace(self, cuts=()).cut_into(grid, organisation) for grid in grids]
+
+    @property
+    def block_counts(self) -> list[tuple[str, Sequence[int]]]:
+        """The numbers of blocks that a way may have along each axis."""
         if self.fewest:
             least = dict(self.fewest)
-            counts = [[(axis, n) for n in range(least.get(axis, most), most + 1)] for axis, most in self.grid]
-        grids = (tuple((axis, n) for axis, n in grid if n > 1) for grid in product(*counts))
-        return [replace(self, cuts=()).cut_into(grid, organisation) for grid in grids]
+            return [(axis, range(least.get(axis, most), most + 1)) for axis, most in self.grid]
+        return [(axis, divisors(most)) for axis, most in self.cuts]
 
     def cut_into(
         self, grid: tuple[tuple[str, int], ...], organisation: Organisation, fewest: tuple[tuple[str, int], ...] = ()
     ) -> LevelSpec:
         """The spec with these blocks, or as many as pay from the `fewest` on."""
-        return replace(self, clusters=_clusters(grid, organisation), grid=grid, fewest=fewest)
+        return replace(self, clusters=clusters_of_grid(grid, organisation), grid=grid, fewest=fewest)
 
     @property
     def search(self) -> str:
@@ -201,7 +203,7 @@ def _grid_text(grid: Sequence[tuple[str, int]], fewest: Mapping[str, int]) -> st
     return ",".join(f"{axis}:{f'{fewest[axis]}-' if axis in fewest else ''}{count}" for axis, count in grid)
 
 
-def _clusters(grid: Sequence[tuple[str, int]], organisation: Organisation) -> tuple[int, ...]:
+def clusters_of_grid(grid: Sequence[tuple[str, int]], organisation: Organisation) -> tuple[int, ...]:
     """Blocks of each mode, of the counts along axes."""
     counts = dict(grid)
     return tuple(prod(counts.get(axis, 1) for axis in mode) for mode in organisation)
@@ -249,7 +251,7 @@ def parse_level(text: str, organisation: Organisation, scheme: str = "most") -> 
     cuts, none = _grid(words.get("cut<", ""), organisation)
     if none or (fewest and not own):
         raise invalid("plan-grid", "blocks of the plan", repr(text.strip()), "ranges, AXIS:FEWEST-MOST, with R<= grid=")
-    clusters = _clusters(grid, organisation)
+    clusters = clusters_of_grid(grid, organisation)
     if "C" in words:
         clusters = tuple(_number("C", word) for word in _words("C", words["C"], order))
     given = words.get("K", "1")
@@ -332,69 +334,3 @@ def parse_plan(text: str, organisation: Organisation, scheme: str = "most") -> P
         hint = "a file is written by Model.save, or by -o FILE" if is_path else "give R of each level, R<=.. for a goal"
         raise invalid("plan-syntax", "plan", repr(text), "levels such as R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2", hint)
     return Plan(organisation, tuple(parse_level(part, organisation, scheme) for part in text.split("/")))
-
-
-def check_plan(plan: Plan, sizes: Sequence[int]) -> None:
-    """Refuse a plan that a tensor of these mode sizes cannot be fitted by.
-
-    Raises:
-        HmkctaError: no levels, or levels of other modes; ranks or clusters beyond the first level's rows; R=* in some
-            levels only; R<= out of place.
-
-    >>> check_plan(parse_plan("R=9", (("y",),)), (8,))
-    Traceback (most recent call last):
-        ...
-    hmkcta.errors.HmkctaError: R of mode 1: found 9, allowed 1 to 8, or * for an undecomposed mode. \
-[InvalidArgument/rank-too-large]
-    """
-    if not plan.levels:
-        raise invalid("plan-levels", "levels of the plan", "none", "one or more")
-    first = plan.levels[0]
-    for number, level in enumerate(plan.levels, start=1):
-        if level.order != len(sizes):
-            raise invalid("plan-modes", f"level {number} of the plan", f"{level.order} modes",
-                          f"{len(sizes)}, as its organisation has")
-        if [r is None for r in level.ranks] != [r is None for r in first.ranks]:
-            allowed = "* for the same modes in every level"
-            raise invalid("undecomposed-differ", f"R of level {number}", str(level), allowed)
-        if level.bits > plan.levels[max(0, number - 2)].bits:
-            allowed = f"bits={plan.levels[number - 2].bits}, no more than the level above"
-            raise invalid("bits-ascend", f"level {number}", str(level), allowed, "give the levels above 16 bits, too")
-        if level.own and (number < len(plan.levels) or (plan.snr is None and plan.size is None)):
-            allowed = "R<= in the last level only, together with a goal"
-            raise invalid("own-ranks-place", f"level {number}", str(level), allowed, "say an snr or a size")
-        if level.own and (max(level.mixture) > 1 or (level.cells > 1 and not level.grid and len(plan.levels) > 1)):
-            allowed = "R<= with blocks, grid=AXIS:COUNT, with C where it is the only level and K=1, or below clusters"
-            raise invalid("own-ranks-clusters", f"level {number}", str(level), allowed)
-        if len(level.ways(plan.organisation)) > MOST_WAYS:
-            allowed = f"at most {MOST_WAYS} ways to cut a node, combinations of numbers of blocks"
-            raise invalid("plan-grid", f"level {number}", str(level), allowed)
-        for n, (rank, size) in enumerate(zip(level.ranks, sizes, strict=True)):
-            if rank is not None and min(rank, size) > HIGHEST_RANK and not level.own:
-                allowed = f"1 to {HIGHEST_RANK}, or * for an undecomposed mode"
-                raise invalid("rank-too-large", f"R of mode {n + 1}, level {number}", rank, allowed)
-    for n, (rank, clusters, size) in enumerate(zip(first.ranks, first.clusters, sizes, strict=True)):
-        if rank is not None and rank > size and not first.own:
-            allowed = f"1 to {size}, or * for an undecomposed mode"
-            raise invalid("rank-too-large", f"R of mode {n + 1}", rank, allowed)
-        if clusters > size:
-            allowed = f"1 to {size}, the number of its rows"
-            raise invalid("more-clusters-than-rows", f"C of mode {n + 1}", clusters, allowed)
-    _check_readable(plan, sizes)
-
-
-def _check_readable(plan: Plan, sizes: Sequence[int]) -> None:
-    """Refuse what would be fitted to a file that readers refuse, as far as the plan tells."""
-    if len(plan.levels) > MOST_LEVELS:
-        raise invalid("plan-levels", "levels of the plan", len(plan.levels), f"at most {MOST_LEVELS}")
-    nodes = below = 1
-    for number, level in enumerate(plan.levels, start=1):
-        cost = 0 if level.own else level.clamped(sizes).decode_cost()
-        if below == 1 and cost > MOST_LEVEL_COST:  # nodes further down may be too small for so many ranks
-            raise invalid("level-cost", f"level {number}", f"{cost} multiply-adds for an element",
-                          f"at most {MOST_LEVEL_COST}, as prod R_n K_n", "lower K or R")
-        below = min(below * level.cells, prod(sizes))
-        nodes += below if number < len(plan.levels) else 0
-    if nodes > MOST_NODES:
-        allowed = f"at most {MOST_NODES}"
-        raise invalid("plan-nodes", "nodes of the plan", nodes, allowed, "lower C, or write fewer levels")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+import sys
 import threading
 import webbrowser
 from collections.abc import Mapping
@@ -133,7 +134,9 @@ def serve(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | ND
     metadata = open_model(file).metadata
     table = dict(page if page is not None else installed_page())
     table[f"/files/{file.name}"] = Resource("application/octet-stream", file)
-    query = f"?file=files/{quote(file.name)}"
+    # The page reads a parameter, and takes what it reads for an address: the name is quoted for both.
+    address = "files/" + quote(os.fsencode(file.name), safe=" ")
+    query = f"?file={quote(address)}"
     if original is not None:
         table["/original/original.hmk"] = _original(metadata, original, progress)
         query += "&original=original/original.hmk"
@@ -211,6 +214,10 @@ class _Listener(ThreadingHTTPServer):
             raise HmkctaError(Kind.IO, "port-taken", f"port {port}", found=getattr(error, "strerror", error),
                               allowed="a free port", hint="leave --port out to take any") from error
 
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A page that was closed in the middle of a request is nobody's business either."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
 
 class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
@@ -233,7 +240,12 @@ class _Handler(BaseHTTPRequestHandler):
         if self.headers.get("Host") not in (f"{HOST}:{port}", f"localhost:{port}"):
             self._refuse(HTTPStatus.MISDIRECTED_REQUEST)
             return
-        resource = listener.table.get(unquote(urlsplit(self.path).path))
+        try:
+            path = unquote(urlsplit(self.path).path, errors="surrogateescape")
+        except ValueError:
+            self._refuse(HTTPStatus.BAD_REQUEST)
+            return
+        resource = listener.table.get(path)
         if resource is None:
             self._refuse(HTTPStatus.NOT_FOUND)
             return
@@ -278,7 +290,6 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
         if self.command != "HEAD":
             self.wfile.write(body)
-
 
 def _span(header: str | None, size: int) -> tuple[int, int] | None:
     """Begin and end of the bytes that a `Range` header asks for; all of them without one, None if there are none such.

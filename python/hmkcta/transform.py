@@ -80,8 +80,9 @@ class Transform:
         """
         x = values.astype(np.result_type(values.dtype, np.float32), copy=False)
         rule = _RULES[self.name]
-        if rule.scaled:
-            x = x / x.dtype.type(self.scale)
+        dtype = x.dtype
+        if rule.scaled:  # with a small scale float32 would overflow
+            x = x / np.float64(self.scale)
         allowed = rule.allowed(x)
         if not allowed.all():
             bad = np.flatnonzero(~allowed)
@@ -90,7 +91,7 @@ class Transform:
             raise invalid(
                 "transform-domain", f"values for {self}", found,
                 rule.domain.format(scale=self.scale), "choose asinh for signed data, or clean the values")
-        return rule.forward(x)
+        return rule.forward(x).astype(dtype, copy=False)
 
     def inverse(self, values: Values) -> Values:
         """The x with f(x) = value, of the same shape and type.
@@ -102,10 +103,11 @@ class Transform:
         """
         if self.name == "identity":
             return values
+        # With a small scale float32 overflows before the scale is applied.
         with np.errstate(over="ignore"):
-            x = _RULES[self.name].inverse(values) * values.dtype.type(self.scale)
+            x = _RULES[self.name].inverse(values.astype(np.float64, copy=False)) * self.scale
         largest = np.finfo(values.dtype).max
-        return np.clip(x, -largest, largest)
+        return np.clip(x, -largest, largest).astype(values.dtype, copy=False)
 
     def to_json(self) -> dict[str, Any]:
         """What the file stores.

@@ -71,7 +71,8 @@ export class App {
   private unmeasured = false;
   private dirty = false;
   private drawing = false;
-  private closed = false;
+  closed = false;
+  private choices = 0; // of renderers, of which the last counts
   private changed = 0; // when something last did, and how often
   private changes = 0;
   private cost: Cost | null = null;
@@ -167,6 +168,7 @@ export class App {
     const decoders = [this.decoder, ...(this.originalDecoder === null ? [] : [this.originalDecoder])];
     const { device } = this.gpu;
     const notes: string[] = [];
+    const choice = ++this.choices;
     let made: Renderer | null = null;
     try {
       if (kind === "svbrdf") made = await SvbrdfRenderer.make(device, this.metadata, decoders, [this.state, ...this.frameSize(true)]);
@@ -175,16 +177,27 @@ export class App {
     } catch (error) {
       notes.push(asProblem(error).message);
     }
+    const renderer = made ?? await SliceRenderer.make(device, decoders);
+    if (this.closed || choice !== this.choices) { // another choice came before this one was ready
+      renderer.destroy();
+      return;
+    }
     this.kind = made === null ? "generic" : kind;
-    const before = this.renderer;
-    this.renderer = made ?? await SliceRenderer.make(device, decoders);
-    before?.destroy();
+    this.renderer?.destroy();
+    this.renderer = renderer;
     this.cost = null;
     this.warm = false;
     this.whole = false;
     this.watcher.onNotes([...notes, ...this.renderer.notes]);
     this.resetView();
     this.redraw();
+  }
+
+  /** Say what went wrong, unless another file is shown by now. */
+  fail(error: unknown): void {
+    if (!this.closed) {
+      this.watcher.onProblem(asProblem(error));
+    }
   }
 
   /** The camera, view point and zoom that suit what is shown. */

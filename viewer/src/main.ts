@@ -59,6 +59,9 @@ class Page {
   private async openGpu(): Promise<void> {
     const gpu = await openGpu((problem) => {
       this.app?.close();
+      this.gpu = null;
+      this.opening = Promise.reject(problem);
+      this.opening.catch(() => undefined); // whoever opens the next file hears of it
       this.fail(problem);
     });
     this.gpu = gpu;
@@ -83,13 +86,16 @@ class Page {
     }
     await this.show(source);
     const original = PARAMETERS.get("original");
-    if (original !== null && this.app !== null) {
+    const { app } = this;
+    if (original !== null && app !== null && this.source === source) {
       byId("loading").textContent = "Loading the original ...";
-      await this.app.setOriginal(await load(await openUrl(fileUrl(original, location.href)), {
+      await app.setOriginal(await load(await openUrl(fileUrl(original, location.href)), {
         onTables: () => undefined, onLevel: () => undefined,
       }));
-      this.panel?.build();
-      mark("ready");
+      if (this.source === source) { // no other file was opened meanwhile
+        this.panel?.build();
+        mark("ready");
+      }
     }
   }
 
@@ -101,18 +107,18 @@ class Page {
     this.quiet = true;
     clearTimeout(this.hush);
     this.hush = window.setTimeout(() => this.speak(), QUIET);
-    source.onBytes = () => this.progress(source.have, source.size);
+    const { signal } = this.session;
+    source.onBytes = () => {
+      if (!signal.aborted) {
+        this.progress(source.have, source.size);
+      }
+    };
     this.progress(source.have, source.size);
-    const session = this.session;
     try {
       await load(source, {
-        onTables: async (reading) => {
-          await this.begin(reading);
-        },
+        onTables: (reading) => this.begin(reading, signal),
         onLevel: async (_, level) => {
-          if (session.signal.aborted) {
-            throw new DOMException("another file was opened", "AbortError");
-          }
+          signal.throwIfAborted();
           this.app!.addLevel();
           this.panel?.refresh();
           mark(`level-${level}`);
@@ -123,33 +129,48 @@ class Page {
         },
       });
     } catch (error) {
-      if (error instanceof DOMException && error.name === "AbortError") {
+      if (signal.aborted) { // another file was opened, and what became of this one is nobody's business
         return;
       }
       const problem = asProblem(error);
-      if (this.app !== null && this.app.arrived > 0 && !session.signal.aborted) {
+      if (this.app !== null && this.app.arrived > 0) {
         this.fail(new Problem(problem.sentence, problem.detail,
           `${problem.next} The first ${this.app.arrived} of ${this.app.metadata.levels.length} levels are whole, and are shown.`), true);
         return;
       }
       throw error;
     }
+    if (signal.aborted) {
+      return;
+    }
     this.progress(source.size, source.size);
     mark(PARAMETERS.get("original") === null ? "ready" : "model-ready");
   }
 
-  private async begin(reading: Reading): Promise<void> {
+  /** Compile what the file needs; nothing of it is seen once another file was opened. */
+  private async begin(reading: Reading, signal: AbortSignal): Promise<void> {
     performance.mark("tables");
     await this.opening;
+    signal.throwIfAborted();
     this.shown = 0;
     const pixels = /^(\d+)x(\d+)$/.exec(PARAMETERS.get("pixels") ?? "");
-    this.app = await App.make(this.gpu!, this.canvas, this.screen!, reading, {
-      onFrame: (statistics) => this.frame(statistics),
-      onProblem: (problem) => this.fail(problem),
-      onNotes: (notes) => {
+    const unlessAborted = <T>(tell: (told: T) => void) => (told: T): void => {
+      if (!signal.aborted) {
+        tell(told);
+      }
+    };
+    const app = await App.make(this.gpu!, this.canvas, this.screen!, reading, {
+      onFrame: unlessAborted((statistics) => this.frame(statistics)),
+      onProblem: unlessAborted((problem) => this.fail(problem)),
+      onNotes: unlessAborted((notes) => {
         byId("loading").textContent = notes.join(" ");
-      },
+      }),
     }, pixels === null ? null : [Number(pixels[1]), Number(pixels[2])]);
+    if (signal.aborted) {
+      app.close();
+    }
+    signal.throwIfAborted();
+    this.app = app;
     performance.mark("compiled");
   }
 

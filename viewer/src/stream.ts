@@ -140,9 +140,18 @@ export function fileUrl(name: string, base: string | undefined): URL {
   return url;
 }
 
+/** A part of an address for people; as it is where its escapes are no UTF-8. */
+function decoded(part: string): string {
+  try {
+    return decodeURIComponent(part);
+  } catch {
+    return part;
+  }
+}
+
 /** Start to fetch a file. */
 export async function openUrl(url: URL): Promise<ByteSource> {
-  const name = decodeURIComponent(url.pathname.split("/").pop() ?? "") || url.href;
+  const name = decoded(url.pathname.split("/").pop() ?? "") || url.href;
   let response: Response;
   try {
     response = await request(url, { Range: `bytes=0-${FIRST - 1}` });

@@ -58,6 +58,11 @@ describe("meshes", () => {
     expect(hand).toBe(-1);
   });
 
+  it("reads OBJ whose corners count from the last vertex", () => {
+    const three = "v 0 0 0\nv 4 0 0\nv 4 2 0\nvt 0 0\nvt 1 0\nvt 1 1\nf -3/-3 -2/-2 -1/-1\n";
+    expect(Array.from(parseObj(three + three, 1).indices)).toEqual([0, 1, 2, 3, 4, 5]);
+  });
+
   it("refuses OBJ without texture coordinates, and nothing at all", () => {
     expect(() => parseObj("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3", 1)).toThrow("no texture coordinates");
     expect(() => parseObj("v 0 0 0\nvt 0 0\nf 1/1 9/1 1/1", 1)).toThrow("damaged");

@@ -16,6 +16,7 @@ from ..allocation import Choices, best_of_one, choices_of, pareto, plausible, ra
 from ..axes import Organisation, mode_sizes
 from ..executors import in_order
 from ..filesize import planned_bytes
+from ..grids import divisors
 from ..metrics import noise_at, snr_db
 from ..narrow import LEFT
 from ..plan import MOST_RANKS_ALONE
@@ -148,7 +149,7 @@ class Trial:
             return _too_large(cut.edges)
         flags = tuple(n in candidate.undecomposed for n in range(len(cut.sizes)))
         key = (organisation, candidate.grid, flags, sample, around)
-        ways = list(product(*map(_divisors, candidate.cuts)))
+        ways = list(product(*map(divisors, candidate.cuts)))
         new = [way for way in ways if (key, way) not in self._ways]
         for way, made in zip(new, in_order(partial(self._way, cut, flags, caps), new, workers), strict=True):
             self._ways[key, way] = made
@@ -367,10 +368,6 @@ def _steps(
 def _too_large(sizes: Sequence[int]) -> float:
     """Worth of what memory does not hold: worse than what bytes do not suffice for, the worse the larger the blocks."""
     return -2 * OUT_OF_REACH - log2(prod(sizes))
-
-
-def _divisors(most: int) -> list[int]:
-    return [count for count in range(1, most + 1) if most % count == 0]
 
 
 def _best(found: Sequence[tuple[float, Candidate]]) -> float:

@@ -119,7 +119,7 @@ def command_for(source: str, output: str, plan: Plan | None, goal: Goal) -> str:
 def _written(name: str, value: Any) -> str:
     """An option's value as it is given on the command line."""
     if name == "nan":
-        return f"fill={value:g}"
+        return f"fill={float(value)!r}"
     if isinstance(value, list | tuple):
         return ",".join(map(str, cast("Sequence[Any]", value)))
     return repr(value) if isinstance(value, float) else str(value)

@@ -6,6 +6,7 @@ import os
 import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from math import isfinite
 from typing import Any, TypeVar
 
 import click
@@ -42,7 +43,8 @@ class ByteSize(click.ParamType[int]):
         unit = _UNITS.get(found[2].upper()) if found else None
         if found is None or unit is None:
             self.fail(f"{value!r} is no size: write bytes, or a number with KB, KiB, MB, MiB, GB or GiB.", param, ctx)
-        size = round(float(found[1]) * unit)
+        number = float(found[1]) * unit
+        size = round(number) if isfinite(number) else 0
         if size < 1:
             self.fail(f"{value!r} is no size above 0.", param, ctx)
         return size
@@ -86,7 +88,7 @@ class Shape(click.ParamType[tuple[int, ...]]):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
         """Read it, or end with what is wrong."""
         words = re.split(r"[,x]", str(value).replace(" ", ""))
-        if not all(word.isascii() and word.isdigit() for word in words):
+        if not all(word.isascii() and word.isdigit() and len(word) < 20 for word in words):
             self.fail(f"{value!r} is no shape: write whole numbers parted by commas, e.g. 64,64,3.", param, ctx)
         return tuple(int(word) for word in words)
 

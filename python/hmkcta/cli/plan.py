@@ -17,7 +17,8 @@ from ..filesize import predicted_bytes
 from ..fit import EFFORTS
 from ..forecast import Forecast, choosing_bytes, forecast
 from ..memory import format_bytes
-from ..plan import Plan, check_plan, multiply_adds, parse_plan
+from ..plan import Plan, multiply_adds, parse_plan
+from ..plan_checks import check_plan
 from ..scratch import scratch_folder
 from ..source import Source
 from ..source import described as describe_source

@@ -101,7 +101,7 @@ def decode_block(
     if out is not None and out.shape != shape:
         raise invalid("out-shape", "out", f"shape {out.shape}", f"{shape}, one number for each requested row")
     kind = _float_type(dtype if out is None else out.dtype)
-    block = out if out is not None and out.flags.c_contiguous else np.empty(shape, kind)
+    block = out if out is not None and out.flags.c_contiguous and out.flags.aligned else np.empty(shape, kind)
     block[...] = 0
     if prod(shape):
         with np.errstate(over="ignore", invalid="ignore"):  # as in `decode_elements`

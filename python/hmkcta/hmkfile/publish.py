@@ -66,7 +66,7 @@ def published(path: str | os.PathLike[str], overwrite: bool = False) -> Generato
 def _resolved(path: str | os.PathLike[str]) -> Path:
     """The path without links: a link keeps pointing to what it points to."""
     try:
-        return Path(os.path.realpath(path))
+        return Path(os.fsdecode(os.path.realpath(path)))
     except ValueError as error:  # a zero byte in it
         raise OSError(errno.EINVAL, str(error)) from error
 

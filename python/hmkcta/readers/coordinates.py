@@ -36,7 +36,7 @@ def read_coordinates(uri: str) -> NDArray[Any]:
     if ending not in TABLES:
         return open_array(uri)
     with opened(path) as file:
-        lines = file.read().decode("utf-8", "replace").splitlines()
+        lines = file.read().decode("utf-8-sig", "replace").splitlines()
     rows = [line for line in lines if line.partition("#")[0].strip()]
     if rows and all(map(_is_name, rows[0].split(TABLES[ending]))):
         del rows[0]

@@ -10,7 +10,7 @@ import json
 import types
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from math import cos, isfinite, radians, sin
+from math import cos, radians, sin
 from numbers import Real
 from pathlib import Path
 from typing import Any, Union, cast, get_args, get_origin, get_type_hints
@@ -33,12 +33,12 @@ def _check_choice(where: str, value: str, allowed: Sequence[str]) -> None:
 
 def _check_range(where: str, value: float, low: float, high: float, meaning: str = "") -> None:
     expect(where, value, Real, "a number")
-    if not (isfinite(value) and low <= value <= high):
+    if not low <= value <= high:
         raise invalid("out-of-range", where, value, f"{low:g} to {high:g}{meaning}")
 
 
 def _check_vector(where: str, value: Sequence[float], length: int = 3, least: float = -1e9) -> None:
-    if len(value) != length or not all(isfinite(x) and least <= x <= 1e9 for x in value):
+    if len(value) != length or not all(least <= x <= 1e9 for x in value):
         raise invalid("bad-vector", where, list(value), f"{length} finite numbers from {least:g} up")
 
 
@@ -191,8 +191,8 @@ class Look:
         for at, point in enumerate(self.colours if not isinstance(self.colours, str) else ()):
             _check_vector(f"volume.colours[{at}]", point, 4, 0.0)
         _check_range("volume.iso", self.iso, -1e6, 1e6)
-        if self.window is not None and not (isfinite(sum(self.window)) and self.window[0] < self.window[1]):
-            raise invalid("bad-window", "volume.window", list(self.window), "[low, high] with low below high")
+        if self.window is not None and not 1e-30 < self.window[1] - self.window[0] < 1e38:
+            raise invalid("bad-window", "volume.window", list(self.window), "[low, high], 1e-30 to 1e38 apart")
         _check_vector("volume.clip_low", self.clip_low, least=0.0)
         if any(not low < high <= 1 for low, high in zip(self.clip_low, self.clip_high, strict=True)):
             found = f"{list(self.clip_low)} to {list(self.clip_high)}"
@@ -295,7 +295,7 @@ def read_json(path: str | Path) -> dict[str, Any]:
         value: Any = json.loads(Path(path).read_text(encoding="utf-8"), parse_constant=_no_number)
     except OSError as error:
         raise HmkctaError(Kind.IO, "unreadable", str(path), found=error.strerror, allowed="a JSON file") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise invalid("not-json", str(path), error, "a JSON object, e.g. {\"width\": 640}") from error
     if not isinstance(value, dict):
         raise invalid("not-json", str(path), type(value).__name__, "a JSON object, e.g. {\"width\": 640}")

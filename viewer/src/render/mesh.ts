@@ -109,21 +109,25 @@ export function parseObj(text: string, repeat: number): Mesh {
   const known = new Map<string, number>();
   const indices: number[] = [];
   const vector = (words: string[]): Vector => [Number(words[2]), Number(words[0]), Number(words[1])];
+  // Numbers count from 1, negative ones from the last that has been read; those that are left out are 0.
+  const absolute = (number: number | undefined, count: number): number => (number! < 0 ? count + number! : (number ?? 0) - 1);
   const corner = (word: string): number => {
-    let index = known.get(word);
+    const [v, t, n] = word.split("/").map(Number);
+    const at = [absolute(v, places.length), absolute(t, uvs.length), absolute(n, normals.length)] as const;
+    const key = at.join("/");
+    let index = known.get(key);
     if (index === undefined) {
-      const [v, t, n] = word.split("/").map(Number);
-      const place = places.at(v! > 0 ? v! - 1 : v!);
-      const uv = t === undefined || t === 0 ? undefined : uvs.at(t > 0 ? t - 1 : t);
+      const place = places[at[0]];
+      const uv = uvs[at[1]];
       if (place === undefined || uv === undefined || ![...place, ...uv].every(Number.isFinite)) {
         throw new Problem("The mesh has no texture coordinates, or is damaged.", `At "${word}".`,
           "Unwrap it in a modeller, and export it as OBJ again.");
       }
-      const normal = n === undefined || n === 0 ? undefined : normals.at(n > 0 ? n - 1 : n);
+      const normal = normals[at[2]];
       index = points.length;
       points.push({ position: place, normal: normal ?? [0, 0, 0], tangent: [0, 0, 0], hand: 1,
         uv: [uv[0], 1 - uv[1]] });
-      known.set(word, index);
+      known.set(key, index);
     }
     return index;
   };

@@ -13,7 +13,10 @@ export function listenForFiles(take: (file: File) => void): void {
   };
   const chooser = byId<HTMLInputElement>("chooser");
   byId("choose").addEventListener("click", () => chooser.click());
-  chooser.addEventListener("change", () => takeFirst(chooser.files));
+  chooser.addEventListener("change", () => {
+    takeFirst(chooser.files);
+    chooser.value = ""; // to be told when the same file is chosen again
+  });
   const drop = byId("drop");
   window.addEventListener("dragover", (event) => {
     event.preventDefault();

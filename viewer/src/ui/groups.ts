@@ -103,7 +103,7 @@ export abstract class Groups {
     const kinds = this.app.kinds();
     return group("View", [
       only(() => kinds.length > 1, choice("Show as", kinds.map((kind) => [kind, KINDS[kind]] as const), () => this.app.kind,
-        (kind) => void this.app.showAs(kind).then(() => this.build()))),
+        (kind) => void this.app.showAs(kind).then(() => this.app.closed || this.build(), (error) => this.app.fail(error)))),
       buttons({
         label: "Reset view", act: () => {
           this.app.resetView();

@@ -2,6 +2,7 @@
 
 import type { App } from "../app";
 import { decodeElement } from "../decode/element";
+import { shownChannels } from "../render/layout";
 import { colourAxis, fitted, sliceSize } from "../render/slices";
 import { plain } from "./controls";
 
@@ -21,7 +22,7 @@ export function readout(app: App, place: [number, number], canvas: HTMLCanvasEle
   }
   const index = state.position.map((at, n) => (n === x ? column : n === y ? row : at));
   const channel = colourAxis(metadata, state);
-  const shown = channel === null ? [index] : [0, 1, 2].map((c) => index.map((at, n) => (n === channel ? c : at)));
+  const shown = channel === null ? [index] : shownChannels(metadata.axes[channel]!.size).map((c) => index.map((at, n) => (n === channel ? c : at)));
   const level = Math.min(state.level, app.arrived);
   const values = shown.map((at) => short(decodeElement(metadata, app.reading.levels, at, level)));
   const where = metadata.axes.map((axis, n) => (n === channel ? "" : `${axis.name} ${index[n]}`)).filter((part) => part !== "");
