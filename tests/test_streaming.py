@@ -219,6 +219,14 @@ def source(cloth: Any) -> Source:
     return prepare(values, ["light", "view", "y", "x", "rgb"], "identity", None)
 
 
+def test_sub_tensors_too_large_to_be_cut_are_refused_before_anything_is_fitted(
+    cloth: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hmkcta.follow.fit_nodes", None)
+    with pytest.raises(HmkctaError, match="more clusters"):
+        fitted(cloth, monkeypatch, cloth.values.size // 8, "R=1 C=1,1,1,2 K=1 / R=1 C=2 K=1 / R=1")
+
+
 @pytest.mark.parametrize("steps", [(1, 1, 1, 1), (2, 1, 3, 1), (5, 2, 1, 4)])
 @pytest.mark.parametrize("limit", [100, 700, 10**6])
 def test_slabs_make_up_the_tensor(source: Source, steps: tuple[int, ...], limit: int) -> None:

@@ -27,7 +27,7 @@ from .predict import side_by_side
 from .progress import Progress, Told
 from .streamed import Saved, Streamed, thinned_cells
 from .subdivision import subdivide
-from .workset import SAMPLED, workset_steps
+from .workset import SAMPLED, SMALLER, workset_steps
 
 F32 = NDArray[np.float32]
 
@@ -292,7 +292,7 @@ def descend(tree: Hierarchy, scheme: str, run: Run) -> None:
         if outside is not None and node.cells is not None and node.cells.spec.cells > 1:
             if node.piece is not None:
                 found, allowed = f"a sub-tensor of {node.elements} elements to subdivide", f"up to {outside.limit}"
-                raise invalid("node-too-large", "plan", found, allowed, "raise --max-memory")
+                raise invalid("node-too-large", "plan", found, allowed, SMALLER)
             assert node.parts is not None
             run.progress("reordering", 0.0)
             for child, piece in zip(node.children, outside.cut(node.parts, node.cells.spec.clusters), strict=True):

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from . import backends as kernels
 from .cells import Cells
+from .errors import invalid
 from .fit import Effort, Labels, fit_level
 from .memory import check_memory, give_back_freed_memory
 from .pieces import Rows
@@ -35,6 +36,8 @@ T = TypeVar("T", np.float32, np.float64)
 
 #: Rows of a thinned mode for each cluster and each column of a basis: fewer would fit themselves.
 FEWEST = 8
+#: What to do about a sub-tensor that is too large to be subdivided.
+SMALLER = "more clusters in the levels above, or raise --max-memory"
 #: Elements by which spectra and subdivisions are judged.
 SAMPLED = 1 << 23
 #: Numbers of projections at a time, of slabs and of models in closed form, where modes are undecomposed.
@@ -140,8 +143,12 @@ def check_worksets(plan: Plan, sizes: Sequence[int], limit: int, memory: int | N
     Raises:
         HmkctaError: one cannot.
     """
+    cut = False
     for number, (level, most) in enumerate(zip(plan.levels, worksets(plan, sizes, limit), strict=True), start=1):
         what = f"level {number} ({level}) on {' x '.join(map(str, sizes))}"
+        if cut and level.cells > 1 and prod(sizes) > limit and number < len(plan.levels):
+            raise invalid("node-too-large", what, f"{prod(sizes)} elements to subdivide", f"up to {limit}", SMALLER)
+        cut = cut or level.cells > 1
         if most > limit:
             hint = "raise --max-memory, lower R, or leave no long mode undecomposed"
             check_memory(PROCESS + WORKING * most, what, hint, memory)
