@@ -92,13 +92,16 @@ def follow(task: Task) -> Model:
             fit_nodes(tree, [spec] * len(tree.levels[-1]), own, labels, last=deepest and rounds == 0)
             if plan.snr is not None and goal.snr_now(tree) >= plan.snr:
                 break
-    # It lowers the error of transformed values, with which that of the values themselves may rise.
-    transformed = task.source.value_transform.name != "identity"
-    met = transformed and plan.snr is not None and goal.snr_now(tree) >= plan.snr
-    if len(tree.levels) > 1 and not met:
+    if rounds and len(tree.levels) > 1 and not _met(task, tree, goal):
         for number in range(rounds):
             backfit(tree, run, last=number == rounds - 1)
     return _measured(task, tree)
+
+
+def _met(task: Task, tree: Hierarchy, goal: Goal) -> bool:
+    """Whether an SNR is met that back-fitting might lose: it lowers the error of transformed values, not of these."""
+    transformed, snr = task.source.value_transform.name != "identity", task.plan.snr
+    return transformed and snr is not None and goal.snr_now(tree) >= snr
 
 
 def _begun(task: Task) -> tuple[Hierarchy, Goal]:

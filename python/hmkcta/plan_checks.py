@@ -19,7 +19,8 @@ def check_plan(plan: Plan, sizes: Sequence[int]) -> None:
 
     Raises:
         HmkctaError: no levels, or levels of other modes; ranks or clusters beyond the first level's rows; R=* in some
-            levels only; R<= out of place.
+            levels only; R<= out of place, or with K > 1; blocks that do not fit the axes; more ways to cut a node,
+            levels or nodes than are allowed.
 
     >>> from hmkcta.plan import parse_plan
     >>> check_plan(parse_plan("R=9", (("y",),)), (8,))
@@ -45,7 +46,7 @@ def check_plan(plan: Plan, sizes: Sequence[int]) -> None:
             allowed = "R<= in the last level only, together with a goal"
             raise invalid("own-ranks-place", f"level {number}", str(level), allowed, "say an snr or a size")
         if level.own and (max(level.mixture) > 1 or (level.cells > 1 and not level.grid and len(plan.levels) > 1)):
-            allowed = "R<= with blocks, grid=AXIS:COUNT, with C where it is the only level and K=1, or below clusters"
+            allowed = "R<= with K=1: with blocks, grid=AXIS:COUNT, with C where it is the only level, or below clusters"
             raise invalid("own-ranks-clusters", f"level {number}", str(level), allowed)
         _check_grid(plan, level, number, sizes)
         if prod(len(counts) for _, counts in level.block_counts) > MOST_WAYS:
@@ -66,14 +67,14 @@ def check_plan(plan: Plan, sizes: Sequence[int]) -> None:
 
 
 def _check_grid(plan: Plan, level: LevelSpec, number: int, sizes: Sequence[int]) -> None:
-    """Refuse blocks along axes that the plan does not know, and more of them than their mode has rows."""
+    """Refuse blocks along axes that the plan does not know, and cuts into more of them than their mode has rows."""
     rows = {name: size for mode, size in zip(plan.organisation, sizes, strict=True) for name in mode}
     for axis, count in (*level.grid, *level.cuts):
         if axis not in rows:
             raise invalid("plan-grid", f"level {number}", axis, f"an axis of the plan: {', '.join(rows)}")
-        if count > rows[axis]:
-            allowed = f"1 to {rows[axis]}, the number of its rows"
-            raise invalid("more-clusters-than-rows", f"blocks along {axis}, level {number}", count, allowed)
+        if count > rows[axis] and (axis, count) in level.cuts:
+            allowed = f"1 to {rows[axis]}, the rows of its mode"
+            raise invalid("plan-grid", f"blocks along {axis}, level {number}", count, allowed)
     if level.grid and level.clusters != clusters_of_grid(level.grid, plan.organisation):
         found, allowed = f"C={','.join(map(str, level.clusters))}", "as many clusters as its grid has blocks"
         raise invalid("plan-grid", f"level {number}", found, allowed)

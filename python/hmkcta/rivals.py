@@ -25,7 +25,7 @@ from .model import Model
 from .narrow import BITS
 from .plan import Plan
 from .predict import is_streamed, memory_limit
-from .second_levels import ROUNDED, below_bytes, below_float16, deeper
+from .second_levels import ROUNDED, below_bytes, below_rounding, deeper
 
 #: From so many dB on a second level is tried; so many dB beyond its goal is far; a second level must save a tenth.
 NEARLY, BEYOND, LESS = 64.0, 3.0, 0.9
@@ -49,7 +49,7 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
     others.
     """
     rivals = _rivals(task, others)
-    followed = [fitted(task), *further(task, _hopeful(task, rivals))]
+    followed = [fitted(task), *further(task, rivals)]
     (task, model), followed = _compared(task, followed, others)
     left = [plan for plan in others if plan not in rivals]
     if is_coarse(task.plan, model.snr, model.nbytes):
@@ -66,12 +66,9 @@ def _rivals(task: Task, others: Sequence[Plan]) -> list[Plan]:
     """Those of the others that are fitted whatever the task's plan comes to."""
     # Of values that are transformed the trial knows the errors' size, not where they will be large.
     doubtful = task.plan.size is not None or task.source.value_transform.name != "identity" or _is_worth(task)
-    return [plan for plan in others if task.plan.size is not None or not is_verbatim(plan)] if doubtful else []
-
-
-def _hopeful(task: Task, rivals: Sequence[Plan]) -> list[Plan]:
-    """The rivals, but for an SNR that one level hardly reaches those of one."""
-    return [plan for plan in rivals if (task.plan.snr or 0.0) <= ROUNDED[max(BITS)] or len(plan.levels) > 1]
+    rivals = [plan for plan in others if task.plan.size is not None or not is_verbatim(plan)] if doubtful else []
+    hardly = (task.plan.snr or 0.0) > ROUNDED[max(BITS)]  # reached by one level
+    return [plan for plan in rivals if not hardly or len(plan.levels) > 1]
 
 
 def _compared(given: Task, followed: list[Followed], others: Sequence[Plan]) -> tuple[Followed, list[Followed]]:
@@ -83,7 +80,7 @@ def _compared(given: Task, followed: list[Followed], others: Sequence[Plan]) -> 
     if not _is_held(task):
         return own, followed
     near = (plan for plan in narrower(task.plan, model.snr) if may_be(task, plan))
-    two = below_float16(given, []) if task.plan.snr is None and model.snr > NEARLY else ()
+    two = below_rounding(given, []) if task.plan.snr is None and model.snr > NEARLY else ()
     return best_of([own, *further(task, near), *further(given, two)]), followed
 
 
@@ -95,7 +92,7 @@ def _in_other_ways(given: Task, own: Followed, followed: Sequence[Followed], oth
         most, two = LESS * model.nbytes, further(task, below_bytes(task, followed))
         task, model = best_of([(task, model), *(each for each in two if each[1].nbytes < most)])
     if (task.plan.snr or model.snr) > NEARLY:
-        task, model = best_of([(task, model), *further(given, dict.fromkeys(below_float16(given, others)))])
+        task, model = best_of([(task, model), *further(given, dict.fromkeys(below_rounding(given, others)))])
     behind = model is own[1] or _is_behind(own[1], model, task.plan.snr, BEHIND)
     starts = [(task, model)] if behind else [own, (task, model)]
     first, *finer_steps = STEPS if prod(task.source.shape) <= SMALL else STEPS[-1:]
@@ -202,7 +199,7 @@ def _is_behind(model: Model, best: Model, snr: float | None, far: tuple[float, f
 
 def _fits(task: Task, plan: Plan, best: Model) -> bool:
     """Whether there are rows for its clusters, and before these are looked for room for ranks of one, in a size or the
-    bytes of the best for an SNR; of nodes below a first level for those of a share."""
+    bytes of the best for an SNR; below a first level, of ranks of one in a share of the nodes."""
     sizes = mode_sizes(task.source.axes, plan.organisation)
     if any(clusters > size for clusters, size in zip(plan.levels[0].clusters, sizes, strict=True)):
         return False

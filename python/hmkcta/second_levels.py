@@ -1,4 +1,4 @@
-"""Plans of two levels, where the numbers of one are not exact enough: a second level for what float16, or bytes, leave.
+"""Plans of two levels, where the numbers of one are not exact enough: a second level for what their rounding leaves.
 
 The ranks of the first are those that it was fitted with for less, alone.
 """
@@ -23,9 +23,9 @@ ROUNDED, SHORT, BOTH = {16: 68.0, 8: 43.0}, 40.0, 106.0
 OF_BYTES = 36.0
 
 
-def below_float16(task: Task, others: Sequence[Plan]) -> Iterator[Plan]:
-    """The task's plan, the others, and one that merges and cuts nothing, with a first level that ends at what float16
-    keeps, and a second for what that leaves. The first levels are fitted as plans are asked for.
+def below_rounding(task: Task, others: Sequence[Plan]) -> Iterator[Plan]:
+    """The task's plan, the others, and one that merges and cuts nothing, with a first level that ends at what its
+    numbers keep, and a second for what that leaves. The first levels are fitted as plans are asked for.
 
     Where ranks do not reach that, the last of them gain little: then one that ends a dB before them, too. What ends
     far below is left: the second level would have too much to do.
@@ -41,9 +41,9 @@ def below_float16(task: Task, others: Sequence[Plan]) -> Iterator[Plan]:
         firsts = [each for each in further(task, [goal]) if each[1].snr > SHORT]
         firsts += further(task, [replace(goal, snr=model.snr - 1) for _, model in firsts if model.snr < enough])
         below = [plan for plan in (deeper(*each) for each in firsts) if plan is not None]
-        # Bytes do for what a level of float16 numbers leaves, and hold some 40 dB of it.
+        # Bytes do for what a level leaves, and hold some 40 dB of it.
         narrow = [with_bits(each, min(BITS)) for each in below if (task.plan.snr or 0.0) < BOTH]
-        both = [*(each for each in narrow if task.bits is None), *below]
+        both = dict.fromkeys([*(each for each in narrow if task.bits is None), *below])
         yield from (replace(each, snr=task.plan.snr, size=task.plan.size) for each in both)
 
 

@@ -219,6 +219,7 @@ class _Listener(ThreadingHTTPServer):
         if not isinstance(sys.exception(), ConnectionError):
             super().handle_error(request, client_address)
 
+
 class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
     server_version = "hmkcta"
@@ -290,6 +291,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
         if self.command != "HEAD":
             self.wfile.write(body)
+
 
 def _span(header: str | None, size: int) -> tuple[int, int] | None:
     """Begin and end of the bytes that a `Range` header asks for; all of them without one, None if there are none such.

@@ -81,8 +81,8 @@ class Transform:
         x = values.astype(np.result_type(values.dtype, np.float32), copy=False)
         rule = _RULES[self.name]
         dtype = x.dtype
-        if rule.scaled:  # with a small scale float32 would overflow
-            x = x / np.float64(self.scale)
+        if rule.scaled:
+            x = _in_float64_if_too_large(lambda x: x / x.dtype.type(self.scale), x)
         allowed = rule.allowed(x)
         if not allowed.all():
             bad = np.flatnonzero(~allowed)
@@ -103,10 +103,8 @@ class Transform:
         """
         if self.name == "identity":
             return values
-        # With a small scale float32 overflows before the scale is applied.
-        with np.errstate(over="ignore"):
-            x = _RULES[self.name].inverse(values.astype(np.float64, copy=False)) * self.scale
-        largest = np.finfo(values.dtype).max
+        rule, largest = _RULES[self.name], np.finfo(values.dtype).max
+        x = _in_float64_if_too_large(lambda x: rule.inverse(x) * x.dtype.type(self.scale), values)
         return np.clip(x, -largest, largest).astype(values.dtype, copy=False)
 
     def to_json(self) -> dict[str, Any]:
@@ -120,6 +118,13 @@ class Transform:
     def __str__(self) -> str:
         """The text `parse` reads."""
         return f"{self.name}:{self.scale!r}" if self.scale != 1 else self.name
+
+
+def _in_float64_if_too_large(work: Callable[[Values], Values], values: Values) -> Values:
+    """The work on values of float32, or of float64 where it makes numbers too large on the way."""
+    with np.errstate(over="ignore"):
+        found = work(values)
+        return found if np.isfinite(found).all() else work(values.astype(np.float64, copy=False))
 
 
 def from_json(stored: Mapping[str, Any]) -> Transform:

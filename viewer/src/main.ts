@@ -72,12 +72,16 @@ class Page {
 
   /** The file that the address names, or one beside the page, or none. */
   private async openFile(name: string | null): Promise<void> {
+    const { signal } = this.session;
     const source = await openUrl(fileUrl(name ?? DEFAULT_FILE, location.href)).catch((error: unknown) => {
       if (name !== null) {
         throw error;
       }
       return null;
     });
+    if (signal.aborted) { // a file was dropped on the page meanwhile
+      return;
+    }
     if (source === null) {
       await this.opening;
       byId("welcome").hidden = false;
@@ -89,9 +93,15 @@ class Page {
     const { app } = this;
     if (original !== null && app !== null && this.source === source) {
       byId("loading").textContent = "Loading the original ...";
-      await app.setOriginal(await load(await openUrl(fileUrl(original, location.href)), {
-        onTables: () => undefined, onLevel: () => undefined,
-      }));
+      try {
+        await app.setOriginal(await load(await openUrl(fileUrl(original, location.href)), {
+          onTables: () => undefined, onLevel: () => undefined,
+        }));
+      } catch (error) {
+        if (this.source === source) {
+          throw error;
+        }
+      }
       if (this.source === source) { // no other file was opened meanwhile
         this.panel?.build();
         mark("ready");

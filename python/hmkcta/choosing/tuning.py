@@ -76,11 +76,11 @@ def tune(
         HmkctaError: the size is too small for the array, or `memory` bytes (None: half of what is free) for a search.
     """
     elements = prod(source.shape)
-    asked = ceiling if snr is None else snr
-    together, room = sampled_together(elements, memory, asked), room_of(elements, memory)
+    room = room_of(elements, memory)
     check_room(source, organisation, room)
     plain = next(organisations(source.axes)) if organisation is None else organisation
-    trial = trial_of(source, size, asked, decode_cost, run.seed)
+    trial = trial_of(source, size, ceiling if snr is None else snr, decode_cost, run.seed)
+    together = sampled_together(elements, memory, trial.ceiling)
     trial = replace(trial, room=2 * together, memory=room)
     care = CARES.get(run.effort, CARES[EFFORTS["medium"]])
     held = not is_streamed(elements, workset_limit(memory))
@@ -88,8 +88,9 @@ def tune(
     look = partial(_searched, told=run.progress, narrow=snr is not None)
     search, worth, best = searched_by_bits(search, look, bits, organisation is not None)
     if trial.ceiling is None and worth > -10 * log10(VERBATIM) - ALIKE:
-        search = search.anew(replace(search.goal, ceiling=EXACT))
-        search.together = sampled_together(elements, memory, EXACT)
+        together = sampled_together(elements, memory, EXACT)
+        search = search.anew(replace(search.goal, ceiling=EXACT, room=2 * together))
+        search.together = together
         worth, best = look(search, organisation is not None, inf)
     gained, best = _cut_further(search, best, run.progress)
     worth += gained

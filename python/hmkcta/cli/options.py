@@ -6,7 +6,7 @@ import os
 import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from math import isfinite
+from math import inf
 from typing import Any, TypeVar
 
 import click
@@ -44,10 +44,9 @@ class ByteSize(click.ParamType[int]):
         if found is None or unit is None:
             self.fail(f"{value!r} is no size: write bytes, or a number with KB, KiB, MB, MiB, GB or GiB.", param, ctx)
         number = float(found[1]) * unit
-        size = round(number) if isfinite(number) else 0
-        if size < 1:
-            self.fail(f"{value!r} is no size above 0.", param, ctx)
-        return size
+        if not 1 <= number < inf:
+            self.fail(f"a size is 1 byte or more, and not {number:g}.", param, ctx)
+        return round(number)
 
 
 class File(click.Path):
