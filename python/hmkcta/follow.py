@@ -73,7 +73,7 @@ def follow(task: Task) -> Model:
     task, plan = replace(task, run=run), task.plan
     check_plan(plan, mode_sizes(task.source.axes, plan.organisation))
     tree, goal = _begun(task)
-    rounds = run.effort.backfits if len(plan.levels) > 1 and not plan.levels[-1].own else 0
+    rounds, met = run.effort.backfits if len(plan.levels) > 1 and not plan.levels[-1].own else 0, False
     for number, spec in enumerate(plan.levels):
         if number:
             _descend(task, tree, plan.levels[number - 1], spec)
@@ -90,18 +90,15 @@ def follow(task: Task) -> Model:
             deepest = number == len(plan.levels) - 1
             own = replace(run, effort=run.effort.at(number + 1, len(plan.levels)))
             fit_nodes(tree, [spec] * len(tree.levels[-1]), own, labels, last=deepest and rounds == 0)
-            if plan.snr is not None and goal.snr_now(tree) >= plan.snr:
+            met = plan.snr is not None and goal.snr_now(tree) >= plan.snr
+            if met:
                 break
-    if rounds and len(tree.levels) > 1 and not _met(task, tree, goal):
+    # Back-fitting lowers the error of transformed values, with which that of the values themselves may rise.
+    kept = met and task.source.value_transform.name != "identity"
+    if rounds and len(tree.levels) > 1 and not kept:
         for number in range(rounds):
             backfit(tree, run, last=number == rounds - 1)
     return _measured(task, tree)
-
-
-def _met(task: Task, tree: Hierarchy, goal: Goal) -> bool:
-    """Whether an SNR is met that back-fitting might lose: it lowers the error of transformed values, not of these."""
-    transformed, snr = task.source.value_transform.name != "identity", task.plan.snr
-    return transformed and snr is not None and goal.snr_now(tree) >= snr
 
 
 def _begun(task: Task) -> tuple[Hierarchy, Goal]:

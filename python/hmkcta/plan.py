@@ -28,7 +28,6 @@ HIGHEST_RANK = 1024
 #: Most ranks of a mode that a chosen plan may have: of one that is decomposed alone, and of several.
 MOST_RANKS_ALONE, MOST_RANKS = 640, 160
 
-
 #: Beyond this many cells, or columns PC R_n of all their bases of a mode, joint least squares give way to Gauss-Seidel
 #: alone: their Gram matrix H_n has (PC R_n)^2 numbers, and each takes the contraction of two cores.
 GRAM_CELLS, GRAM_COLUMNS = 1536, 2048

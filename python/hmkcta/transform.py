@@ -124,7 +124,8 @@ def _in_float64_if_too_large(work: Callable[[Values], Values], values: Values) -
     """The work on values of float32, or of float64 where it makes numbers too large on the way."""
     with np.errstate(over="ignore"):
         found = work(values)
-        return found if np.isfinite(found).all() else work(values.astype(np.float64, copy=False))
+        enough = values.dtype == np.float64 or np.isfinite(found).all()
+        return found if enough else work(values.astype(np.float64))
 
 
 def from_json(stored: Mapping[str, Any]) -> Transform:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..allocation import empty_node_bytes, node_bytes, row_bytes
 from ..axes import Axis, Organisation, mode_sizes
 from ..filesize import planned_bytes
-from ..plan import MOST_RANKS, MOST_RANKS_ALONE, LevelSpec, Plan
+from ..plan import MOST_RANKS, MOST_RANKS_ALONE, LevelSpec, Plan, clusters_of_grid
 from ..source import Source
 
 
@@ -70,8 +70,7 @@ def plan_of(source: Source, best: Candidate, snr: float | None, size: int | None
 
 def clusters_of(axes: Sequence[Axis], counts: Sequence[int], organisation: Organisation) -> tuple[int, ...]:
     """Blocks along each mode, of the counts along each axis."""
-    of = {axis.name: count for axis, count in zip(axes, counts, strict=True)}
-    return tuple(prod(of[name] for name in mode) for mode in organisation)
+    return clusters_of_grid([(axis.name, count) for axis, count in zip(axes, counts, strict=True)], organisation)
 
 
 def bytes_beside(source: Source, candidate: Candidate, seed: int) -> float:
