@@ -46,7 +46,7 @@ def fit_outside(
     """Cells of level `number` (from 0), whose node is the whole tensor; arguments as of `fit_level`."""
     spec = spec.clamped(residual.shape)
     if labels is None or not spec.disjoint:
-        return fit_streamed(residual, number, spec, effort, rng, labels)
+        return fit_streamed(residual, number, spec, effort, rng, labels, told)
     cells = empty_cells(residual.shape, spec, [part[:, None].astype(np.uint16) for part in labels], rng)
     seeds = rng.integers(2**63, size=spec.cells)
 
@@ -65,7 +65,7 @@ def refit_outside(residual: Streamed, number: int, cells: Cells, told: Told) -> 
     """Back-fitting of the cells of level `number`, memberships kept."""
     orthonormal_again(cells)
     if not cells.spec.disjoint:
-        return refit_streamed(residual, number, cells)
+        return refit_streamed(residual, number, cells, told)
 
     def refitted(_: int, cell: Cells, tensor: F32 | Streamed) -> Cells:
         if isinstance(tensor, Streamed):

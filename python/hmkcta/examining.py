@@ -100,17 +100,19 @@ def _spectrum_of(
     if outside is not None and part is not None and spec.disjoint:
         level = level_within(node, len(tree.levels))
         return outside_spectrum(outside, level, spec, part, decode_cost, seed, told, alone=alone, nbytes=nbytes)
-    sample = sampled(tree, node, spec)
+    sample, untold = sampled(tree, node, spec), goal.untold / len(tree.levels[-1])
     if outside is None or sample is None:
-        values, untold = gather(tree.residual, node), goal.untold / len(tree.levels[-1])
         return node_spectrum(
-            values, spec, decode_cost, seed, part, alone=alone, nbytes=nbytes, untold=untold, threads=threads
+            gather(tree.residual, node), spec, decode_cost, seed, part,
+            alone=alone, nbytes=nbytes, untold=untold, threads=threads,
         )
     tensor, steps = sample
     part = None if part is None else [own[::step] for own, step in zip(part, steps, strict=True)]
     energy = goal.energy if len(tree.levels) == 1 else outside.error
     whole = (node.sizes, energy)
-    return node_spectrum(tensor, spec, decode_cost, seed, part, alone=alone, nbytes=nbytes, sample_of=whole)
+    return node_spectrum(
+        tensor, spec, decode_cost, seed, part, alone=alone, nbytes=nbytes, untold=untold, sample_of=whole
+    )
 
 
 def table_limits(

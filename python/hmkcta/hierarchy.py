@@ -295,7 +295,9 @@ def descend(tree: Hierarchy, scheme: str, run: Run) -> None:
                 raise invalid("node-too-large", "plan", found, allowed, SMALLER)
             assert node.parts is not None
             run.progress("reordering", 0.0)
-            for child, piece in zip(node.children, outside.cut(node.parts, node.cells.spec.clusters), strict=True):
+            with outside.telling(partial(run.progress, "reordering"), 1):
+                pieces = outside.cut(node.parts, node.cells.spec.clusters)
+            for child, piece in zip(node.children, pieces, strict=True):
                 child.piece = piece
     tree.levels.append([child for node in nodes for child in node.children])
     tree.schemes.append(scheme)

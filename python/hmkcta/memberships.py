@@ -18,7 +18,7 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 #: Columns of the row features, and elements looked at to find them; more of either changed nothing.
-FEATURES, SAMPLE = 12, 2_000_000
+FEATURES, SAMPLE = 12, 500_000
 #: Up to this side Gram matrices are decomposed exactly; beyond it so many iterations find the leading vectors.
 EXACT_SIDE, ITERATIONS = 512, 8
 #: Rounds of k-means; it ends sooner where labels stay as they are. Of more rows than these, and than so many for each

@@ -89,12 +89,17 @@ def project(cells: Cells, tensor: F32, kept: Sequence[int]) -> Projection:
 
 
 def project_one(cells: Cells, tensor: F32, n: int) -> F32:
-    """`Y_n` alone: two modes are summed over at once, the last among them, and then the third, that of fewest rows."""
+    """`Y_n` alone: of several cells two modes are summed over at once, and then a third, that of fewest rows.
+
+    For the last mode that pays only where they overlap and there is no third.
+    """
     others = [m for m, skip in enumerate(cells.undecomposed) if m != n and not skip]
-    if len(others) != 3 or n == cells.order - 1:
+    last = cells.order - 1
+    pays = n != last or (len(others) == 2 and max(cells.spec.mixture) > 1)
+    if cells.spec.cells == 1 or len(others) not in (2, 3) or not pays:
         return kernels.project_cells(cells, tensor, n)
-    shortest = min(others[:-1], key=lambda m: cells.sizes[m])
-    return project(cells, tensor, sorted((n, shortest))).onto(cells, n)
+    third = [min((m for m in others if m != last), key=lambda m: cells.sizes[m])] if len(others) == 3 else []
+    return project(cells, tensor, sorted([n, *third])).onto(cells, n)
 
 
 def _lanes(pair: tuple[int, int], kept: Sequence[int]) -> list[Extent]:

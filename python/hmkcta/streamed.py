@@ -11,7 +11,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import product
+from itertools import chain, product, repeat
 from math import prod
 from threading import local
 from typing import TypeVar
@@ -25,6 +25,7 @@ from .cells import Cells
 from .executors import in_order
 from .metrics import squared_norm
 from .pieces import Piece, Rows, places_of, put, split
+from .progress import Told, nobody, share_of
 from .scratch import Scratch
 from .slabs import slabs
 from .source import Source
@@ -81,6 +82,7 @@ class Streamed:
     parts: list[NDArray[np.intp]] = field(default_factory=list["NDArray[np.intp]"])
     scratch: Scratch | None = None
     lasting: bool = True
+    _coming: Iterator[Told] = field(default_factory=lambda: repeat(nobody))
     _held: local = field(default_factory=local)
 
     @property
@@ -158,7 +160,19 @@ class Streamed:
 
     def each(self, work: Callable[[Block], T], readers: Sequence[Callable[[], Block]]) -> Iterator[T]:
         """The results of working on every block, in order."""
-        return in_order(lambda reader: work(reader()), readers, self.workers(SLAB))
+        told = next(self._coming)
+        for done, made in enumerate(in_order(lambda reader: work(reader()), readers, self.workers(SLAB)), start=1):
+            yield made
+            told(done / len(readers))
+
+    @contextmanager
+    def telling(self, told: Told, passes: int) -> Generator[None]:
+        """Tell how much is done of so many passes over all blocks."""
+        self._coming = chain((share_of(told, number, passes) for number in range(passes)), repeat(nobody))
+        try:
+            yield
+        finally:
+            self._coming = repeat(nobody)
 
     def workers(self, elements: int) -> int:
         """How many tensors of this size may be worked on at once."""

@@ -25,6 +25,7 @@ from .memory import check_memory, give_back_freed_memory
 from .pieces import Rows
 from .plan import LevelSpec, Plan
 from .predict import PROCESS, WORKING, blocks, joint_bytes
+from .progress import Told, nobody
 from .projection import project_one
 from .search import all_products, choose_rows, project_model, right_sides
 from .slabs import slabs
@@ -159,38 +160,59 @@ def check_worksets(plan: Plan, sizes: Sequence[int], limit: int, memory: int | N
 
 
 def fit_streamed(
-    residual: Streamed, number: int, spec: LevelSpec, effort: Effort, rng: np.random.Generator, labels: Labels | None
+    residual: Streamed,
+    number: int,
+    spec: LevelSpec,
+    effort: Effort,
+    rng: np.random.Generator,
+    labels: Labels | None,
+    told: Told = nobody,
 ) -> Cells:
     """Cells of level `number` (from 0), whose node is the whole tensor; arguments as of `fit_level`."""
     spec = spec.clamped(residual.shape)
     steps = workset_steps(residual.shape, spec, residual.limit)
-    sample = residual.sample(steps, number)
-    chosen = None if labels is None else [part[::step] for part, step in zip(labels, steps, strict=True)]
-    cells = fit_level(sample, spec, effort, rng, chosen, overwrite=True)
-    del sample
-    give_back_freed_memory()
+    turns = _turns(spec, steps)
+    # Undecomposed modes have no rows to solve for; every row has cores of its own.
+    cores = max(steps) > 1 and max(spec.mixture) == 1 and None in spec.ranks
+    completing = 2 + sum(rank is not None for rank in spec.ranks) if cores else 0
+    with residual.telling(told, 1 + len(turns) + completing):
+        sample = residual.sample(steps, number)
+        chosen = None if labels is None else [part[::step] for part, step in zip(labels, steps, strict=True)]
+        cells = fit_level(sample, spec, effort, rng, chosen, overwrite=True)
+        del sample
+        give_back_freed_memory()
+        for n, step in enumerate(steps):
+            if step > 1 and spec.ranks[n] is not None:
+                cells = widened(cells, n, residual.shape[n], step)
+        for n, seen in turns:
+            solve_rows(residual, number, cells, n, spec.search, seen)
+        if cores:
+            cells = completed(residual, number, cells)
+            cells = completed(residual, number, _refitted(residual, number, cells))
+    return cells
+
+
+def _turns(spec: LevelSpec, steps: Sequence[int]) -> list[tuple[int, list[int]]]:
+    """Modes whose rows are solved for after a fit to a tensor thinned by these steps, and by which steps it is then."""
     if max(steps) == 1:
-        return cells
-    thinned = [n for n, step in enumerate(steps) if step > 1 and spec.ranks[n] is not None]
-    opened = [step if spec.ranks[n] is None else 1 for n, step in enumerate(steps)]
-    others = [n for n, rank in enumerate(spec.ranks) if rank is not None and n not in thinned]
-    for n in thinned:
-        cells = widened(cells, n, residual.shape[n], steps[n])
-    for n in thinned:
-        solve_rows(residual, number, cells, n, spec.search, [1 if m == n else step for m, step in enumerate(steps)])
-    for n in others if spec.cells > 1 else []:  # these have samples enough on a part
-        part = [max(always, min(step, 2)) for always, step in zip(opened, steps, strict=True)]
-        solve_rows(residual, number, cells, n, spec.search, part)
-    for n in thinned:
-        solve_rows(residual, number, cells, n, spec.search, opened)
-    if max(spec.mixture) > 1 or None not in spec.ranks:
-        return cells
-    cells = completed(residual, number, cells)
-    return completed(residual, number, refit_streamed(residual, number, cells))
+        return []
+    decomposed = [n for n, rank in enumerate(spec.ranks) if rank is not None]
+    thinned = [n for n in decomposed if steps[n] > 1]
+    opened = [step if rank is None else 1 for step, rank in zip(steps, spec.ranks, strict=True)]
+    # The other modes have samples enough on a part.
+    others = [n for n in decomposed if n not in thinned] if spec.cells > 1 else []
+    part = [max(always, min(step, 2)) for always, step in zip(opened, steps, strict=True)]
+    first = [(n, [1 if m == n else step for m, step in enumerate(steps)]) for n in thinned]
+    return [*first, *((n, part) for n in others), *((n, opened) for n in thinned)]
 
 
-def refit_streamed(residual: Streamed, number: int, cells: Cells) -> Cells:
+def refit_streamed(residual: Streamed, number: int, cells: Cells, told: Told = nobody) -> Cells:
     """All rows of every mode once more, mode by mode, memberships kept."""
+    with residual.telling(told, cells.order - sum(cells.undecomposed)):
+        return _refitted(residual, number, cells)
+
+
+def _refitted(residual: Streamed, number: int, cells: Cells) -> Cells:
     for n in range(cells.order):
         if not cells.undecomposed[n]:
             solve_rows(residual, number, cells, n, "fixed", [1] * cells.order)

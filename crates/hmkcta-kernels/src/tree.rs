@@ -8,6 +8,10 @@ use std::collections::BTreeMap;
 
 /// Elements of a leaf: 1 MiB, half of the level 2 cache of current server cores.
 const LEAF: usize = 256 * 1024;
+/// Fewer are not worth the way down to them: a leaf has a mode more then, where that is not more than so many elements.
+const FEWEST: usize = 1024;
+const MOST: usize = 16 * LEAF;
+
 /// The cells that take part, and what they do at a leaf.
 pub struct Tree<'a> {
     pub node: Node<'a>,
@@ -31,6 +35,13 @@ pub struct Member {
     pub pick: usize,
 }
 
+/// Leading modes that are walked, of a tensor of these sizes.
+fn depth(sizes: &[usize]) -> usize {
+    let (last, leaf) = (sizes.len() - 1, |depth: usize| sizes[depth..].iter().product::<usize>());
+    let depth = (0..last).find(|&depth| leaf(depth) <= LEAF).unwrap_or(last);
+    if depth > 0 && leaf(depth) < FEWEST && leaf(depth - 1) <= MOST { depth - 1 } else { depth }
+}
+
 impl<'a> Tree<'a> {
     /// All cells that `wanted` and that have elements, those with the same elements in a leaf next to each other.
     pub fn new(
@@ -40,8 +51,7 @@ impl<'a> Tree<'a> {
         wanted: impl Fn(&Cell) -> bool,
     ) -> Self {
         let order = node.order();
-        let depth =
-            (0..order - 1).find(|&depth| node.sizes[depth..].iter().product::<usize>() <= LEAF).unwrap_or(order - 1);
+        let depth = depth(&node.sizes);
         let sorting = if open.is_none() { node.sort_rows(depth) } else { None };
         let tree = Tree { node, bases, depth, open, members: vec![], picks: vec![], sorting };
         let (node, mut keys, mut members, mut picks) = (&tree.node, BTreeMap::new(), vec![], vec![]);
@@ -95,5 +105,20 @@ impl<'a> Tree<'a> {
             return inside.then_some(&[]);
         }
         self.node.place(&member.cell, n, i).map(|at| &self.bases[n][at..at + self.node.ranks[n]])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_leaf_is_neither_tiny_nor_far_beyond_the_cache() {
+        let leaf = |sizes: &[usize]| sizes[depth(sizes)..].to_vec();
+        assert_eq!(leaf(&[30, 400, 380, 3]), [380, 3]);
+        assert_eq!(leaf(&[58, 152_000, 3]), [152_000, 3]);
+        assert_eq!(leaf(&[2, 20_000_000, 3]), [3]);
+        assert_eq!(leaf(&[10_092, 456_000]), [456_000]);
+        assert_eq!(leaf(&[5, 3]), [5, 3]);
     }
 }
