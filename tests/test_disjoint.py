@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import pytest
 
 from hmkcta import predict
 from hmkcta.errors import HmkctaError
-from streaming_tools import fitted
+from streaming_tools import WH4_LIKE, fitted
 
 pytestmark = pytest.mark.usefixtures("small_slabs")
 
@@ -44,6 +45,25 @@ def test_progress_moves_while_blocks_are_fitted(cloth: Any, monkeypatch: pytest.
     fitted(cloth, monkeypatch, cloth.values.size // 3, "R<=8 grid=y:2,x:3", size=13_000, progress=progress)
     for stage in ("ranks of each node", "level 1"):
         assert len({share for name, share in told if name == stage}) > 5
+
+
+@pytest.mark.parametrize("plan", [WH4_LIKE, "R=3,*,3,3"])
+def test_progress_moves_within_a_node_that_is_streamed(
+    cloth: Any, monkeypatch: pytest.MonkeyPatch, plan: str
+) -> None:
+    """As many passes are told of as are made: the share rises, from near 0 to 1, and does not end early."""
+    told: dict[str, list[float]] = {}
+
+    def progress(stage: str, share: float) -> None:
+        told.setdefault(stage, []).append(share)
+
+    fitted(cloth, monkeypatch, cloth.values.size // 3, plan, quality="medium", progress=progress)
+    for stage in {"level 1", "reordering", "back-fitting level 1"} & told.keys():
+        shares = told[stage]
+        assert shares == sorted(shares)
+        assert shares[-1] == 1
+        assert len(set(shares)) > 5
+        assert all(after - before < 0.2 for before, after in pairwise(shares))
 
 
 @pytest.mark.parametrize("plan", ["R<=8 grid=y:2", "R=1 grid=y:2 / R<=8", "R=1 grid=y:2 / R<=8 cut<=x:2"])

@@ -11,7 +11,7 @@ import pytest
 
 from hmkcta import HmkctaError, Model, choose_plan, compress, parse_plan
 from hmkcta.axes import Axis
-from hmkcta.finer import LARGE, finer, is_coarse
+from hmkcta.finer import LARGE, finer, is_far_beyond
 from hmkcta.hierarchy import fit_nodes
 from hmkcta.plan import LevelSpec, Plan
 from hmkcta.synthetic import volume
@@ -70,7 +70,7 @@ def test_large_arrays_are_left_alone() -> None:
 
 @pytest.mark.parametrize(("snr", "coarse"), [(29.9, False), (30.2, False), (30.4, True), (np.inf, False)])
 def test_a_goal_counts_as_hit_up_to_three_tenths_of_a_db(snr: float, coarse: bool) -> None:
-    assert is_coarse(Plan(MODES, (), snr=30.0), snr, 1) is coarse
+    assert is_far_beyond(Plan(MODES, (), snr=30.0), snr, 1) is coarse
 
 
 # The fit

@@ -8,7 +8,7 @@ from math import prod
 import numpy as np
 import pytest
 
-from hmkcta.choosing.blocks import finer, representatives, sampled_blocks
+from hmkcta.choosing.blocks import parts_of, representatives, sampled_blocks
 from hmkcta.choosing.candidates import Candidate, bytes_beside, clusters_of
 from hmkcta.choosing.detail import Detail, detail_of
 from hmkcta.choosing.organisations import organisations
@@ -86,7 +86,7 @@ def test_a_sample_of_all_blocks_holds_every_element() -> None:
 
 def test_parts_of_a_block_hold_all_of_it() -> None:
     blocks = sampled_blocks(prepare(noise(12, 10), None, "identity", None), None, DETAIL, (2, 1), 120)
-    parts = finer(blocks, (2, 1), (4, 3))
+    parts = parts_of(blocks, (2, 1), (4, 3))
     assert parts.values.shape == (12, 3, 4)
     assert parts.edges == (3, 4)
     assert parts.overlap == 12 * 12 / 120

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from hmkcta import backends as kernels
 from hmkcta import compress, predict, workset
-from hmkcta.backends import reference
 from hmkcta.errors import HmkctaError
 from hmkcta.fit import EFFORTS
 from hmkcta.forecast import forecast
@@ -36,7 +35,7 @@ from hmkcta.streamed import Streamed
 from hmkcta.synthetic import volume
 from hmkcta.workset import projected, sides
 from streaming_tools import MODES, WH4_LIKE, fitted
-from test_kernels import close, random_cells, smooth_data
+from test_kernels import random_cells
 
 F32 = NDArray[np.float32]
 
@@ -71,25 +70,6 @@ def test_what_is_stated_is_what_is_stored(cloth: Any, monkeypatch: pytest.Monkey
         assert stated.snr_db == pytest.approx(found.snr_db, abs=1e-3)
         assert stated.rmse == pytest.approx(found.rmse, rel=1e-3)
         assert stated.max_abs_error == pytest.approx(found.max_abs_error, rel=1e-3)
-
-
-@pytest.mark.parametrize("plan", [WH4_LIKE, "R=3,*,3,3"])
-def test_progress_moves_within_a_node_that_is_streamed(
-    cloth: Any, monkeypatch: pytest.MonkeyPatch, plan: str
-) -> None:
-    """As many passes are told of as are made: the share rises, from near 0 to 1, and does not end early."""
-    told: dict[str, list[float]] = {}
-
-    def progress(stage: str, share: float) -> None:
-        told.setdefault(stage, []).append(share)
-
-    fitted(cloth, monkeypatch, cloth.values.size // 3, plan, quality="medium", progress=progress)
-    for stage in {"level 1", "reordering", "back-fitting level 1"} & told.keys():
-        shares = told[stage]
-        assert shares == sorted(shares)
-        assert shares[-1] == 1
-        assert len(set(shares)) > 5
-        assert all(after - before < 0.2 for before, after in pairwise(shares))
 
 
 def test_back_fitting_lowers_the_error(cloth: Any) -> None:
@@ -402,13 +382,3 @@ def test_a_mapped_file_is_read_in_slabs(cloth: Any, monkeypatch: pytest.MonkeyPa
     for number, model in enumerate(models):
         model.save(tmp_path / f"{number}.hmk")
     assert (tmp_path / "0.hmk").read_bytes() == (tmp_path / "1.hmk").read_bytes()
-
-
-@pytest.mark.parametrize("order", [3, 4, 5])
-@pytest.mark.parametrize("rank", [2, None])
-@pytest.mark.parametrize("mixture", [1, 2])
-def test_one_projection_is_that_of_the_cells(order: int, rank: int | None, mixture: int) -> None:
-    spec = LevelSpec((rank, *(2,) * (order - 1)), (1, *(3,) * (order - 1)), (1, *(mixture,) * (order - 1)))
-    cells, data = random_cells((3, 6, 5, 7, 4)[:order], spec, 3), smooth_data((3, 6, 5, 7, 4)[:order], 3)
-    for n in range(order):
-        close(project_one(cells, data, n), reference.project_cells(cells, data, n), 1e-4)

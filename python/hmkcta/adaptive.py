@@ -34,10 +34,14 @@ from .streamed import Streamed
 
 F32 = NDArray[np.float32]
 
-#: How far above an SNR goal a fit may end, in dB, how often a fit is repeated to land there, and how far above many
-#: nodes, whose choices come in small steps, aim; where promises too poor and too good are so near each other it ends.
-#: Where values as they are would take less there are few attempts.
-OVERSHOOT, ATTEMPTS, FEW_ATTEMPTS, MARGIN, NARROW = 0.25, 16, 3, 0.05, 0.03
+#: How far above an SNR goal a fit may end, in dB.
+OVERSHOOT = 0.25
+#: How often a fit is repeated to land there; and where the values as they are would take less.
+ATTEMPTS, FEW_ATTEMPTS = 16, 3
+#: How far above the goal many nodes aim, in dB: their choices come in small steps.
+MARGIN = 0.05
+#: The search ends where promises too poor and too good lie so near each other, in dB.
+NARROW = 0.03
 #: The most that is reckoned with of an error that is allowed for what numbers of a byte leave.
 MOST_ROUNDING = 0.3
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from .axes import Organisation
-from .finer import is_coarse
+from .finer import is_far_beyond
 from .narrow import BITS
 from .plan import MOST_RANKS, LevelSpec, Plan
 
@@ -48,7 +48,7 @@ def alternatives(plan: Plan, plain: Organisation, snr: float, nbytes: int) -> It
         yield from below_rank_one(plan, first.bits)
         whole = whole_plan(plan, plain)
         yield replace(whole, levels=(_of_rank_one(whole.levels[0]), *whole.levels))
-    if first.cells == 1 and not first.grid and is_coarse(plan, snr, nbytes):
+    if first.cells == 1 and not first.grid and is_far_beyond(plan, snr, nbytes):
         for n in (n for n, rank in enumerate(first.ranks) if rank is not None):
             halves = tuple(2 if m == n else 1 for m in range(first.order))
             yield replace(plan, levels=(_of_data(first, halves),))

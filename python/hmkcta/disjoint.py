@@ -84,13 +84,13 @@ def cut_as_fitted(residual: Streamed, number: int, cells: Cells) -> None:
         residual.in_blocks(_labels(cells), cells.spec.clusters, number)
 
 
-def energies(
+def energy_table(
     residual: Streamed, number: int, spec: LevelSpec, labels: Labels, limits_of: LimitsOf, seed: int, told: Told
 ) -> tuple[F64, float]:
     """`tucker.core_energies` of all blocks together, and their squared norm.
 
-    `limits_of` says up to which ranks, from the sizes of the longest. Blocks that memory does not
-    hold are judged by every few rows.
+    `limits_of` says from the largest sizes of any block up to which ranks. Blocks that memory does not hold are judged
+    by every few rows.
     """
     cut = residual.in_blocks(labels, spec.clusters, number)
     pieces = [piece for piece in cut.pieces if piece.elements]

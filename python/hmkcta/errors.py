@@ -6,11 +6,14 @@ what is allowed and what to do next. The TypeScript reader uses the same codes.
 
 from __future__ import annotations
 
+import errno
 from enum import Enum
 from typing import Any
 
 #: Letters of a value that is shown.
 SHOWN = 80
+#: What the system says where a disk, or a quota of it, is full.
+DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 class Kind(Enum):

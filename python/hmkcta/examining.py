@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .allocation import Spectrum, spectrum
-from .disjoint import energies, summed
+from .disjoint import energy_table, summed
 from .executors import in_order
 from .fit import Labels
 from .hierarchy import (
@@ -22,8 +22,8 @@ from .hierarchy import (
     in_parallel,
     level_within,
     sampled,
-    streamed,
-    within,
+    streamed_for,
+    told_within,
 )
 from .metrics import squared_norm
 from .plan import HIGHEST_RANK, LevelSpec
@@ -71,7 +71,7 @@ def examined(
     tree: Hierarchy, ways: Sequence[Way], goal: Goal, decode_cost: int, run: Run, first: int = 0
 ) -> list[list[Spectrum]]:
     """Of every node its choices in each way, numbered from the `first` on; none where there is nothing to store."""
-    nodes, told = tree.levels[-1], within(tree.levels[-1], EXAMINING, run)
+    nodes, told = tree.levels[-1], told_within(tree.levels[-1], EXAMINING, run)
     spectra: list[list[Spectrum]] = [[] for _ in nodes]
     # What is streamed shares out its own work, and where memory is given there is none for more at once.
     alone = isinstance(tree.residual, Streamed) or goal.memory is not None
@@ -96,7 +96,7 @@ def _spectrum_of(
 ) -> Spectrum | None:
     """A node's choices of ranks if it is fitted in this way; None where there is nothing to store."""
     (spec, labels), alone, nbytes = way, len(tree.levels[-1]) == 1, goal.size or inf
-    part, outside = labels(node), streamed(tree, node)
+    part, outside = labels(node), streamed_for(tree, node)
     if outside is not None and part is not None and spec.disjoint:
         level = level_within(node, len(tree.levels))
         return outside_spectrum(outside, level, spec, part, decode_cost, seed, told, alone=alone, nbytes=nbytes)
@@ -187,7 +187,7 @@ def outside_spectrum(
     def limits(sizes: Sequence[int]) -> list[int | None]:
         return table_limits(sizes, spec, nbytes, entries=LONE_ENTRIES if alone else TABLE_ENTRIES)
 
-    table, energy = energies(outside, number, spec, labels, limits, seed, told)
+    table, energy = energy_table(outside, number, spec, labels, limits, seed, told)
     undecomposed = [r is None for r in spec.ranks]
     choices = spectrum(
         table, energy, outside.shape, undecomposed, decode_cost, spec.clusters, hull=not alone, bits=spec.bits

@@ -70,8 +70,8 @@ def parted(plan: Plan, axes: Sequence[Axis]) -> Iterator[Plan]:
         yield replace(plan, organisation=modes, levels=(LevelSpec.of_one_cell(ranks, level.bits),))
 
 
-def is_coarse(plan: Plan, snr: float, nbytes: int) -> bool:
-    """Whether what a fit came to lies far from the plan's goal, on the right side of it."""
+def is_far_beyond(plan: Plan, snr: float, nbytes: int) -> bool:
+    """Whether a fit went far beyond the plan's goal: more dB, or fewer bytes."""
     if plan.snr is not None:
         return plan.snr + ABOVE < snr and not isinf(snr)
     return plan.size is not None and nbytes < USED * plan.size

@@ -19,13 +19,13 @@ from .predict import (
     FLAT,
     MODEL,
     WORKING,
-    blocks,
     is_precise,
     is_streamed,
     joint_bytes,
     memory_limit,
     model_bytes,
     numbers,
+    part_sizes,
     room_beside,
     sampled_together,
 )
@@ -136,7 +136,7 @@ def _outside(plan: Plan, sizes: Sequence[int], limit: int, threads: int, cut: in
         most = max(most, each + (_HEAPS if below else 0) + model, joint)
         if number == cut and not level.grid:
             most = max(most, WORKING * min(limit, threads * _largest(elements, level)) + _HEAPS)
-        sizes = blocks(sizes, level)
+        sizes = part_sizes(sizes, level)
     return most
 
 
@@ -211,7 +211,7 @@ def _seconds(
         if len(plan.levels) > 1:
             each += effort.backfits * (_SWEEP_NS + 10)
         alone, nodes = alone + _NODE_NS * nodes, min(nodes * level.cells, elements)
-        sizes = blocks(sizes, level)
+        sizes = part_sizes(sizes, level)
     return 1e-9 * ((each * elements + beside) / (1 + _SECOND * (threads - 1)) + alone)
 
 

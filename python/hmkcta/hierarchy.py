@@ -172,12 +172,12 @@ def in_parallel(
         outside.settle()
 
 
-def within(nodes: Sequence[Node], stage: str, run: Run) -> Told:
+def told_within(nodes: Sequence[Node], stage: str, run: Run) -> Told:
     """Whom to tell how much of a node is done: where it is the only one, that is how much of the stage is."""
     return partial(run.progress, stage) if len(nodes) == 1 else lambda _: None
 
 
-def streamed(tree: Hierarchy, node: Node) -> Streamed | None:
+def streamed_for(tree: Hierarchy, node: Node) -> Streamed | None:
     """The node's tensor, where it is not in memory: the whole one, or a piece that is too large."""
     residual = tree.residual
     if not isinstance(residual, Streamed):
@@ -186,7 +186,7 @@ def streamed(tree: Hierarchy, node: Node) -> Streamed | None:
 
 
 def level_within(node: Node, depth: int) -> int:
-    """Number (from 0) of a level of this depth among those of the tensor that is `streamed` for the node."""
+    """Number (from 0) of a level of this depth among those of the tensor that is `streamed_for` for the node."""
     return 0 if node.piece else depth - 1
 
 
@@ -202,15 +202,15 @@ def fit_nodes(
 
     With `last` nobody wants the residual afterwards, but its norm.
     """
-    _is_last(tree, last)
+    _set_lasting(tree, not last)
     nodes, depth, step = tree.levels[-1], len(tree.levels), run.journal.step()
-    told = within(nodes, f"level {depth}", run)
+    told = told_within(nodes, f"level {depth}", run)
 
     def work(s: int) -> None:
         node, spec = nodes[s], specs[s]
         if spec is None or node.elements == 0:
             return
-        outside, level = streamed(tree, node), level_within(node, depth)
+        outside, level = streamed_for(tree, node), level_within(node, depth)
         rng = np.random.default_rng([run.seed, depth, s])
         tensor = None if outside else gather(tree.residual, node)
         finished = run.journal.recall(step, s, node.sizes, spec)
@@ -249,7 +249,7 @@ def _exchanged(residual: F32, old: Cells | None, new: Cells | None) -> F32:
 
 def sampled(tree: Hierarchy, node: Node, spec: LevelSpec) -> tuple[F32, list[int]] | None:
     """Every few rows of a node of the deepest level that memory does not hold, and the steps; None if it does."""
-    outside = streamed(tree, node)
+    outside = streamed_for(tree, node)
     if outside is None:
         return None
     steps = workset_steps(outside.shape, spec.clamped(outside.shape), min(outside.limit, SAMPLED))
@@ -262,7 +262,7 @@ def thinned(tree: Hierarchy, spec: LevelSpec) -> Hierarchy:
     The tree itself if there is no such node.
     """
     for node in tree.levels[-1]:
-        outside = streamed(tree, node)
+        outside = streamed_for(tree, node)
         if outside is not None and node.cells is not None:
             steps = workset_steps(outside.shape, spec, min(outside.limit, SAMPLED))
             cells = thinned_cells(node.cells, steps)
@@ -280,7 +280,7 @@ def descend(tree: Hierarchy, scheme: str, run: Run) -> None:
         node = nodes[s]
         if node.cells is None:
             return
-        tensor = None if streamed(tree, node) else gather(tree.residual, node)
+        tensor = None if streamed_for(tree, node) else gather(tree.residual, node)
         if tensor is not None:
             kernels.accumulate(node.cells, tensor, 1.0)
         node.parts = subdivide(node.cells, tensor, scheme)
@@ -288,7 +288,7 @@ def descend(tree: Hierarchy, scheme: str, run: Run) -> None:
 
     in_parallel(work, nodes, "subdivision", run, tree.residual, run.side_by_side(_specs(nodes), nodes))
     for node in nodes:
-        outside = streamed(tree, node)
+        outside = streamed_for(tree, node)
         if outside is not None and node.cells is not None and node.cells.spec.cells > 1:
             if node.piece is not None:
                 found, allowed = f"a sub-tensor of {node.elements} elements to subdivide", f"up to {outside.limit}"
@@ -324,23 +324,24 @@ def _specs(nodes: Sequence[Node]) -> Iterator[LevelSpec]:
     return (node.cells.spec for node in nodes if node.cells is not None)
 
 
-def _is_last(tree: Hierarchy, last: bool) -> None:
+def _set_lasting(tree: Hierarchy, lasting: bool) -> None:
+    """Whether what is left is read again after this step."""
     if isinstance(tree.residual, Streamed):
-        tree.residual.lasting = not last
+        tree.residual.lasting = lasting
 
 
 def backfit(tree: Hierarchy, run: Run, *, last: bool = False) -> None:
     """Refit every level in turn to what all the others leave; memberships stay. `last`: as of `fit_nodes`."""
     for number, nodes in enumerate(tree.levels, start=1):
-        _is_last(tree, last and number == len(tree.levels))
-        step, told = run.journal.step(), within(nodes, f"back-fitting level {number}", run)
+        _set_lasting(tree, not (last and number == len(tree.levels)))
+        step, told = run.journal.step(), told_within(nodes, f"back-fitting level {number}", run)
 
         def work(s: int, nodes: list[Node] = nodes, step: int = step, number: int = number, told: Told = told) -> None:
             node = nodes[s]
             old = node.cells
             if old is None:
                 return
-            outside, level = streamed(tree, node), level_within(node, number)
+            outside, level = streamed_for(tree, node), level_within(node, number)
             if outside is not None and node.piece is not None:
                 outside.wholes, outside.stored = [old], [old]
             finished = run.journal.recall(step, s, node.sizes, old.spec)

@@ -8,7 +8,6 @@ A journal is a folder with `run.json` (all that decides the result), `plan.json`
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import platform
@@ -27,7 +26,7 @@ from . import backends
 from ._version import __version__
 from .axes import format_organisation
 from .cells import Cells
-from .errors import HmkctaError, Kind
+from .errors import DISK_FULL, HmkctaError, Kind
 from .hmkfile import published
 from .hmkfile.reasons import fault
 from .plan import LevelSpec, Plan
@@ -36,7 +35,6 @@ from .source import Source
 
 RUN, PLAN, NODES = "run.json", "plan.json", "nodes.log"
 Number = TypeVar("Number", np.uint16, np.float16, np.float32)
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 @dataclass(frozen=True)
@@ -281,7 +279,7 @@ class Journal(NoJournal):
         try:
             yield
         except OSError as error:
-            full = error.errno in _FULL
+            full = error.errno in DISK_FULL
             raise fault("disk-full" if full else "unwritable", str(self.folder), error.strerror or error,
                         "a folder with room for what is finished",
                         "free some space, then go on with --resume" if full else "check the folder") from error

@@ -108,7 +108,7 @@ def measure_both(model: Model, source: Any, *, nan: float | None = None, progres
     return (found if from_json(model.metadata.transform).name == "identity" else plain.quality()), found
 
 
-def _is_coarse(sums: Sums) -> bool:
+def _float32_tells(sums: Sums) -> bool:
     """Whether errors of all levels are so large that float32 tells them."""
     return all(np.isfinite(noise) and noise > noise_at(FINE, sums.signal) for noise in sums.noise)
 
@@ -140,7 +140,7 @@ def _summed(
             if transform.name != "identity":
                 plain.add_error(level, tensor - np.asarray(transform.inverse(decoded.astype(np.float64)), np.float64))
         drop_pages(source)
-        if dtype is np.float32 and part in (parts[0], parts[-1]) and not _is_coarse(transformed):
+        if dtype is np.float32 and part in (parts[0], parts[-1]) and not _float32_tells(transformed):
             return None
         if progress is not None:
             progress("measuring", transformed.count / model.size)

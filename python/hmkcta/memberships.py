@@ -21,9 +21,11 @@ F64 = NDArray[np.float64]
 FEATURES, SAMPLE = 12, 500_000
 #: Up to this side Gram matrices are decomposed exactly; beyond it so many iterations find the leading vectors.
 EXACT_SIDE, ITERATIONS = 512, 8
-#: Rounds of k-means; it ends sooner where labels stay as they are. Of more rows than these, and than so many for each
-#: cluster, some are parted: with more, errors fall by some hundredths, unless a few rows are unlike all others.
-ROUNDS, ROWS, ROWS_EACH = 8, 1 << 15, 256
+#: How often k-means starts anew, and its rounds; it ends sooner where labels stay as they are.
+RESTARTS, ROUNDS = 2, 8
+#: Of more rows than these, and than so many for each cluster, some are parted: with more, errors fall by some
+#: hundredths, unless a few rows are unlike all others.
+ROWS, ROWS_EACH = 1 << 15, 256
 #: Row normalisations f <- f |f|^(p-1) with size caps (times I/C), in the order of how often they were best.
 CANDIDATES: tuple[tuple[float, float | None], ...] = (
     (0.2, 1.2),
@@ -42,7 +44,7 @@ CANDIDATES: tuple[tuple[float, float | None], ...] = (
 #: Dimensions of the subspaces that rows are parted by where ranks are still to be chosen, and of rows of few columns.
 SOME_DIMENSIONS, FEW_DIMENSIONS = (3, 8), (1, 2, 3)
 #: So few columns are few: a rank is a large step.
-NARROW = 16
+FEW_COLUMNS = 16
 
 
 def block_sizes(size: int, blocks: int) -> list[int]:
@@ -118,7 +120,7 @@ def normalised(features: F64, power: float) -> F64:
 
 
 def balanced_clusters(
-    features: F64, clusters: int, cap: float | None, rng: np.random.Generator, restarts: int = 2
+    features: F64, clusters: int, cap: float | None, rng: np.random.Generator
 ) -> NDArray[np.intp]:
     """K-means++ labels of the rows, no cluster larger than cap I/C (None: any size); best of several restarts.
 
@@ -129,7 +131,7 @@ def balanced_clusters(
     some = features if len(features) <= most else features[np.sort(rng.permutation(len(features))[:most])]
     first = some if some is features else some[::4]
     best, best_cost = None, np.inf
-    for _ in range(restarts):
+    for _ in range(RESTARTS):
         labels, cost = kernels.cluster_rows(some, _spread_centres(first, clusters, rng), cap, ROUNDS)
         if cost < best_cost and np.bincount(labels, minlength=clusters).all():
             best, best_cost = labels, cost
@@ -215,7 +217,7 @@ def some_dimensions(columns: int) -> tuple[int, ...]:
     >>> some_dimensions(4), some_dimensions(100)
     ((1, 2, 3), (3, 8))
     """
-    dimensions = dict.fromkeys((FEW_DIMENSIONS if columns <= NARROW else ()) + SOME_DIMENSIONS)
+    dimensions = dict.fromkeys((FEW_DIMENSIONS if columns <= FEW_COLUMNS else ()) + SOME_DIMENSIONS)
     return tuple(dimension for dimension in dimensions if dimension < columns)
 
 

@@ -115,13 +115,12 @@ def slice_image(
 
 def comparison_sheet(
     original_image: F32, levels: Sequence[tuple[str, F32]], path: str | Path, *, title: str = "", kind: str = "svbrdf",
-    tone: Tone | None = None,
 ) -> Path:
     """Write a PNG with a row for each of `levels` (label, image): the original, the level, its amplified error.
 
     Images are ``[h, w, 3]`` as from `slice_image`. Each row's caption has the SNR of that picture in dB; the header
     says what share of white the brightest error colour stands for. Small pictures are enlarged texel by texel. `kind`
-    chooses the `tone` when there is none.
+    chooses the tone.
 
     Raises:
         HmkctaError: Pillow is missing, an image has another shape, there is no level, or the file cannot be written.
@@ -132,7 +131,7 @@ def comparison_sheet(
         if image.shape != original_image.shape or image.ndim != 3 or image.shape[2] != 3 or not image.size:
             raise invalid("image-shape", f"image {label!r}", image.shape,
                           f"[h, w, 3] like the original {original_image.shape}")
-    sheet = _Sheet(original_image, levels, tone or tone_for(original_image, kind))
+    sheet = _Sheet(original_image, levels, tone_for(original_image, kind))
     picture = sheet.draw(title or "Original, approximation, error")
     try:
         picture.save(path, format="PNG")

@@ -12,20 +12,26 @@ from .plan import LevelSpec, Plan
 WORKSET = 1 << 26
 #: Fewer elements than these (or than all there are) are too few to fit a level to.
 SMALLEST = 1 << 20
-#: Bytes for each of them: the tensor, its residual, and what is made on the way; and bytes of the process itself.
-WORKING, PROCESS = 14, 200 * 2**20
+#: Bytes for each element worked on: the tensor, its residual, and what is made on the way.
+WORKING = 14
+#: Bytes of the process itself.
+PROCESS = 200 * 2**20
 #: Bytes for each byte of a model's float16 numbers: in float32, rounded, and packed; and further ones while it is
 #: fitted, of cells that share elements and of others: starts and sweeps keep the best beside what they try.
 MODEL, TRIED, TRIED_APART = 4, 11, 7
-#: How many times as much as inner products take what is made of them; bytes of a node with its tables; and of a row
-#: with its features, where clusters are looked for.
-PRODUCTS, NODE, ROW = 2, 2500, 192
+#: How many times as much as inner products takes what is made of them.
+PRODUCTS = 2
+#: Bytes of a node with its tables.
+NODE = 2500
+#: Bytes of a row with its features, where clusters are looked for.
+ROW = 192
 #: Bytes for each element of a tensor that is fitted in place, by sweeps alone.
 FLAT = 5
-#: Elements of all the samples that are worked on at once while a plan is chosen, at most and, where memory is scarce,
-#: at the least; and bytes of memory for each.
-TOGETHER, FEWEST, EACH = 1 << 24, 1 << 20, 40
-#: Beyond so many dB samples are looked at in float64, so that fewer elements have room.
+#: Elements of all samples that are worked on while a plan is chosen: at most, and where memory is scarce at the least.
+TOGETHER, FEWEST = 1 << 24, 1 << 20
+#: Bytes of memory for each of these elements.
+EACH = 40
+#: Beyond so many dB samples are looked at in float64, and so many times fewer elements have room.
 PRECISE, WIDER = 50.0, 2
 
 
@@ -90,7 +96,7 @@ def model_bytes(plan: Plan, sizes: Sequence[int], threads: int = 1, room: int = 
         spec = level.clamped(sizes)
         held += nodes * (NODE + MODEL * 2 * numbers(sizes, spec))
         most = max(most, held + side_by_side(spec, sizes, min(nodes, threads), room) * tried_bytes(spec, sizes))
-        nodes, sizes = nodes * spec.cells, blocks(sizes, spec)
+        nodes, sizes = nodes * spec.cells, part_sizes(sizes, spec)
     return most
 
 
@@ -116,7 +122,7 @@ def numbers(sizes: Sequence[int], level: LevelSpec) -> int:
     return bases + spec.cells * prod(size if rank is None else rank for size, _, _, rank in parts)
 
 
-def blocks(sizes: Sequence[int], level: LevelSpec) -> tuple[int, ...]:
+def part_sizes(sizes: Sequence[int], level: LevelSpec) -> tuple[int, ...]:
     """Sizes of the parts that a level's clusters cut a node into, were they equal."""
     return tuple(-(-size // count) for size, count in zip(sizes, level.clamped(sizes).clusters, strict=True))
 

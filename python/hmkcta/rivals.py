@@ -17,7 +17,7 @@ from .alternatives import (
 )
 from .axes import mode_sizes
 from .filesize import planned_bytes
-from .finer import LARGE, finer, is_coarse, parted
+from .finer import LARGE, finer, is_far_beyond, parted
 from .fit import EFFORTS
 from .follow import Task
 from .followed import Followed, best_of, fitted, further, is_verbatim, may_be
@@ -35,7 +35,7 @@ BEHIND, FAR_BEHIND = (1.5, 1.25), (6.0, 3.0)
 #: Of nodes, those of like rows take no rank: so many at least are taken to have one.
 FILLED = 0.5
 #: Elements up to which numbers of clusters are told apart by fits in all steps, the first from each start.
-SMALL, STEPS = 1 << 22, (1.5, 1.25, 1.125)
+IN_ALL_STEPS, STEPS = 1 << 22, (1.5, 1.25, 1.125)
 
 
 def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]) -> Model:
@@ -52,7 +52,7 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
     followed = [fitted(task), *further(task, rivals)]
     (task, model), followed = _compared(task, followed, others)
     left = [plan for plan in others if plan not in rivals]
-    if is_coarse(task.plan, model.snr, model.nbytes):
+    if is_far_beyond(task.plan, model.snr, model.nbytes):
         nearer = _nearer(task, model, left)
         again = nearer[1] is not model and _is_worth(nearer[0])
         task, model = _with_other_clusters(*nearer, STEPS[-1:], set()) if again else nearer
@@ -88,14 +88,14 @@ def _in_other_ways(given: Task, own: Followed, followed: Sequence[Followed], oth
     """The best of what was followed, of plans of two levels where these may do better, and of other numbers of clusters
     from there and from the best of the trial's `own` on."""
     task, model = best_of(followed)
-    if task.plan.levels[-1].bits == BITS[0] and model.snr > (task.plan.snr or model.snr) + BEYOND:
+    if task.plan.levels[-1].bits == max(BITS) and model.snr > (task.plan.snr or model.snr) + BEYOND:
         most, two = LESS * model.nbytes, further(task, below_bytes(task, followed))
         task, model = best_of([(task, model), *(each for each in two if each[1].nbytes < most)])
     if (task.plan.snr or model.snr) > NEARLY:
         task, model = best_of([(task, model), *further(given, dict.fromkeys(below_rounding(given, others)))])
     behind = model is own[1] or _is_behind(own[1], model, task.plan.snr, BEHIND)
     starts = [(task, model)] if behind else [own, (task, model)]
-    first, *finer_steps = STEPS if prod(task.source.shape) <= SMALL else STEPS[-1:]
+    first, *finer_steps = STEPS if prod(task.source.shape) <= IN_ALL_STEPS else STEPS[-1:]
     tried = set[Plan]()
     task, model = best_of([_with_other_clusters(*start, [first], tried) for start in starts])
     return _with_other_clusters(task, model, finer_steps, tried)
@@ -106,11 +106,11 @@ def _spare(task: Task, model: Model, followed: Sequence[Followed], others: Seque
     spare, below = list(others), deeper(task, model)
     if below is not None:
         spare.insert(0, below)
-    if task.plan.levels[-1].bits < BITS[0]:
-        spare[:0] = [with_bits(task.plan, BITS[0])] if task.bits is None else []
+    if task.plan.levels[-1].bits < max(BITS):
+        spare[:0] = [with_bits(task.plan, max(BITS))] if task.bits is None else []
         if below is None and _is_worth(task) and model.snr < (task.plan.snr or model.snr):
             spare[:0] = below_bytes(task, followed)
-        spare[:0] = below_rank_one(task.plan, BITS[1]) if model.snr > ROUNDING_FROM[BITS[1]] else []
+        spare[:0] = below_rank_one(task.plan, min(BITS)) if model.snr > ROUNDING_FROM[min(BITS)] else []
     return spare
 
 

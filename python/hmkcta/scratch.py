@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import HmkctaError, Kind
+from .errors import DISK_FULL, HmkctaError, Kind
 from .memory import format_bytes
 
 F32 = NDArray[np.float32]
@@ -43,7 +43,7 @@ def unnamed_file(count: int, folder: Path, purpose: str = "", *, mapped: bool = 
             file.close()
             raise
     except OSError as error:
-        full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+        full = error.errno in DISK_FULL
         reason, allowed = ("scratch-full", room) if full else ("scratch", "a folder to write to")
         raise _io(reason, folder, error.strerror or error, allowed) from error
     return file

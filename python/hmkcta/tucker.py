@@ -44,11 +44,10 @@ def leading_subspace(tensor: F32, n: int, rank: int, rng: np.random.Generator, e
         fewer = leading_subspace(tensor, n, max(FEW, rank // GROWING), rng, enough)
         if squared_norm(tensor) - squared_norm(_projected(matrix, fewer)) <= enough:
             return fewer
-    exact = EXACT_SIDE if 6 * rank > min(matrix.shape) else SMALL_SIDE
-    if len(matrix) <= min(exact, matrix.shape[1]):
-        _, vectors = np.linalg.eigh(_gram(matrix))
-        return np.ascontiguousarray(vectors[:, : -rank - 1 : -1], np.float32)
-    if matrix.shape[1] <= exact:
+    if _is_exact(matrix, rank):
+        if len(matrix) <= matrix.shape[1]:
+            _, vectors = np.linalg.eigh(_gram(matrix))
+            return np.ascontiguousarray(vectors[:, : -rank - 1 : -1], np.float32)
         _, vectors = np.linalg.eigh(_gram(matrix.T))
         return _orthonormal(matrix @ vectors[:, : -rank - 1 : -1].astype(np.float32))
     sample = matrix @ rng.standard_normal((matrix.shape[1], min(rank + 12, *matrix.shape)), np.float32)

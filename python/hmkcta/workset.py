@@ -24,7 +24,7 @@ from .fit import Effort, Labels, fit_level
 from .memory import check_memory, give_back_freed_memory
 from .pieces import Rows
 from .plan import LevelSpec, Plan
-from .predict import PROCESS, WORKING, blocks, joint_bytes
+from .predict import PROCESS, WORKING, joint_bytes, part_sizes
 from .progress import Told, nobody
 from .projection import project_one
 from .search import all_products, choose_rows, project_model, right_sides
@@ -94,7 +94,7 @@ def workset(sizes: Sequence[int], level: LevelSpec, limit: int) -> int:
     if spec.search == "fast":
         return limit
     if spec.disjoint:
-        sizes = blocks(sizes, spec)
+        sizes = part_sizes(sizes, spec)
         spec = spec.alone(sizes)
     return _seen(sizes, workset_steps(sizes, spec, limit))
 
@@ -109,7 +109,7 @@ def worksets(plan: Plan, sizes: Sequence[int], limit: int) -> list[int]:
     found = list[int]()
     for level in plan.levels:
         found.append(workset(sizes, level, limit))
-        sizes = blocks(sizes, level)
+        sizes = part_sizes(sizes, level)
     return found
 
 
@@ -156,7 +156,7 @@ def check_worksets(plan: Plan, sizes: Sequence[int], limit: int, memory: int | N
         if prod(sizes) > limit:
             joint = PROCESS // 2 + joint_bytes(sizes, level)
             check_memory(joint, what, "raise --max-memory, lower R, or fewer clusters", memory)
-        sizes = blocks(sizes, level)
+        sizes = part_sizes(sizes, level)
 
 
 def fit_streamed(
@@ -183,7 +183,7 @@ def fit_streamed(
         give_back_freed_memory()
         for n, step in enumerate(steps):
             if step > 1 and spec.ranks[n] is not None:
-                cells = widened(cells, n, residual.shape[n], step)
+                cells = with_all_rows(cells, n, residual.shape[n], step)
         for n, seen in turns:
             solve_rows(residual, number, cells, n, spec.search, seen)
         if cores:
@@ -219,7 +219,7 @@ def _refitted(residual: Streamed, number: int, cells: Cells) -> Cells:
     return cells
 
 
-def widened(cells: Cells, n: int, size: int, step: int) -> Cells:
+def with_all_rows(cells: Cells, n: int, size: int, step: int) -> Cells:
     """The cells with all rows of mode n instead of every step-th: those between are like the one before."""
     source = np.arange(size) // step
     sizes = (*cells.sizes[:n], size, *cells.sizes[n + 1 :])

@@ -1,4 +1,4 @@
-//! Native kernels of hmkcta. Each has a readable NumPy twin in `hmkcta.backends.reference`.
+//! Native kernels of hmkcta. Each has a readable NumPy twin in `hmkcta.backends.reference` or `hmkcta.decode`.
 
 mod apart;
 mod binding;

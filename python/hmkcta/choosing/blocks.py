@@ -144,7 +144,7 @@ def halved(blocks: Blocks) -> F32:
     return blocks.values[(slice(None), *(slice(None, None, 2 if step > 1 else 1) for step in blocks.steps))]
 
 
-def finer(blocks: Blocks, around: Sequence[int], grid: Sequence[int]) -> Blocks:
+def parts_of(blocks: Blocks, around: Sequence[int], grid: Sequence[int]) -> Blocks:
     """Blocks of the grid `around` as those of a `grid` of multiples of its counts."""
     counts = [own // before for own, before in zip(grid, around, strict=True)]
     if prod(counts) == 1:

@@ -14,7 +14,7 @@ from ..axes import Organisation, mode_sizes
 from ..grids import few_grids
 from ..memory import available_memory, check_memory, memory_budget
 from ..plan import LevelSpec, Plan
-from ..predict import FLAT, MODEL, PROCESS, WORKING, blocks, is_streamed, joint_bytes, workset_limit
+from ..predict import FLAT, MODEL, PROCESS, WORKING, is_streamed, joint_bytes, part_sizes, workset_limit
 from ..source import Source
 from ..workset import FEWEST, next_step, workset, workset_steps
 from .candidates import clusters_of
@@ -82,7 +82,7 @@ def capped(plan: Plan, sizes: Sequence[int], room: Room | None) -> Plan | None:
     if room is None or (last.cells > 1 and not last.grid):
         return plan
     for level in plan.levels:
-        sizes = blocks(sizes, level)
+        sizes = part_sizes(sizes, level)
     ranks = room.caps(sizes, last.ranks)
     if ranks is None:
         return None

@@ -1,4 +1,4 @@
-"""Clusters of the data as cells: matrices whose long mode is parted by k-means, judged on a sample of its rows.
+"""Clusters of the data as cells: matrices whose long mode is parted by k-means or K-subspaces, judged on some.
 
 Rows that are alike, as pixels of one material are, share a few columns of a basis that others have no use for: local
 PCA. Blocks say little about them where they are scattered over all of the array.
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..allocation import best_of_one, choices_of, pareto
 from ..axes import Organisation, mode_sizes
 from ..executors import in_order
-from ..memberships import CANDIDATES, NARROW, balanced_clusters, normalised, row_features, some_dimensions
+from ..memberships import CANDIDATES, FEW_COLUMNS, balanced_clusters, normalised, row_features, some_dimensions
 from ..plan import MOST_RANKS
 from ..slabs import thinning
 from ..subspaces import subspace_clusters
@@ -118,7 +118,7 @@ def clustered(
         for count in way:
             item = judged(count)
             yield item
-            if item[0] <= reached and columns > NARROW:
+            if item[0] <= reached and columns > FEW_COLUMNS:
                 break
             reached = item[0]
 
@@ -152,7 +152,7 @@ def _judged(
     left = np.concatenate([[energy], reached[choices.entry]])
     kept = pareto(choices.nbytes, left)
     spend = partial(best_of_one, choices.nbytes[kept], left[kept])
-    return trial.worth_of(spend, energy, 1.0, each, least)[0], each
+    return trial.worth_and_bytes(spend, energy, 1.0, each, least)[0], each
 
 
 def _sampled_rows(trial: Trial, organisation: Organisation, long: int, fewer: int) -> F32:

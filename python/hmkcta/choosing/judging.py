@@ -44,9 +44,18 @@ class Care:
 
 
 CARES = {
-    EFFORTS["fast"]: Care(1 << 15, 3, (1 << 18,), 1, 0, 1 << 20, 0.0, 4, 0),
-    EFFORTS["medium"]: Care(1 << 15, 4, (1 << 17, 1 << 20), 4, 2, 1 << 20, 0.3, 4, 1 << 20),
-    EFFORTS["thorough"]: Care(1 << 16, 12, (1 << 18, 1 << 21), 8, 6, 1 << 23, 1.0, 1000, 1 << 23),
+    EFFORTS["fast"]: Care(
+        survey=1 << 15, organisations=3, compare=(1 << 18,), finalists=1, matrices=0,
+        refine=1 << 20, far=0.0, steps=4, cuts=0,
+    ),
+    EFFORTS["medium"]: Care(
+        survey=1 << 15, organisations=4, compare=(1 << 17, 1 << 20), finalists=4, matrices=2,
+        refine=1 << 20, far=0.3, steps=4, cuts=1 << 20,
+    ),
+    EFFORTS["thorough"]: Care(
+        survey=1 << 16, organisations=12, compare=(1 << 18, 1 << 21), finalists=8, matrices=6,
+        refine=1 << 23, far=1.0, steps=1000, cuts=1 << 23,
+    ),
 }
 
 Ranked = list[tuple[float, Candidate]]
@@ -57,10 +66,19 @@ Judged = tuple[Organisation, tuple[int, ...], int, int]
 
 @dataclass
 class Search:
-    """Everything judged so far, each at the sample and the bytes it was judged on; `plain` merges least.
+    """Everything judged so far, each at the sample and the bytes it was judged on.
 
-    `rivals` are judged so near the best, and in so different a way, that only fits tell which is better; blocks were
-    `settled` by so many bytes.
+    Attributes:
+        goal: the trial by all the bytes of the goal.
+        trial: the one judged by at present, which may have fewer bytes.
+        plain: the organisation that merges least.
+        threads: how many judge at once.
+        care: how much is looked at.
+        together: most elements of all samples at work.
+        clustered: how many matrices are looked at with clusters of the data.
+        highest: worth that races ended with.
+        settled: bytes by which blocks were settled.
+        rivals: judged so near the best, and in so different a way, that only fits tell which is better.
     """
 
     goal: Trial

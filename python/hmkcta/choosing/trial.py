@@ -22,7 +22,7 @@ from ..narrow import LEFT
 from ..plan import MOST_RANKS_ALONE
 from ..predict import is_precise
 from ..source import Source
-from .blocks import Blocks, Samples, finer, organised, split
+from .blocks import Blocks, Samples, organised, parts_of, split
 from .candidates import Candidate, bytes_beside, clusters_of, plan_of
 from .caps import Ranks, Room, capped
 from .cut import Cut
@@ -142,7 +142,7 @@ class Trial:
         The sample is of blocks of the grid `around`, of which its own are parts: candidates are compared on one.
         """
         organisation = candidate.organisation
-        blocks = finer(self._blocks(around, sample), around, candidate.grid)
+        blocks = parts_of(self._blocks(around, sample), around, candidate.grid)
         cut = self._cut_of(organisation, candidate.grid, blocks)
         caps = self._caps(candidate)
         if caps is None:
@@ -278,9 +278,9 @@ class Trial:
     ) -> tuple[float, float]:
         blocks, thinned = cut.blocks, prod(cut.batch.shape[1:]) / prod(cut.edges)
         energy = self.energy * blocks.seen * blocks.overlap * thinned
-        return self.worth_of(spend, energy, share, candidate, least, below)
+        return self.worth_and_bytes(spend, energy, share, candidate, least, below)
 
-    def worth_of(
+    def worth_and_bytes(
         self, spend: Spend, energy: float, share: float, candidate: Candidate, least: float, below: float = 1.0
     ) -> tuple[float, float]:
         """What bytes and error make a candidate worth, and the bytes spent on the blocks of the sample.

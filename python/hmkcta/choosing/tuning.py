@@ -154,7 +154,7 @@ def _found(search: Search, ended: Ranked, progress: Progress, *, narrow: bool) -
     search.settled = search.trial.size
     if not narrow:
         return with_clusters(search, found)
-    firsts = dict.fromkeys([found[1], *(candidate for _, candidate in _kinds(search)[: 2 + SPARE])])
+    firsts = dict.fromkeys([found[1], *(candidate for _, candidate in _best_of_kinds(search)[: 2 + SPARE])])
     search.trial = search.goal
     judged = [
         search.best([(each.organisation, each.grid)], search.care.refine, kinds=(each.undecomposed,))[0]
@@ -170,7 +170,7 @@ def _last_judged(search: Search, size: int) -> Ranked:
     return sorted(judged, key=worth_of, reverse=True)
 
 
-def _kinds(search: Search) -> Ranked:
+def _best_of_kinds(search: Search) -> Ranked:
     """The best candidate of every kind, of those judged by the goal's bytes on the largest sample."""
     kinds = dict[tuple[Organisation, tuple[int, ...], bool], tuple[float, Candidate]]()
     for worth, each in _last_judged(search, search.trial.size):
@@ -183,7 +183,7 @@ def _spare(search: Search, best: Candidate) -> list[Candidate]:
     kind = best.kind
     others = [
         each
-        for worth, each in _kinds(search)
+        for worth, each in _best_of_kinds(search)
         if worth > (search.trial.ceiling or 0.0) and each.kind != kind
     ]
     return others[:SPARE]

@@ -10,10 +10,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
+from ..errors import DISK_FULL
 from ..temporaries import temporary
 from .reasons import fault
-
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def check_output(path: str | os.PathLike[str], overwrite: bool = False) -> Path:
@@ -88,6 +87,6 @@ def _as_io(path: str) -> Generator[None]:
     try:
         yield
     except OSError as error:
-        full = error.errno in _FULL
+        full = error.errno in DISK_FULL
         raise fault("disk-full" if full else "unwritable", path, error.strerror or error, "a folder with room for it",
                     "free some space" if full else "check the folder and its permissions") from error

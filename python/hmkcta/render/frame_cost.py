@@ -61,7 +61,7 @@ class Cost:
         return Cost(*(factor * getattr(self, field.name) for field in fields(Cost)))
 
 
-def picked_cost(model: Model, picks: Mapping[int, Sequence[int]], channels: int = 1, level: int | None = None,
+def picked_cost(model: Model, picks: Mapping[int, Sequence[int]], channels: int = 1,
                 contracted: Sequence[int] = ()) -> Cost:
     """The cost of one weighted sum of elements.
 
@@ -69,7 +69,6 @@ def picked_cost(model: Model, picks: Mapping[int, Sequence[int]], channels: int 
         model: what is decoded.
         picks: for each source axis its indices; an axis left out stands at 0.
         channels: 3 if red, green and blue are decoded in one walk.
-        level: the last level to add, all by default.
         contracted: modes that are contracted once a frame.
 
     >>> from hmkcta._example import example_level, example_metadata
@@ -85,7 +84,7 @@ def picked_cost(model: Model, picks: Mapping[int, Sequence[int]], channels: int 
     uniform = uniform_levels(model.metadata, model.levels)
     registered = registered_levels(model.metadata, [len(each) for each in rows], colour, contracted, uniform)
     single = is_single(model.metadata, uniform)
-    counter = _Counter(model, colour, tinted, single, tuple(contracted), level or len(model.levels), tuple(registered))
+    counter = _Counter(model, colour, tinted, single, tuple(contracted), len(model.levels), tuple(registered))
     return counter.node(0, 0, rows)
 
 

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any, Union, cast, get_args, get_origin, get_type_hints
 
 from ..errors import HmkctaError, Kind, expect, invalid
+from ..hmkfile import KINDS
 
-KINDS = ("svbrdf", "lightfield", "volume", "generic")
 CURVES = ("linear", "reinhard", "filmic")
 COMPARISONS = ("none", "split", "heat")
 VOLUME_MODES = ("emission", "shaded", "iso", "maximum")

@@ -22,6 +22,7 @@ GOLD = ((0.29, 0.165, 0.035), (0.50, 0.36, 0.14))
 STAIN = (0.055, 0.05, 0.04)  # albedo that a stain adds
 SILK_ROUGHNESS, GOLD_ROUGHNESS = 0.62, 0.49  # GGX widths: softened, no texel mirrors
 ROUGHNESS_RANGE = (0.25, 0.8)
+SCRATCHES = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,12 +87,12 @@ def _rosettes(rng: np.random.Generator, size: int) -> Array:
     return np.asarray(0.04 + 0.92 * smoothstep(-edge, edge, inside), np.float32)
 
 
-def _scratches(rng: np.random.Generator, size: int, count: int = 6) -> Array:
+def _scratches(rng: np.random.Generator, size: int) -> Array:
     """Pulled threads: thin arcs across the sample, 1 in their middle, ``[y, x]``."""
     place = (np.arange(size, dtype=np.float32) + 0.5) / size
     y, x = np.meshgrid(place, place, indexing="ij")
     worn = np.zeros((size, size), np.float32)
-    for _ in range(count):
+    for _ in range(SCRATCHES):
         angle, bend, middle = rng.uniform(0, np.pi), rng.uniform(-0.5, 0.5), rng.uniform(0.1, 0.9, 2)
         along = (x - middle[0]) * np.cos(angle) + (y - middle[1]) * np.sin(angle)
         across = (y - middle[1]) * np.cos(angle) - (x - middle[0]) * np.sin(angle) + bend * along**2

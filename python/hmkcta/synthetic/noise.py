@@ -23,15 +23,15 @@ def wavenumber(shape: Sequence[int]) -> NDArray[np.float64]:
     return np.sqrt(np.sum([np.broadcast_to(g * g, [len(s) for s in steps]) for g in grids], axis=0))
 
 
-def power_law(shape: Sequence[int], slope: float, low: float = 1.0, high: float = np.inf) -> Array:
-    """Amplitudes ``k^-slope`` between wavenumbers `low` and `high` (flat below `low`, none at k = 0 and above `high`).
+def power_law(shape: Sequence[int], slope: float, low: float = 1.0) -> Array:
+    """Amplitudes ``k^-slope``, flat below the wavenumber `low`, none at k = 0.
 
     >>> power_law((1, 8), 1.0, low=2.0)[0].tolist()
     [0.0, 0.5, 0.5, 0.3333333432674408, 0.25]
     """
     k = wavenumber(shape)
     amplitude = np.maximum(k, low) ** -slope
-    return np.where((k > 0) & (k <= high), amplitude, 0.0).astype(np.float32)
+    return np.where(k > 0, amplitude, 0.0).astype(np.float32)
 
 
 def fractal_noise(rng: np.random.Generator, shape: Sequence[int], slope: float, low: float = 1.0) -> Array:
