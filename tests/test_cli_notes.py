@@ -21,7 +21,8 @@ from cli_tools import report, run, saved, smooth
     (np.arange(3.0), "no smaller than its source of 24 bytes"),
     (np.where(np.arange(6720).reshape(12, 20, 28) % 3000 == 7, 9e4, smooth(12, 20, 28)), "--transform asinh:"),
     (smooth(20, 24, 28), None),
-], ids=["vector", "offset", "tiny", "one number", "three numbers", "outliers", "none"])
+    (np.maximum(smooth(20, 24, 28) - smooth(20, 24, 28).max() * 0.9, 0) + 1e-13 * smooth(20, 24, 28), None),
+], ids=["vector", "offset", "tiny", "one number", "three numbers", "outliers", "none", "as good as zeros"])
 def test_what_figures_do_not_tell_is_said(array: NDArray[Any], sentence: str | None, tmp_path: Path) -> None:
     path, words = saved(tmp_path / "a.npy", array), ("--quality", "fast", "--overwrite")
     result = run("compress", path, "-o", tmp_path / "a.hmk", *words)
@@ -43,6 +44,14 @@ def test_what_keeps_a_file_from_its_size_is_said(words: tuple[str, ...], sentenc
     result = run("compress", path, "-o", tmp_path / "a.hmk", "--axes", "z,y,x", "--size", "13000", *words)
     assert (" % are used" in result.stderr) == (sentence is not None)
     assert (sentence or "") in result.stderr
+
+
+def test_worse_than_zeros_is_said_to_be(tmp_path: Path) -> None:
+    """A transform of a scale far below the values leaves next to nothing of them."""
+    path = saved(tmp_path / "a.npy", (np.random.default_rng(0).random((20, 24, 28)) < 0.9).astype(float))
+    words = ("--transform", "asinh:1e-30", "--plan", "R=4", "--quality", "fast")
+    result = run("compress", path, "-o", tmp_path / "a.hmk", *words)
+    assert "no better than zeros alone. Next: another --transform" in result.stderr
 
 
 def test_a_size_beyond_what_is_of_use_is_said_to_be(tmp_path: Path) -> None:

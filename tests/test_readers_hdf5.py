@@ -194,10 +194,10 @@ def test_older_relatives_are_named(tmp_path: Path, name: str, start: bytes, hint
 def test_what_is_no_array_of_real_numbers_is_refused(h5py: Any, tmp_path: Path) -> None:
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["text"], file["waves"], file["one"] = "words", VALUES.astype("c8"), 1.0
-        file["empty"] = np.zeros((0, 3))
+        file["empty"], file["null"] = np.zeros((0, 3)), h5py.Empty("f4")
     assert refusal(tmp_path / "a.h5").reason == "source-member"
     for member, reason in (("text", "source-dtype"), ("waves", "source-dtype"), ("one", "source-shape"),
-                           ("empty", "source-shape")):
+                           ("empty", "source-shape"), ("null", "source-shape")):
         assert refusal(tmp_path / "a.h5", member=member).reason == reason, member
 
 

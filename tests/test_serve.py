@@ -209,6 +209,13 @@ def test_originals_that_do_not_fit(file: Path) -> None:
         assert caught.value.reason == reason
 
 
+def test_a_value_stands_for_what_is_no_number_in_an_original(file: Path) -> None:
+    values = np.where(np.arange(210).reshape(5, 6, 7) % 9 == 0, np.nan, 1.0)
+    with serve(file, original=values, nan=0.5, page=PAGE) as running:
+        served = Model(*loads(ask(running, "/original/original.hmk")[1]))
+    assert np.array_equal(served[...], np.where(np.isnan(values), 0.5, 1.0))
+
+
 def damaged(whole: bytes) -> dict[str, bytes]:
     """What a user may take for a file: cut short, damaged, of another kind, nothing at all."""
     flipped = bytearray(whole)

@@ -110,8 +110,9 @@ class Server:
             self._thread.join(0.5)
 
 
-def serve(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | NDArray[Any] | None = None, port: int = 0,
-          page: Mapping[str, Resource] | None = None, progress: Progress | None = None) -> Server:
+def serve(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | NDArray[Any] | None = None,
+          nan: float | None = None, port: int = 0, page: Mapping[str, Resource] | None = None,
+          progress: Progress | None = None) -> Server:
     """Serve the viewer and a file on 127.0.0.1.
 
     Args:
@@ -119,6 +120,7 @@ def serve(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | ND
             at each reload.
         original: what to compare with: an array of the model's shape, a file that `hmkcta.open_array` opens as one, or
             another `.hmk` file.
+        nan: value that stands for NaN and infinity in the original.
         port: 0 takes a free one.
         page: the page's files by path; by default the one that is installed.
         progress: called with a stage's name and the fraction of it done, while the original is unpacked. What it raises
@@ -138,18 +140,19 @@ def serve(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | ND
     address = "files/" + quote(os.fsencode(file.name), safe=" ")
     query = f"?file={quote(address)}"
     if original is not None:
-        table["/original/original.hmk"] = _original(metadata, original, progress)
+        table["/original/original.hmk"] = _original(metadata, original, nan, progress)
         query += "&original=original/original.hmk"
     return Server(table, query, port)
 
 
-def view(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | NDArray[Any] | None = None, port: int = 0,
-         browser: bool = True, progress: Progress | None = None) -> Server:
+def view(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | NDArray[Any] | None = None,
+         nan: float | None = None, port: int = 0, browser: bool = True, progress: Progress | None = None) -> Server:
     """Serve a file and open the page in the browser; the server runs until it is closed or the program ends.
 
     Args:
         path: the `.hmk` file.
         original: what to compare with, as `serve` takes it.
+        nan: as `serve` takes it.
         port: 0 takes a free one.
         browser: whether to open it.
         progress: as `serve` takes it.
@@ -157,7 +160,7 @@ def view(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | NDA
     Raises:
         HmkctaError: as `serve`.
     """
-    server = serve(path, original=original, port=port, progress=progress)
+    server = serve(path, original=original, nan=nan, port=port, progress=progress)
     if browser:
         webbrowser.open(server.url)
     return server
@@ -189,7 +192,7 @@ def _files(folder: Traversable, prefix: str) -> list[tuple[str, Traversable]]:
 
 
 def _original(
-    like: Metadata, original: str | os.PathLike[str] | NDArray[Any], progress: Progress | None
+    like: Metadata, original: str | os.PathLike[str] | NDArray[Any], nan: float | None, progress: Progress | None
 ) -> Resource:
     """The original as a file that the page's decoder reads."""
     if isinstance(original, str | os.PathLike):
@@ -199,7 +202,7 @@ def _original(
                 raise invalid("original-shape", "original", shape, f"{wanted}, the model's")
             return Resource("application/octet-stream", Path(original))
         original = open_array(os.fspath(original), progress=progress)
-    metadata, level = verbatim(meant(original), like)
+    metadata, level = verbatim(meant(original), like, nan)
     return Resource("application/octet-stream", data=b"".join(encode(metadata, (level,))))
 
 

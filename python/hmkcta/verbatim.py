@@ -21,12 +21,12 @@ from .packed import LevelBounds, LevelQuality, Metadata, PackedLevel
 MOST_BYTES = 512 << 20
 
 
-def verbatim(array: NDArray[Any], like: Metadata) -> tuple[Metadata, PackedLevel]:
+def verbatim(array: NDArray[Any], like: Metadata, nan: float | None = None) -> tuple[Metadata, PackedLevel]:
     """Metadata and the one level of a model with the array's values, in the axes and modes of another model.
 
     Raises:
-        HmkctaError: the array has another shape than the model, numbers that are not finite, or more than
-            `MOST_BYTES` as float16.
+        HmkctaError: the array has another shape than the model, numbers that are not finite and `nan` does not stand
+            for them, or more than `MOST_BYTES` as float16.
 
     >>> from hmkcta._example import example_metadata
     >>> metadata, level = verbatim(np.arange(6.0).reshape(2, 3), example_metadata())
@@ -41,9 +41,12 @@ def verbatim(array: NDArray[Any], like: Metadata) -> tuple[Metadata, PackedLevel
                           allowed=f"at most {MOST_BYTES // 2}, which a GPU holds next to the model",
                           hint="compress a part of it, and compare that")
     values = np.asarray(array, np.float32)
+    if nan is not None:
+        values = np.where(np.isfinite(values), values, np.float32(nan))
     peak = float(np.abs(values).max(initial=0))
     if not np.isfinite(peak):
-        raise invalid("not-finite", "original", "NaN or infinity", "finite numbers", "give an array without them")
+        raise invalid("not-finite", "original", "NaN or infinity", "finite numbers",
+                      "give the value that replaced them, nan=0 or --nan fill=0")
     scale = 2.0 ** (max(frexp(peak)[1], -100) - 15)
     core = organise(values / np.float32(scale), like.axes, like.organisation).astype(np.float16)
     stored = deorganise(core.astype(np.float32) * np.float32(scale), like.axes, like.organisation)

@@ -27,10 +27,10 @@ def searched_by_bits(search: Search, look: Look, bits: int | None, fixed: bool) 
 
     None: eight bits, or where what these leave tells, sixteen. These are looked at in the blocks of the best, and if
     not much worse there with its organisation; where they are better, or what bytes leave hides which is best, with
-    all. The best with the other bits is then a rival. Sixteen also where memory sets bounds, as the ranks that bytes
+    all. The best with the other bits is then a rival. Sixteen also where memory is scarce, as the ranks that bytes
     afford take more of it to look at.
     """
-    if search.goal.memory is not None:
+    if search.goal.memory is not None and search.goal.memory.is_scarce:
         bits = bits or 16
     ceiling = inf if search.goal.ceiling is None else search.goal.ceiling
     first = bits or (16 if BYTES_FALL_SHORT < ceiling < inf else 8)

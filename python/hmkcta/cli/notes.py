@@ -20,6 +20,8 @@ PARTS = 64
 COMPARED = 1 << 12
 #: Few values make the SNR, where it is beyond so many dB, if all values are so many times as large as most of them.
 LOUD, FEW = 20.0, 3.0
+#: Most of them are as good as zero where they lie within this share of all of them.
+ZERO = 1e-5
 #: What a number takes, by its bits.
 BYTES = {8: "a byte", 16: "two bytes"}
 #: An offset counts as one beyond so many deviations, and hides the values where the error is this share of one.
@@ -48,6 +50,10 @@ def notes(model: Model, array: NDArray[Any], *, planned: bool = True) -> list[st
     elif (windows := folded(array.shape)) is not None and (share := _share_of_longest(model)) > MOSTLY:
         found.append(f"the longest axis has more rows than all others together, which take {100 * share:.0f} % of "
                      f"the file. Next: where neighbours are alike, make windows of it, {windows}")
+    if model.snr <= 0:
+        found.append(f"an SNR of {model.snr:.1f} dB is no better than zeros alone. Next: " + (
+            "ask for more bytes" if model.metadata.transform["name"] == "identity" else
+            "another --transform, or the same with a larger scale"))
     mean, deviation = _moments(array)
     rmse = model.quality[-1].rmse if model.quality else 0.0
     if abs(mean) > OFFSET * deviation and rmse > HIDDEN * deviation > 0:
@@ -72,7 +78,8 @@ def _why_large(model: Model, array: NDArray[Any], planned: bool) -> str:
     if 2 * numbers < array.nbytes:
         return "header and tables alone take some KiB. Next: compress more data as one array"
     fewer = ("give the plan smaller R or K, or a goal in its place" if planned else
-             f"ask for less --snr, or leave noise as it is: it takes {BYTES[model.levels[-1].bits]} a number")
+             "ask for less, by --snr or --size, or leave noise as it is: it takes "
+             f"{BYTES[model.levels[-1].bits]} a number")
     return f"{numbers} are for cores and bases. Next: {fewer}"
 
 
@@ -90,10 +97,11 @@ def _few_loud(model: Model, array: NDArray[Any]) -> list[str]:
     middle, error = float(np.median(values)), float(np.median(np.abs(values - decoded)))
     spread = float(np.median(np.abs(values - middle)))
     all_of_them = model.quality[-1].rmse * 10 ** (model.snr / 20)
-    if not (error > HIDDEN * spread > 0 and all_of_them > FEW * np.hypot(middle, spread)):
+    most = np.hypot(middle, spread)
+    if not (error > HIDDEN * spread > 0 and most / ZERO > all_of_them > FEW * most):
         return []
     helps = ("clip them" if model.metadata.transform["name"] != "identity" else
-             f"--transform asinh:{np.hypot(middle, spread):.1g}, which gives small values more weight, "
+             f"--transform asinh:{most:.1g}, which gives small values more weight, "
              "or clip the large ones")
     return [f"half of the values are off by {error:.2g} or more, though half of them lie within {spread:.2g} of their "
             f"median: a few large values make the SNR, and the others are lost. Next: {helps}"]

@@ -11,7 +11,7 @@ import click
 from ..serve import serve
 from .compared import opened
 from .interrupt import Interrupted
-from .options import Command, file_argument, source_options, verbose_option
+from .options import Command, file_argument, nan_option, source_options, verbose_option
 
 EXAMPLES = ("hmkcta view wood.hmk", "hmkcta view wood.hmk --original wood.npy",
             "hmkcta view wood.hmk --no-browser --port 8080")
@@ -21,11 +21,13 @@ EXAMPLES = ("hmkcta view wood.hmk", "hmkcta view wood.hmk --original wood.npy",
 @file_argument
 @click.option("--original", metavar="SRC", help="Compare with this: the source array, or another .hmk file.")
 @source_options
+@nan_option
 @click.option("--port", type=click.IntRange(0, 65535), default=0, metavar="N",
               help="Port on 127.0.0.1; any by default.")
 @click.option("--no-browser", is_flag=True, help="Print the address, open nothing.")
 @verbose_option
-def view_command(file: str, original: str | None, port: int, no_browser: bool, verbose: bool, **source: Any) -> None:
+def view_command(file: str, original: str | None, nan: float | None, port: int, no_browser: bool, verbose: bool,
+                 **source: Any) -> None:
     """Show FILE in the browser, which needs WebGPU. Ctrl-C ends it.
 
     The page and FILE are served on this computer only. It streams: level 1 first.
@@ -33,7 +35,7 @@ def view_command(file: str, original: str | None, port: int, no_browser: bool, v
     del verbose
     model = original if original is not None and original.endswith(".hmk") else None
     array = opened("--original", None if model else original, source)
-    with serve(file, original=model or array, port=port) as server:
+    with serve(file, original=model or array, nan=nan, port=port) as server:
         try:
             click.echo(f"{server.url}\nCtrl-C ends it.")
             if not no_browser and not _opened(server.url):

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..axes import mode_sizes
-from ..errors import HmkctaError
+from ..errors import HmkctaError, shown
 from ..packed import Metadata, PackedLevel
 from .check import check_coords, check_levels
 from .fields import parse_json
@@ -74,7 +74,8 @@ def _mapped(path: str | os.PathLike[str]) -> bytes | mmap.mmap:
             # An empty file cannot be mapped.
             return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) if size else b""
     except (OSError, ValueError) as error:
-        raise fault("unreadable", str(path), getattr(error, "strerror", None) or error, "a readable file") from error
+        where = shown(path) if isinstance(path, bytes) else str(path)  # which may be what somebody read from a file
+        raise fault("unreadable", where, getattr(error, "strerror", None) or error, "a readable file") from error
 
 
 def loads(data: bytes | bytearray | mmap.mmap, *, verify: bool = True, limits: Limits = DEFAULT_LIMITS) -> Loaded:

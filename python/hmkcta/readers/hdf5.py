@@ -27,6 +27,8 @@ def open_hdf5(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any
     h5py = library("h5py", "h5py", "hdf5", "HDF5")
     with guarded(path, "HDF5 file"), h5py.File(path, "r") as file:
         dataset = _dataset(h5py, file, str(path), member)
+        if dataset.shape is None:
+            raise invalid("source-shape", f"{path}:{dataset.name}", "a dataset without a shape", "1 to 8 axes")
         array = _array(h5py, path, dataset, unpacker)
         return array.T if "MATLAB_class" in dataset.attrs else array
 
