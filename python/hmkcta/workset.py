@@ -152,7 +152,8 @@ def check_worksets(plan: Plan, sizes: Sequence[int], limit: int, memory: int | N
         cut = cut or level.cells > 1
         if most > limit:
             hint = "raise --max-memory, lower R, or leave no long mode undecomposed"
-            check_memory(PROCESS + WORKING * most, what, hint, memory)
+            taken = fitting_bytes(sizes, level, limit) if level.cells == 1 else WORKING * most
+            check_memory(PROCESS + taken, what, hint, memory)
         if prod(sizes) > limit:
             joint = PROCESS // 2 + joint_bytes(sizes, level)
             check_memory(joint, what, "raise --max-memory, lower R, or fewer clusters", memory)
