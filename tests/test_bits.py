@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 import hmkcta
 from cli_tools import report, run, smooth
-from hmkcta import HmkctaError, Model, choose_plan, compress, parse_plan
+from hmkcta import HmkctaError, Model, choose_plan, compress, parse_plan, predict
 from hmkcta.backends import reference
 from hmkcta.cells import Cells, round_cores
 from hmkcta.filesize import planned_bytes
@@ -292,3 +292,17 @@ def test_the_command_line_asks_for_bits_and_shows_them(tmp_path: Path) -> None:
     goal = ("--snr", "120", "--bits", "8", "--quality", "fast")
     missed = run("compress", source, "-o", tmp_path / "x.hmk", *goal, code=7)
     assert "--bits 16" in missed.stderr
+
+
+def test_what_memory_does_not_hold_has_bytes_unless_it_is_scarce(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At as many bytes they come to more, also streamed; ranks of bytes take more memory to look at."""
+    options: dict[str, Any] = {"size": 8_000, "quality": "fast"}
+    monkeypatch.setattr(predict, "SMALLEST", 1000)
+    monkeypatch.setattr(predict, "WORKSET", jet().values.size // 3)
+    model = fitted(**options)
+    assert {level.bits for level in choose_plan(jet().values, axes=jet().axes, **options).levels} == {8}
+    assert model.snr > fitted(**options, bits=16).snr + 1
+    monkeypatch.setattr(predict, "WORKING", 2000)
+    scarce = predict.PROCESS + predict.WORKING * jet().values.size // 4
+    plan = choose_plan(jet().values, axes=jet().axes, max_memory=scarce, **options)
+    assert {level.bits for level in plan.levels} == {16}

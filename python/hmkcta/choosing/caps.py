@@ -14,7 +14,7 @@ from ..axes import Organisation, mode_sizes
 from ..grids import few_grids
 from ..memory import available_memory, check_memory, memory_budget
 from ..plan import LevelSpec, Plan
-from ..predict import FLAT, MODEL, PROCESS, WORKING, WORKSET, is_streamed, joint_bytes, part_sizes, workset_limit
+from ..predict import FLAT, MODEL, PROCESS, WORKING, is_streamed, joint_bytes, part_sizes, workset_limit
 from ..source import Source
 from ..workset import FEWEST, next_step, workset, workset_steps
 from .candidates import clusters_of
@@ -39,11 +39,6 @@ class Room:
     limit: int
     allowed: int
     wanted: int
-
-    @property
-    def is_scarce(self) -> bool:
-        """Whether worksets are smaller for want of it."""
-        return self.limit < WORKSET
 
     def needed(self, sizes: Sequence[int], ranks: Ranks) -> int:
         """Bytes that are asked for before a level of one cell is fitted to a node of these sizes; 0: few enough."""

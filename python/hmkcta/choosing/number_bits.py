@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from math import inf
 
+from ..predict import is_scarce
 from .candidates import Candidate
 from .clustered import clustered
 from .judging import Search, worth_of
@@ -30,7 +31,7 @@ def searched_by_bits(search: Search, look: Look, bits: int | None, fixed: bool) 
     all. The best with the other bits is then a rival. Sixteen also where memory is scarce, as the ranks that bytes
     afford take more of it to look at.
     """
-    if search.goal.memory is not None and search.goal.memory.is_scarce:
+    if search.goal.memory is not None and is_scarce(search.goal.memory.limit):
         bits = bits or 16
     ceiling = inf if search.goal.ceiling is None else search.goal.ceiling
     first = bits or (16 if BYTES_FALL_SHORT < ceiling < inf else 8)
