@@ -84,7 +84,7 @@ def test_a_file_larger_than_its_source_is_told_what_helps() -> None:
     """Whoever gave a goal, and no plan, has no R to make smaller."""
     noise = np.random.default_rng(0).integers(0, 255, (40, 50, 60)).astype(np.uint8)
     model = compress(noise, snr=60.0, threads=1, quality="fast")
-    assert "less --snr" in notes(model, noise, planned=False)[0]
+    assert "less, by --snr" in notes(model, noise, planned=False)[0]
     assert "smaller R" in notes(model, noise)[0]
 
 
