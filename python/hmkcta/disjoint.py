@@ -65,7 +65,8 @@ def refit_outside(residual: Streamed, number: int, cells: Cells, told: Told) -> 
     """Back-fitting of the cells of level `number`, memberships kept."""
     orthonormal_again(cells)
     if not cells.spec.disjoint:
-        return refit_streamed(residual, number, cells, told)
+        with residual.telling(told, cells.order - sum(cells.undecomposed)):
+            return refit_streamed(residual, number, cells)
 
     def refitted(_: int, cell: Cells, tensor: F32 | Streamed) -> Cells:
         if isinstance(tensor, Streamed):

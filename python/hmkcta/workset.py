@@ -189,7 +189,7 @@ def fit_streamed(
             solve_rows(residual, number, cells, n, spec.search, seen)
         if cores:
             cells = completed(residual, number, cells)
-            cells = completed(residual, number, _refitted(residual, number, cells))
+            cells = completed(residual, number, refit_streamed(residual, number, cells))
     return cells
 
 
@@ -207,13 +207,8 @@ def _turns(spec: LevelSpec, steps: Sequence[int]) -> list[tuple[int, list[int]]]
     return [*first, *((n, part) for n in others), *((n, opened) for n in thinned)]
 
 
-def refit_streamed(residual: Streamed, number: int, cells: Cells, told: Told = nobody) -> Cells:
+def refit_streamed(residual: Streamed, number: int, cells: Cells) -> Cells:
     """All rows of every mode once more, mode by mode, memberships kept."""
-    with residual.telling(told, cells.order - sum(cells.undecomposed)):
-        return _refitted(residual, number, cells)
-
-
-def _refitted(residual: Streamed, number: int, cells: Cells) -> Cells:
     for n in range(cells.order):
         if not cells.undecomposed[n]:
             solve_rows(residual, number, cells, n, "fixed", [1] * cells.order)

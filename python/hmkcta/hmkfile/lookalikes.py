@@ -36,8 +36,8 @@ def recognised(error: HmkctaError, start: bytes) -> HmkctaError:
         return error
     begins = start.lstrip().lower() if start.lstrip().startswith(b"<") else start.lower()
     found, advice = next(((what, advice) for first, what, advice in _STARTS if begins.startswith(first)), ("", ""))
-    zeros = start.startswith(bytes(_JSON_AT))
-    if not found and ((error.reason not in _NO_LENGTH and not zeros) or len(start) <= _JSON_AT):
+    no_length = error.reason in _NO_LENGTH or not any(start[:_JSON_AT])
+    if not found and (not no_length or len(start) <= _JSON_AT):
         return error
     found = f"what begins like {found}" if found else "what begins like no .hmk file"
     return ForeignFile(error.kind, error.reason, error.where, found=found, allowed="an .hmk file",
