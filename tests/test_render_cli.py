@@ -93,7 +93,8 @@ def test_films_move(files: Path, tmp_path: Path, name: str, motion: str) -> None
 def test_films_are_mp4_that_ffmpeg_reads(files: Path, tmp_path: Path) -> None:
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
     out = tmp_path / "film.mp4"
-    run("render", files / "jet.hmk", "-o", out, "--frames", 5, "--size", "41x31", "--backend", "numpy")
+    words = ("render", files / "jet.hmk", "-o", out, "--frames", 5, "--size", "41x31", "--backend", "numpy")
+    assert ": volume, 40 x 30, 5 frames, by NumPy" in run(*words).stdout
     reader = ffmpeg.read_frames(str(out))
     assert next(reader)["size"] == (40, 30)
     frames = [np.frombuffer(frame, np.uint8).reshape(30, 40, 3).astype(int) for frame in reader]
@@ -101,6 +102,23 @@ def test_films_are_mp4_that_ffmpeg_reads(files: Path, tmp_path: Path) -> None:
     renderer = Renderer(hmkcta.open(files / "jet.hmk"), backend="numpy")
     expected = list(renderer.frames(Scene(width=41, height=31), "time", 5))
     assert np.abs(frames[4] - expected[4][:30, :40]).mean() < 6
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.parametrize(("asked", "written"), [((41, 31), (40, 30)), ((40, 31), (40, 30)), ((40, 30), (40, 30)),
+                                                ((41, 1), (40, 2)), ((1, 40), (2, 40))])
+def test_the_report_has_the_size_that_an_mp4_has(
+    files: Path, tmp_path: Path, asked: tuple[int, int], written: tuple[int, int]
+) -> None:
+    ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    out, size = tmp_path / "film.mp4", "x".join(map(str, asked))
+    done = report("render", files / "jet.hmk", "-o", out, "--frames", 2, "--size", size, "--backend", "numpy")
+    assert (done["width"], done["height"]) == written == next(ffmpeg.read_frames(str(out)))["size"]
+    sides = f"it has {written[0]} x {written[1]} pixels, not {asked[0]} x {asked[1]}."
+    assert [sides in note for note in done["notes"]] == ([] if asked == written else [True])
+    gif = report("render", files / "jet.hmk", "-o", tmp_path / "film.gif", "--frames", 2, "--size", size,
+                 "--backend", "numpy")
+    assert ((gif["width"], gif["height"]), gif["notes"]) == (asked, [])
 
 
 def test_comparisons_with_the_original_and_with_a_level(files: Path, tmp_path: Path) -> None:
@@ -132,6 +150,45 @@ def test_options_that_do_nothing_are_said(files: Path, tmp_path: Path) -> None:
                                 ("cloth", "svbrdf", "--focus, --colours")):
         words = ("render", files / f"{name}.hmk", "-o", tmp_path / f"{name}-{kind}.png", "--kind", kind, *idle, *SIZE)
         assert report(*words)["notes"][-1] == f"for a {kind} these do nothing: {options}"
+
+
+@pytest.mark.parametrize(("name", "kind", "given", "said"), [
+    ("jet", "volume", ("--at", "time=1", "--at", "x=3"),
+     "--at time=1 (--time moves along time), --at x=3 (all of x is shown)"),
+    ("jet", "generic", ("--at", "y=2", "--time", 1),
+     "--time (a slice stands by --at time=INDEX), --at y=2 (all of y is shown)"),
+    ("cloth", "svbrdf", ("--at", "rgb=1", "--at", "light=2", "--at", "view=0"),
+     "--at rgb=1 (all of rgb is shown), --at light=2 (--light and --point-light move along light), "
+     "--at view=0 (the camera moves along view)"),
+    ("scene", "lightfield", ("--at", "column=1"), "--at column=1 (--row and --column move along column)"),
+    ("cloth", "svbrdf", ("--time", 2), "--time (of the axes light, view, y, x, rgb none is time)"),
+    ("jet", "volume", ("--iso", 0.4), "--iso (the mode is shaded: --mode iso shows it)"),
+    ("jet", "generic", ("--iso", 0.4), "--iso"),
+])
+def test_options_that_do_nothing_in_this_file_are_said_with_why(
+    files: Path, tmp_path: Path, name: str, kind: str, given: tuple[object, ...], said: str
+) -> None:
+    words = ("render", files / f"{name}.hmk", "--kind", kind, *SIZE)
+    run(*words, "-o", tmp_path / "plain.png")
+    notes = report(*words, "-o", tmp_path / "idle.png", *given)["notes"]
+    assert notes == [f"for a {kind} these do nothing: {said}"]
+    assert (pixels(tmp_path / "plain.png") == pixels(tmp_path / "idle.png")).all()
+
+
+@pytest.mark.parametrize(("name", "kind", "given"), [
+    ("jet", "generic", ("--at", "z=2", "--at", "time=1")), ("scene", "lightfield", ("--time", 2)),
+    ("jet", "volume", ("--mode", "iso", "--iso", 0.4)), ("two", "lightfield", ("--at", "channel=1")),
+])
+def test_nothing_is_said_of_options_that_do_something(
+    files: Path, tmp_path: Path, name: str, kind: str, given: tuple[object, ...]
+) -> None:
+    values = np.random.default_rng(0).uniform(size=(3, 8, 8, 2)).astype(np.float32)
+    two = hmkcta.compress(values, "R=2", axes=["view", "y", "x", "channel"], kind="lightfield", quality="fast")
+    (two if name == "two" else hmkcta.open(files / f"{name}.hmk")).save(tmp_path / "a.hmk")
+    words = ("render", tmp_path / "a.hmk", "--kind", kind, *SIZE)
+    run(*words, "-o", tmp_path / "plain.png")
+    assert report(*words, "-o", tmp_path / "other.png", *given)["notes"] == []
+    assert (pixels(tmp_path / "plain.png") != pixels(tmp_path / "other.png")).any()
 
 
 @pytest.mark.parametrize(("words", "code", "says"), [

@@ -104,13 +104,26 @@ def slice_image(
     sizes = tuple(axis.size for axis in axes)
     if sizes != tuple(array.shape):
         raise invalid("axis-size", "axes", sizes, f"{tuple(array.shape)}, the array's shape")
-    colour = next((n for n, axis in enumerate(axes) if axis.role == "channel" and axis.size == 3), None)
-    sides = _sides(axes, colour)
+    sides, colour = picture_axes(axes)
     place = _place(axes, kind, position or {})
     kept = [*sides] if colour is None else [*sides, colour]
     cut = np.asarray(array[tuple(slice(None) if n in kept else place[n] for n in range(len(axes)))], np.float32)
     picture = cut.transpose([sorted(kept).index(n) for n in kept])
     return np.ascontiguousarray(picture if colour is not None else np.repeat(picture[:, :, None], 3, axis=2))
+
+
+def picture_axes(axes: Sequence[Axis]) -> tuple[list[int], int | None]:
+    """Numbers of the two axes that a picture of `slice_image` spans, and of its colours, None where there are none.
+
+    >>> from hmkcta.axes import name_axes
+    >>> picture_axes(name_axes((9, 6, 8, 3), ["time", "y", "x", "rgb"]))
+    ([1, 2], 3)
+
+    Raises:
+        HmkctaError: the axes make no picture.
+    """
+    colour = next((n for n, axis in enumerate(axes) if axis.role == "channel" and axis.size == 3), None)
+    return _sides(axes, colour), colour
 
 
 def comparison_sheet(

@@ -65,7 +65,7 @@ def render_command(file: str, output: str, scene: str | None, against: str | Non
     A scene is a JSON object with the fields that docs/rendering.md lists.
     """
     del verbose
-    from ..render.outputs import FILMS, check_format
+    from ..render.outputs import FILMS, check_format, film_size
 
     film = check_format(output) in FILMS
     if animate is not None and not film:
@@ -85,9 +85,11 @@ def render_command(file: str, output: str, scene: str | None, against: str | Non
             count = _save_film(output, pictures, fps, overwrite)
     else:
         count = _save_still(output, renderer, described, overwrite)
-    idle = idle_options(given, renderer.kind)
-    notes = [*renderer.notes, *([f"for a {renderer.kind} these do nothing: {', '.join(idle)}"] if idle else [])]
-    _report(output, renderer, described, count, time.monotonic() - started, notes, as_json, quiet)
+    size = film_size(output, described.width, described.height)
+    idle = idle_options(given, renderer.kind, model.metadata.axes, described.volume.mode)
+    notes = [*renderer.notes, *_resized(described, size),
+             *([f"for a {renderer.kind} these do nothing: {', '.join(idle)}"] if idle else [])]
+    _report(output, renderer, size, count, time.monotonic() - started, notes, as_json, quiet)
 
 
 def _scene(path: str | None, given: dict[str, Any]) -> Scene:
@@ -121,15 +123,25 @@ def _save_still(output: str, renderer: Renderer, scene: Scene, overwrite: bool) 
     return 1
 
 
-def _report(output: str, renderer: Renderer, scene: Scene, count: int, spent: float, notes: list[str], as_json: bool,
-            quiet: bool) -> None:
+def _resized(scene: Scene, size: tuple[int, int]) -> list[str]:
+    """A sentence on a film that has other sides than the scene; none if it has the same."""
+    width, height = size
+    if (width, height) == (scene.width, scene.height):
+        return []
+    return [f"the sides of an MP4 are even: it has {width} x {height} pixels, not {scene.width} x {scene.height}. "
+            "Next: ask for even ones, by --size, or for a .gif, which has any"]
+
+
+def _report(output: str, renderer: Renderer, size: tuple[int, int], count: int, spent: float, notes: list[str],
+            as_json: bool, quiet: bool) -> None:
+    width, height = size
     by = renderer.adapter if renderer.backend == "gpu" else "NumPy"
     if as_json:
-        emit({"output": output, "kind": renderer.kind, "width": scene.width, "height": scene.height, "frames": count,
+        emit({"output": output, "kind": renderer.kind, "width": width, "height": height, "frames": count,
               "backend": renderer.backend, "adapter": renderer.adapter, "notes": notes,
               "seconds": round(spent, 3)})
     elif not quiet:
         for note in notes:
             click.echo(note, err=True)
         frames = "" if count == 1 else f", {count} frames"
-        click.echo(f"{output}: {renderer.kind}, {scene.width} x {scene.height}{frames}, by {by}, in {seconds(spent)}")
+        click.echo(f"{output}: {renderer.kind}, {width} x {height}{frames}, by {by}, in {seconds(spent)}")

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from ..axes import Axis
 from .options import Count, Function, Shape, together
 
 
@@ -99,6 +100,12 @@ _LIGHTS = together(
 _LOOKED_AT: Mapping[str, Sequence[str]] = {
     "camera": ["svbrdf", "volume"], "surface": ["svbrdf"], "viewpoint": ["lightfield"], "volume": ["volume"],
 }
+#: What moves along an axis of a role, in place of `--at`.
+_MOVERS: Mapping[str, Mapping[str, str]] = {
+    "time": dict.fromkeys(("svbrdf", "lightfield", "volume"), "--time moves"),
+    "light": {"svbrdf": "--light and --point-light move"},
+    "view": {"svbrdf": "the camera moves", "lightfield": "--row and --column move"},
+}
 
 
 def _parameter(field: str) -> str:
@@ -106,14 +113,46 @@ def _parameter(field: str) -> str:
     return field.replace(".", "__")
 
 
-def idle_options(given: Mapping[str, Any], kind: str) -> list[str]:
-    """Those of the options that were given which change nothing of what is shown as this kind.
+def idle_options(given: Mapping[str, Any], kind: str, axes: Sequence[Axis], mode: str) -> list[str]:
+    """Those of the options that were given which change nothing of what is shown as this kind, with why where that
+    hangs on the file or on other options; `mode` is that of a volume.
 
-    >>> idle_options({"volume__colours": "ice", "tone__stops": 1.0}, "generic")
+    >>> from hmkcta.axes import name_axes
+    >>> axes = name_axes((4, 6, 8), ["time", "y", "x"])
+    >>> idle_options({"volume__colours": "ice", "tone__stops": 1.0}, "generic", axes, "iso")
     ['--colours']
+    >>> idle_options({"places": (("time", 1), ("x", 2))}, "generic", axes, "iso")
+    ['--at x=2 (all of x is shown)']
     """
     fields = ((option, field) for option, field, _ in _OPTIONS if given.get(_parameter(field)) is not None)
-    return [option for option, field in fields if kind not in _LOOKED_AT.get(field.partition(".")[0], (kind,))]
+    idle = [option for option, field in fields if kind not in _LOOKED_AT.get(field.partition(".")[0], (kind,))]
+    if kind == "volume" and mode != "iso" and given.get("volume__iso") is not None:
+        idle.append(f"--iso (the mode is {mode}: --mode iso shows it)")
+    if given.get("time") is not None:
+        idle += _idle_time(kind, axes)
+    return idle + _idle_places(given.get("places") or (), kind, axes)
+
+
+def _idle_time(kind: str, axes: Sequence[Axis]) -> list[str]:
+    """`--time`, where there is none or the kind is shown in slices."""
+    name = next((axis.name for axis in axes if axis.role == "time"), None)
+    if name is None:
+        return [f"--time (of the axes {', '.join(axis.name for axis in axes)} none is time)"]
+    return [f"--time (a slice stands by --at {name}=INDEX)"] if kind == "generic" else []
+
+
+def _idle_places(places: Sequence[tuple[str, int]], kind: str, axes: Sequence[Axis]) -> list[str]:
+    """`--at` of the axes that stand nowhere."""
+    from ..render.layout import axes_without_place
+
+    shown = {axes[n].name: axes[n].role for n in axes_without_place(axes, kind)} if places else {}
+    idle: list[str] = []
+    for name, index in places:
+        if name in shown:
+            mover = _MOVERS.get(shown[name], {}).get(kind)
+            why = f"all of {name} is shown" if mover is None else f"{mover} along {name}"
+            idle.append(f"--at {name}={index} ({why})")
+    return idle
 
 
 def scene_options(function: Function) -> Function:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..axes import Axis, check_kind
 from ..errors import invalid
+from ..pictures import picture_axes
 
 #: Elements that decide white and the window of a picture; they are picked by a multiplicative hash.
 SAMPLES, HASH = 4096, 2654435761
@@ -83,6 +84,25 @@ def lay_out(axes: Sequence[Axis], kind: str, position: Mapping[str, int] | None 
         names=tuple(axis.name for axis in axes),
         sizes=tuple(axis.size for axis in axes),
     )
+
+
+def axes_without_place(axes: Sequence[Axis], kind: str) -> list[int]:
+    """Numbers of the axes of which a scene's `position` says nothing: all of them is shown, or others move along them.
+
+    >>> from hmkcta.axes import name_axes
+    >>> axes = name_axes((9, 6, 8, 7), ["time", "z", "y", "x"])
+    >>> axes_without_place(axes, "volume"), axes_without_place(axes, "generic")
+    ([1, 2, 3, 0], [2, 3])
+
+    Raises:
+        HmkctaError: the axes do not make this kind.
+    """
+    if kind == "generic":
+        sides, colour = picture_axes(axes)
+        return sides if colour is None else [*sides, colour]
+    layout = lay_out(axes, kind)
+    placed = layout.channel if len(layout.channels) == 1 else None  # one of two channels is shown
+    return [axis for axis in layout.moving if axis != placed]
 
 
 def value_range(source: Any, shape: Sequence[int]) -> tuple[float, float]:

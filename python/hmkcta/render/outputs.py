@@ -62,10 +62,24 @@ def save_radiance(path: str | Path, radiance: F32, overwrite: bool = False) -> N
         target.write(Path(name).read_bytes())
 
 
+def film_size(path: str | Path, width: int, height: int) -> tuple[int, int]:
+    """Width and height of a film of such frames: of an MP4 they are even, as its encoder has it.
+
+    >>> film_size("orbit.mp4", 41, 30), film_size("orbit.gif", 41, 30)
+    ((40, 30), (41, 30))
+
+    Raises:
+        HmkctaError: the suffix is of nothing that is written.
+    """
+    if check_format(path) != ".mp4":
+        return width, height
+    return max(2, width // 2 * 2), max(2, height // 2 * 2)
+
+
 def save_film(path: str | Path, frames: Iterable[U8], fps: float = 25.0, overwrite: bool = False) -> int:
     """Write pictures ``[height, width, 3]`` of one size as MP4 (H.264) or GIF, by the path's suffix; their number.
 
-    An MP4 has even sides: an odd last row or column is left out.
+    An MP4 has even sides (`film_size`): an odd last row or column is left out, a single one written twice.
 
     Raises:
         HmkctaError: there is no frame, a package is missing, or the file is there already or cannot be written.
@@ -85,8 +99,9 @@ def _write_mp4(path: Path, frames: Iterator[U8], fps: float) -> int:
     count, film = 0, None
     try:
         for frame in frames:
-            height, width = (max(2, side // 2 * 2) for side in frame.shape[:2])
-            even = np.resize(frame, (height, width, 3)) if min(frame.shape[:2]) < 2 else frame[:height, :width]
+            width, height = film_size(path, frame.shape[1], frame.shape[0])
+            even = frame[:height, :width].repeat(height // min(height, frame.shape[0]), axis=0)
+            even = even.repeat(width // min(width, frame.shape[1]), axis=1)
             if film is None:
                 film = ffmpeg.write_frames(str(path), (width, height), fps=fps, codec="libx264", quality=QUALITY,
                                            macro_block_size=1, pix_fmt_out="yuv420p", ffmpeg_log_level="error")
