@@ -326,6 +326,18 @@ def test_a_bar_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     assert set(progress.stages) == {"level 1", "level 2"}
 
 
+def test_a_bar_says_which_plan_is_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    stderr = Terminal()
+    monkeypatch.setattr("sys.stderr", stderr)
+    monkeypatch.setenv("NO_COLOR", "1")
+    with Progress() as progress:
+        for stage in ("blocks", "level 1, plan 1 of 2", "level 1, plan 2 of 2"):
+            progress(stage, 0.5)
+    assert "level 1, plan 2 of 2" in stderr.getvalue()
+    assert set(progress.stages) == {"blocks", "level 1"}, "the time of a level is that of all plans"
+    assert progress.plans == 2
+
+
 def test_nothing_heavy_is_imported() -> None:
     heavy = "{'rich', 'PIL', 'click', 'hmkcta.cli'}"
     program = f"import hmkcta\nsys.stdout.write(str({heavy} & set(sys.modules)))\nraise SystemExit"

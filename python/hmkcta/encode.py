@@ -136,7 +136,9 @@ def compress(
         device: ``cpu``; or ``cuda``, by which the kernels work on an NVIDIA GPU, through CuPy. Where there is none
             that works it is the CPU, with a warning that says what is missing. Files of another device differ, by
             rounding. Or what `backends.find_device` found, which then keeps count of kernel calls.
-        progress: called with a stage's name and the fraction of it done.
+        progress: called with a stage's name and the fraction of it done. Where plans are compared by their fits the
+            name says which is fitted, ``level 1, plan 2 of 5``, of those known by then: what they come to may call for
+            more, or for fewer.
         journal: keeps what is finished, so that an interrupted call can go on.
 
     Returns:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import prod
 
 import numpy as np
@@ -37,6 +37,7 @@ from .packed import LevelQuality, Metadata, PackedLevel
 from .plan import SCHEMES, LevelSpec, Plan
 from .plan_checks import check_plan
 from .predict import is_streamed, memory_limit, room_beside
+from .progress import Compared
 from .source import Source
 from .streamed import Streamed
 from .workset import check_worksets
@@ -49,7 +50,7 @@ UNTOLD = 0.02
 class Task:
     """A plan to follow on a source: subdivision scheme (``auto``: the best of three), decode cost, kind of data, most
     bytes of memory (None: half of what is free), bits of a number (None: as suits the goal), whether the organisation
-    is given."""
+    is given, and the count of the plans that are compared with it."""
 
     source: Source
     plan: Plan
@@ -60,6 +61,7 @@ class Task:
     memory: int | None = None
     bits: int | None = None
     organised: bool = False
+    compared: Compared = field(default_factory=Compared)
 
 
 def follow(task: Task) -> Model:

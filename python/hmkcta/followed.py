@@ -14,9 +14,11 @@ from .plan import Plan
 Followed = tuple[Task, Model]
 
 
-def fitted(task: Task) -> Followed:
-    """The task with the model that its plan comes to."""
-    return task, follow(task)
+def fitted_with(task: Task, plans: Iterable[Plan]) -> list[Followed]:
+    """The model of the task's own plan, and those of `further` ones."""
+    plans = _suiting(task, plans)
+    task.compared.expect(1 + len(plans))
+    return [_fitted(task), *_each(task, plans)]
 
 
 def further(task: Task, plans: Iterable[Plan]) -> Iterator[Followed]:
@@ -25,11 +27,27 @@ def further(task: Task, plans: Iterable[Plan]) -> Iterator[Followed]:
     The least file of such a plan is larger than the goal, or memory does not do; or it is of another organisation than
     the one given.
     """
+    plans = _suiting(task, plans)
+    task.compared.expect(len(plans))
+    yield from _each(task, plans)
+
+
+def _suiting(task: Task, plans: Iterable[Plan]) -> list[Plan]:
+    """Those of the organisation that is given, all of them before any is fitted: it is told how many there are."""
+    return [plan for plan in plans if not task.organised or plan.organisation == task.plan.organisation]
+
+
+def _fitted(task: Task) -> Followed:
+    """The task with the model that its plan comes to."""
+    told = task.compared.following(task.run.progress)
+    return task, follow(replace(task, run=replace(task.run, progress=told)))
+
+
+def _each(task: Task, plans: Iterable[Plan]) -> Iterator[Followed]:
+    """Models of the plans that can be followed."""
     for plan in plans:
-        if task.organised and plan.organisation != task.plan.organisation:
-            continue
         try:
-            found = fitted(replace(task, plan=plan))
+            found = _fitted(replace(task, plan=plan))
         except HmkctaError as error:
             if error.reason not in ("size-too-small", "memory"):
                 raise

@@ -20,7 +20,7 @@ from .filesize import planned_bytes
 from .finer import LARGE, finer, is_far_beyond, parted
 from .fit import EFFORTS
 from .follow import Task
-from .followed import Followed, best_of, fitted, further, is_verbatim, may_be
+from .followed import Followed, best_of, fitted_with, further, is_verbatim, may_be
 from .model import Model
 from .narrow import BITS
 from .plan import Plan
@@ -49,7 +49,7 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
     others.
     """
     rivals = _rivals(task, others)
-    followed = [fitted(task), *further(task, rivals)]
+    followed = fitted_with(task, rivals)
     (task, model), followed = _compared(task, followed, others)
     left = [plan for plan in others if plan not in rivals]
     if is_far_beyond(task.plan, model.snr, model.nbytes):

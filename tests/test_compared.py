@@ -1,0 +1,77 @@
+"""Progress while plans are compared by their fits: which of them is fitted, of how many."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import hmkcta
+from cli_tools import report, run, saved, smooth
+from hmkcta import Model, follow
+from hmkcta.plan import Plan
+from hmkcta.progress import OF_PLAN, Compared
+
+
+def told_while(monkeypatch: pytest.MonkeyPatch, **goal: Any) -> tuple[list[tuple[str, Plan | None]], list[Plan]]:
+    """The stages of a fit with the plan that was followed meanwhile, and all plans that were."""
+    followed: list[Plan] = []
+    told: list[tuple[str, Plan | None]] = []
+
+    def noted(task: follow.Task) -> Model:
+        followed.append(task.plan)
+        return follow.follow(task)
+
+    monkeypatch.setattr("hmkcta.followed.follow", noted)
+    hmkcta.compress(smooth(12, 14, 16), axes="z, y, x", threads=1,
+                    progress=lambda stage, _: told.append((stage, followed[-1] if followed else None)), **goal)
+    return told, followed
+
+
+@pytest.mark.parametrize("goal", [{"size": 3000}, {"snr": 40.0}, {"snr": 70.0}], ids=str)
+def test_every_stage_of_a_fit_says_of_which_plan_it_is(goal: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    told, followed = told_while(monkeypatch, **goal)
+    assert len(followed) > 2
+    seen: list[tuple[int, int]] = []
+    for stage, plan in told:
+        _, _, which = stage.partition(OF_PLAN)
+        if plan is None or not which:
+            assert not which, "a plan is being chosen"
+            assert len(seen) == 0, "no other was known than the first"
+        else:
+            number, known = map(int, which.split(" of "))
+            assert followed[number - 1] == plan
+            seen.append((number, known))
+    assert {1, *(number for number, _ in seen)} == set(range(1, len(followed) + 1))
+    assert all(number <= known for number, known in seen)
+    assert seen == sorted(seen)
+    assert seen == sorted(seen, key=lambda each: each[1]), "neither number falls"
+    assert {stage.partition(OF_PLAN)[0] for stage, plan in told if plan} >= {"level 1", "measuring"}
+
+
+def test_a_plan_that_is_given_has_no_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    told, _ = told_while(monkeypatch, plan="R=2 C=2,1,1 / R=2")
+    assert {"level 1", "level 2", "measuring"} <= {stage for stage, _ in told}
+    assert not any(OF_PLAN in stage for stage, _ in told)
+
+
+def test_the_only_plan_has_no_number_until_others_are_known(capsys: pytest.CaptureFixture[str]) -> None:
+    plans = Compared()
+    plans.expect(1)
+    plans.following(print)("level 1", 0.5)
+    plans.expect(3)
+    plans.following(print)("level 1", 0.5)
+    assert capsys.readouterr().out == "level 1 0.5\nlevel 1, plan 2 of 4 0.5\n"
+
+
+def test_the_command_line_adds_the_times_of_all_plans_and_counts_them(tmp_path: Path) -> None:
+    source = saved(tmp_path / "a.npy", smooth(12, 14, 16))
+    words = ("compress", source, "-o", tmp_path / "a.hmk", "--size", 3000, "--overwrite")
+    found = report(*words)
+    assert found["plans_fitted"] > 2
+    assert found["levels"][0]["seconds"] > 0
+    said = run(*words, "--verbose").stderr
+    assert "  level 1: " in said
+    assert OF_PLAN not in said
+    assert report(*words[:4], "--plan", "R=2", "--overwrite")["plans_fitted"] == 1
