@@ -117,7 +117,8 @@ def _begun(task: Task) -> tuple[Hierarchy, Goal]:
     energy = 0.0 if task.plan.snr is None and task.plan.size is None else tree.error
 
     def file_bytes(tree: Hierarchy) -> int:
-        return encoded_size(*_described(task, tree))
+        levels = _packed(task, tree)
+        return encoded_size(_metadata(task, tree, levels), levels)
 
     def snr_now(tree: Hierarchy) -> float:
         return _snr(task, tree, energy)
@@ -168,31 +169,36 @@ def _snr(task: Task, tree: Hierarchy, energy: float) -> float:
     return snr_db(energy, error)
 
 
-def _described(
+def _packed(task: Task, tree: Hierarchy) -> tuple[PackedLevel, ...]:
+    """The levels as the file has them."""
+    bits = [level.bits for level in task.plan.levels]
+    return pack_levels(tree.levels, undecomposed_in(task.plan), bits, task.source.unit)
+
+
+def _metadata(
     task: Task,
     tree: Hierarchy,
+    levels: Sequence[PackedLevel],
     quality: Sequence[LevelQuality] | None = None,
     transformed: Sequence[LevelQuality] | None = None,
-) -> tuple[Metadata, tuple[PackedLevel, ...]]:
-    bits = [level.bits for level in task.plan.levels]
-    levels = pack_levels(tree.levels, undecomposed_in(task.plan), bits, task.source.unit)
+) -> Metadata:
     schemes = [tree.schemes[number] if number < len(tree.schemes) else "most" for number in range(len(levels))]
     tops = [bounds(level, scheme) for level, scheme in zip(levels, schemes, strict=True)]
     metadata = metadata_of(task.source, task.plan, tops, task.kind, task.run.seed, quality, transformed)
     if task.run.device != "cpu":  # which rounds in its own way
         metadata = replace(metadata, writer=f"{metadata.writer}, {task.run.device}")
-    return metadata, levels
+    return metadata
 
 
 def _measured(task: Task, tree: Hierarchy) -> Model:
     """The model with its quality, decoded from the stored numbers and compared with the source."""
-    metadata, levels = _described(task, tree)
-    model, source = Model(metadata, levels), task.source
+    levels, source = _packed(task, tree), task.source
     if isinstance(tree.residual, Streamed):
         quality, transformed = measure_streamed(tree, tree.residual, task.run.progress)
     else:
+        model = Model(_metadata(task, tree, levels), levels)
         quality, transformed = measure_both(model, source.array, nan=source.nan, progress=task.run.progress)
-    measured = Model(_described(task, tree, quality, transformed)[0], levels)
+    measured = Model(_metadata(task, tree, levels, quality, transformed), levels)
     if task.plan.size is not None and measured.nbytes > task.plan.size:
         found, allowed = f"{task.plan.size} bytes", f"at least {measured.nbytes} bytes for this plan"
         raise invalid("size-too-small", "size", found, allowed, "end the plan with a level R<=.. that fills the size")

@@ -92,7 +92,9 @@ def _local(node: Node, n: int) -> NDArray[np.intp]:
 
 
 def _joined(pieces: Ragged, dtype: Any) -> NDArray[Any]:
-    return np.concatenate([piece.reshape(-1) for piece in pieces] or [np.zeros(0)]).astype(dtype)
+    # Rounded on the way: all numbers of a level in float32, or wider, would be the most that memory ever holds.
+    flat = [piece.reshape(-1) for piece in pieces] or [np.zeros(0)]
+    return np.concatenate(flat, dtype=dtype, casting="unsafe")
 
 
 def _offsets(lengths: Sequence[int]) -> NDArray[np.uint32]:
