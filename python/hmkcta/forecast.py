@@ -6,18 +6,22 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from math import prod
+from math import inf, prod
 from pathlib import Path
 
 from .choosing.judging import CARES
 from .disjoint import JUDGING
 from .fit import EFFORTS, Effort
+from .finer import LARGE
 from .measure import SLAB as MEASURED
+from .measure_streamed import SLAB as MEASURED_OUTSIDE
 from .memberships import ROUNDS, ROWS, ROWS_EACH
 from .plan import LevelSpec, Plan
 from .predict import (
     FLAT,
     MODEL,
+    ROW,
+    TRIED_APART,
     WORKING,
     is_precise,
     is_streamed,
@@ -44,8 +48,9 @@ _BASE, _KEPT = 56 * 2**20, 0.3
 #: on in float32 and in float64; and what each further thread takes of the latter, as samples are seldom at their
 #: largest together.
 _CHECKED, _NEXT, _SAMPLED, _BESIDE = 17, 6, (18, 32), 0.6
-#: Bytes for each element of a block that shares none with others, which is fitted in place; of a workset of one cell.
-_BLOCK, _ALONE = 8, 12
+#: Bytes for each element of a block that shares none with others, which is fitted in place; of a workset of one cell;
+#: and of a node beside its share of the residual, where others are fitted one after another.
+_BLOCK, _ALONE, _BELOW = 8, 12, 10
 #: Copies of a slab that are made while it is read and worked on, or cut into blocks; and of its projections.
 _SLAB_COPIES, _SLAB_CUT, _SLAB_SEEN = 4, 3, 1
 #: How much larger than the average the largest sub-tensors get for each mode of two, or of more clusters, where rows
@@ -95,19 +100,23 @@ def forecast(
     that will be.
     """
     limit, elements = memory_limit(plan, sizes, memory), prod(sizes)
-    model = model_bytes(plan, sizes, threads, room_beside(elements, memory))
+    model = model_bytes(plan, sizes, threads, room_beside(elements, memory)) + _own_bytes(plan, sizes)
     own = plan.levels[-1].own
     if not is_streamed(elements, limit):
-        working = WORKING + (_SAVED if own else 0)
+        working = _working(plan, threads) + (_SAVED if own else 0)
         measuring = _RESIDUAL * elements + _MEASURING * min(elements, MEASURED)
-        most = held + _peak(choosing, working * elements + model, measuring)
+        compared = choosing > 0 and elements <= LARGE
+        features = _parting_bytes(plan, sizes, compared=compared)
+        fits = [int(working * elements) + model] * (2 if compared else 1)
+        most = held + _peak(choosing, *fits, measuring, beside=features)
         return Forecast(most, 0, _seconds(plan, sizes, effort, threads, limit))
     check_worksets(plan, sizes, limit, memory)
     if limit == elements:  # fitted in place
         most = held + _peak(choosing, FLAT * elements + model)
         return Forecast(most, 0, _seconds(plan, sizes, effort, threads, limit))
     cut = next((n for n, level in enumerate(plan.levels[:-1]) if level.cells > 1), None)
-    working = model + _outside(plan, sizes, limit, threads, cut)
+    measuring = 3 * _RESIDUAL * threads * min(MEASURED_OUTSIDE, limit // 16)
+    working = model + max(_outside(plan, sizes, limit, threads, cut), measuring)
     copies = int(cut is not None or any(level.disjoint or level.cuts for level in plan.levels))
     scratch = 4 * elements * (copies + (1 if own and cut is not None else 0))
     return Forecast(held + _peak(choosing, working), scratch, _seconds(plan, sizes, effort, threads, limit, cut))
@@ -122,22 +131,63 @@ def _outside(plan: Plan, sizes: Sequence[int], limit: int, threads: int, cut: in
         together = fitted * max(1, min(threads, limit // max(1, fitted)))
         if level.disjoint and fitted <= limit:
             each = _BLOCK * max(together, JUDGING * fitted if level.own else 0)
-        elif below or level.own:
-            each = WORKING * (together if below else fitted)
+        elif below:
+            each = WORKING * together
         elif level.disjoint:
             each = (_ALONE if level.cells == 1 else WORKING) * fitted
         else:
             each = fitting_bytes(sizes, level, limit) + int(_KEPT * slabs)
-        # An SNR does not say how large the model is.
-        model = MODEL * min(2 * numbers(sizes, level), plan.size or 0) if level.own else 0
         # Inner products are the model's.
         products = level.clamped(sizes).products_bytes
         joint = joint_bytes(sizes, level, threads) - products if prod(sizes) > limit else 0
-        most = max(most, each + (_HEAPS if below else 0) + model, joint)
+        most = max(most, each + (_HEAPS if below else 0), joint)
         if number == cut and not level.grid:
             most = max(most, WORKING * min(limit, threads * _largest(elements, level)) + _HEAPS)
         sizes = part_sizes(sizes, level)
     return most
+
+
+def _own_numbers(plan: Plan, sizes: Sequence[int]) -> int:
+    """Numbers of a last level whose nodes have ranks of their own: as many as its bytes hold; none that are not known.
+
+    An SNR does not say how many it takes, but where a sample did.
+    """
+    level, nbytes = plan.levels[-1], plan.size or plan.expected or 0
+    if not level.own:
+        return 0
+    nodes = 1
+    for above in plan.levels[:-1]:
+        nodes, sizes = nodes * above.clamped(sizes).cells, part_sizes(sizes, above)
+    return min(nodes * numbers(sizes, level), 8 * nbytes // level.bits)
+
+
+def _own_bytes(plan: Plan, sizes: Sequence[int]) -> int:
+    """Bytes of that level's model; what is tried beside it is of one node."""
+    count, nodes = _own_numbers(plan, sizes), prod(level.cells for level in plan.levels[:-1])
+    return 2 * MODEL * count + 2 * TRIED_APART * count // nodes
+
+
+def _working(plan: Plan, threads: int) -> float:
+    """Bytes for each element of a tensor in memory, of the level that takes most."""
+    nodes, most = 1, 0.0
+    for level in plan.levels:
+        if nodes == 1:
+            most = max(most, _BLOCK if level.disjoint and not level.own else WORKING)
+        else:
+            most = max(most, _RESIDUAL + _BELOW * min(1.0, threads / nodes))
+        nodes *= level.cells
+    return most
+
+
+def _parting_bytes(plan: Plan, sizes: Sequence[int], *, compared: bool) -> int:
+    """Bytes of features of rows, where a level has clusters of the data, or is `compared` with plans that do."""
+    level = plan.levels[-1]
+    if not level.own:
+        return 0  # counted with its model
+    if compared and prod(sizes) <= LARGE:
+        return ROW * max(sizes)
+    parted = [size for size, count in zip(sizes, level.clusters, strict=True) if count > 1 and not level.grid]
+    return ROW * max(parted, default=0)
 
 
 def _slabs(plan: Plan, sizes: Sequence[int], limit: int, threads: int, cut: int | None) -> int:
@@ -176,9 +226,9 @@ def peak_memory() -> int:
     return 0
 
 
-def _peak(*stages: int) -> int:
-    """Most bytes of a process that needs so many in one stage after another."""
-    return _BASE + int(max(need + _KEPT * sum(stages[:number]) for number, need in enumerate(stages)))
+def _peak(*stages: int, beside: int = 0) -> int:
+    """Most bytes of a process that needs so many in one stage after another, and some for a moment besides."""
+    return _BASE + beside + int(max(need + _KEPT * sum(stages[:number]) for number, need in enumerate(stages)))
 
 
 def _largest(elements: int, level: LevelSpec) -> int:
@@ -192,6 +242,7 @@ def _seconds(
     plan: Plan, sizes: Sequence[int], effort: Effort, threads: int, limit: int, cut: int | None = None
 ) -> float:
     elements, beside, each = prod(sizes), 0.0, _SOURCE_NS + (0 if cut is None else _PIECE_NS * (1 + effort.backfits))
+    own_numbers = _own_numbers(plan, sizes) or elements  # no plan that is worth following has more
     alone, nodes = 0.0, 1
     for number, level in enumerate(plan.levels, start=1):
         own = effort.at(number, len(plan.levels))
@@ -207,7 +258,7 @@ def _seconds(
             rows = sum(_visited(size, count) * count for size, count in zip(sizes, level.clusters, strict=True))
             tried = own.candidates if max(level.mixture) == 1 else own.starts
             beside += _ROW_NS * max(1, tried - 1) * rows * elements / prod(sizes)
-        beside += nodes * _model_ns(level, sizes, own.sweeps)
+        beside += min(_NUMBER_NS * own_numbers if level.own else inf, nodes * _model_ns(level, sizes, own.sweeps))
         if len(plan.levels) > 1:
             each += effort.backfits * (_SWEEP_NS + 10)
         alone, nodes = alone + _NODE_NS * nodes, min(nodes * level.cells, elements)

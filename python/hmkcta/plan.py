@@ -7,7 +7,7 @@ one number stands for all modes, ``R=*`` leaves a mode undecomposed.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 from math import comb, prod
 from numbers import Integral
@@ -304,12 +304,14 @@ class Plan:
     """Levels and the organisation of axes into modes; goals that the levels with node shapes of their own are cut to.
 
     `size` bounds the bytes of the whole file, `snr` is met and not much exceeded; both None: fit exactly the levels.
+    `expected` are bytes that a plan chosen for an SNR took on the sample that it was chosen on, as far as it tells.
     """
 
     organisation: Organisation
     levels: tuple[LevelSpec, ...]
     snr: float | None = None
     size: int | None = None
+    expected: int | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         check_modes(self.organisation)

@@ -100,6 +100,12 @@ class Trial:
         beyond = 0.0 if self.ceiling is None else self.ceiling + LOUDER
         return max(FINEST, min(VERBATIM, noise_at(beyond)))
 
+    def bytes_of(self, worth: float) -> int | None:
+        """Bytes that what is worth so much takes; None where it does not reach a ceiling."""
+        if self.ceiling is None or worth < self.ceiling:
+            return None
+        return int(self.size * 2 ** (self.ceiling - worth))
+
     def worths(
         self, organisation: Organisation, grid: tuple[int, ...], sample: int, kinds: Kinds = ()
     ) -> list[tuple[float, Candidate]]:

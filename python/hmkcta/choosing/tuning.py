@@ -32,7 +32,7 @@ from .judging import CARES, Ranked, Search, worth_of
 from .number_bits import searched_by_bits
 from .organisations import organisations
 from .racing import finalists, near
-from .trial import OUT_OF_REACH, VERBATIM, trial_of
+from .trial import OUT_OF_REACH, VERBATIM, Trial, trial_of
 
 #: Small samples tell up to so much too little of large blocks: what lies further behind is left. Of so many of the
 #: best that a race ends with, blocks twice as long get another chance.
@@ -112,8 +112,16 @@ def tune(
         spare.append(verbatim[1])
     if best == verbatim[1]:
         spare = search.rivals if source.value_transform.name == "identity" else [found, *search.rivals]
-    plans = [plan_of(source, each, snr, size, decode_cost) for each in (best, *spare)]
+    plans = _plans(search.goal, (best, *spare), snr, size, -inf if best == verbatim[1] else worth)
     return _held(plans, source, room_of(elements, memory))  # anew, as what is free varies
+
+
+def _plans(
+    goal: Trial, candidates: Sequence[Candidate], snr: float | None, size: int | None, worth: float
+) -> list[Plan]:
+    """Plans of the candidates, and what the first, of this worth, is expected to take for an SNR."""
+    first, *others = (plan_of(goal.source, each, snr, size, goal.decode_cost) for each in candidates)
+    return [first if snr is None else replace(first, expected=goal.bytes_of(worth)), *others]
 
 
 def _more_room(shape: Sequence[int]) -> str:

@@ -101,6 +101,7 @@ def describe(plan: Plan, source: Source, goal: Goal, choosing: float | None) -> 
                    for number, (level, cost) in enumerate(zip(plan.levels, costs, strict=True), start=1)],
         "snr": plan.snr, "size": plan.size,
         "predicted_bytes": predicted_bytes(_largest(plan, goal), source, goal.kind, goal.settings["seed"]),
+        "expected_bytes": plan.expected,
         "decode_cost": sum(costs), "memory": cost.memory, "scratch": cost.scratch,
         "fitting_seconds": round(cost.seconds, 1),
         "choosing_seconds": None if choosing is None else round(choosing, 3), "source_bytes_float32": 4 * prod(sizes),
@@ -121,11 +122,18 @@ def _doubt(report: dict[str, Any]) -> str:
     return f", whose one level may end at {ONE_LEVEL:g} dB" if beyond else ""
 
 
+def _bytes(report: dict[str, Any]) -> str:
+    """Bytes of the file, as far as they are known, and of how many they are one."""
+    known, expected = report["predicted_bytes"], report["expected_bytes"]
+    count = known or expected
+    if count is None:
+        return f"as many as {report['snr']:g} dB need"
+    of_all = f"{share(report['source_bytes_float32'] / count)} the values in float32"
+    return f"{format_bytes(count)}, {of_all}" if known else f"about {format_bytes(count)}, {of_all}, as a sample tells"
+
+
 def as_text(report: dict[str, Any]) -> str:
     """The plan for people."""
-    count = report["predicted_bytes"]
-    size = f"as many as {report['snr']:g} dB need" if count is None else (
-        f"{format_bytes(count)}, {share(report['source_bytes_float32'] / count)} the values in float32")
     modes = " x ".join(map(str, report["mode_sizes"]))
     rows = [[str(level["level"]), str(level["decode_cost"]), level["text"]] for level in report["levels"]]
     goals = [f"at least {report['snr']:g} dB"] if report["snr"] is not None else []
@@ -140,7 +148,7 @@ def as_text(report: dict[str, Any]) -> str:
     return "\n".join([
         f"organisation  {report['organisation']}  ({modes})",
         *([f"goal          {', '.join(goals)}"] if goals else []),
-        f"bytes         {size}",
+        f"bytes         {_bytes(report)}",
         f"decode cost   up to {multiply_adds(report['decode_cost'])} an element",
         f"memory        {format_bytes(report['memory'])}",
         *([f"scratch       {format_bytes(report['scratch'])} in {scratch_folder()}, set by TMPDIR"]
