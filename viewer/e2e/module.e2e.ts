@@ -4,6 +4,7 @@ import { readFileSync } from "node:fs";
 import { type Server, createServer } from "node:http";
 import type { AddressInfo } from "node:net";
 import { join } from "node:path";
+import { gzipSync } from "node:zlib";
 import type { Browser, Page } from "playwright-core";
 import { PNG } from "pngjs";
 import { afterAll, beforeAll, describe, expect, it } from "vitest";
@@ -110,6 +111,31 @@ describe.runIf(there)("hmkcta.js in Chromium", () => {
       await page.close();
     }
     expect(new Set(values.map((value) => Math.round(255 * value))).size).toBeGreaterThan(20);
+  });
+
+  it("reads a file of another host, which lets this page read no length of a part, or pack it on the way", async () => {
+    const bytes = readFileSync(join(folder, "volume.hmk"));
+    const asked: (string | undefined)[] = [];
+    const elsewhere = createServer((request, response) => {
+      response.setHeader("Access-Control-Allow-Origin", "*");
+      asked.push(request.headers.range);
+      if (request.headers.range !== undefined) {
+        response.writeHead(206, { "Content-Range": `bytes 0-99/${bytes.length}` }).end(bytes.subarray(0, 100));
+      } else {
+        const packed = gzipSync(bytes);
+        response.writeHead(200, { "Content-Encoding": "gzip", "Content-Length": packed.length }).end(packed);
+      }
+    });
+    await new Promise<void>((resolve) => elsewhere.listen(0, "127.0.0.1", resolve));
+    const { page, thrown } = await visit("plain.html");
+    const found = await page.evaluate(async (address) => {
+      const model = await (window as unknown as { openFile: typeof open }).openFile(address);
+      return model.at(model.shape.map(() => 1));
+    }, `http://127.0.0.1:${(elsewhere.address() as AddressInfo).port}/volume.hmk`).finally(() => elsewhere.close());
+    const model = await open(new Blob([new Uint8Array(bytes)]));
+    expect([thrown, asked]).toEqual([[], ["bytes=0-65535", undefined]]);
+    expect(found).toBe(model.at(model.shape.map(() => 1)));
+    await page.close();
   });
 
   it.each(["stack", "merged", "ageing", "volume", "bare"])("decodes %s in a shader as on the CPU", async (name) => {

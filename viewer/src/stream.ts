@@ -149,31 +149,46 @@ function decoded(part: string): string {
   }
 }
 
-/** Start to fetch a file. */
+/**
+ * Start to fetch a file: by parts where the host sends them and says how long the file is, else as a whole.
+ *
+ * Another host may send a part and not let this page read its `Content-Range`, or refuse the header `Range` to it.
+ */
 export async function openUrl(url: URL): Promise<ByteSource> {
   const name = decoded(url.pathname.split("/").pop() ?? "") || url.href;
-  let response: Response;
-  try {
-    response = await request(url, { Range: `bytes=0-${FIRST - 1}` });
-  } catch (error) {
-    throw new Problem(`${name} could not be fetched from ${url.host}.`, String(error),
-      "Check the connection, and that the server allows this page to load it.");
+  const part = await request(url, { Range: `bytes=0-${FIRST - 1}` }).catch(() => null);
+  if (part !== null && part.status !== 206) {
+    return wholeFile(name, url, part);
   }
-  const total = /^bytes 0-\d+\/(\d+)$/.exec(response.headers.get("Content-Range") ?? "");
-  if (response.status === 206 && total !== null) {
+  const total = /^bytes 0-\d+\/(\d+)$/.exec(part?.headers.get("Content-Range") ?? "");
+  if (part !== null && total !== null) {
     const source = new RangeSource(name, url, Number(total[1]));
-    await source.take(response).catch(() => undefined); // what is missing is asked for again
+    await source.take(part).catch(() => undefined); // what is missing is asked for again
     return source;
   }
+  await part?.body?.cancel().catch(() => undefined); // it may be long, and is of no use
+  const whole = await request(url, {}).catch((error: unknown) => {
+    throw new Problem(`${name} could not be fetched from ${url.host}.`, String(error),
+      "Check the connection, and that the server allows this page to load it.");
+  });
+  return wholeFile(name, url, whole);
+}
+
+/** What a host answers with the whole file, or with a refusal. */
+async function wholeFile(name: string, url: URL, response: Response): Promise<ByteSource> {
   if (response.status === 416) {
     return new BlobSource(new File([], name));
+  }
+  if (response.status === 206) {
+    throw new Problem(`${url.host} sent a part of ${name} where the whole file was asked for.`, "", "Check the settings of that host.");
   }
   if (!response.ok || response.body === null) {
     throw new Problem(response.status === 404 ? `There is no file ${name} on ${url.host}.`
       : `${url.host} refused ${name} with status ${response.status}.`, "", "Check the address.");
   }
   const length = Number(response.headers.get("Content-Length") ?? "0");
-  if (length > 0 && response.headers.get("Content-Encoding") === null) {
+  // Of another host it cannot be seen whether the file was packed on the way, and the length is that of the packed file.
+  if (length > 0 && response.type !== "cors" && response.headers.get("Content-Encoding") === null) {
     return new BodySource(name, length, response.body.getReader());
   }
   try {
