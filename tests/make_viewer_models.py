@@ -150,9 +150,18 @@ def series() -> tuple[Model, Any]:
     return compress(array, "R=1 C=5 K=1", axes=[Axis("t", 40)]), array
 
 
+def renamed() -> tuple[Model, Any]:
+    """The material as a file whose axes say neither what they are called nor what they are for."""
+    model, values = material()
+    names = {axis.name: f"axis{n}" for n, axis in enumerate(model.metadata.axes)}
+    axes = tuple(Axis(names[axis.name], axis.size) for axis in model.metadata.axes)
+    organisation = tuple(tuple(names[name] for name in mode) for mode in model.metadata.organisation)
+    return Model(replace(model.metadata, axes=axes, organisation=organisation, kind="generic"), model.levels), values
+
+
 MAKERS = {"material": material, "ageing": ageing, "merged": merged, "grids": grids,
           "lightfield": light_field, "volume": volume, "bytes": volume_in_bytes, "stack": stack, "bare": bare,
-          "series": series}
+          "series": series, "renamed": renamed}
 
 
 def patch(path: Path) -> None:

@@ -241,8 +241,11 @@ def test_other_files_as_originals(model: Model, file: Path, tmp_path: Path) -> N
     model.at_level(1).save(other)
     with serve(file, original=other, page=PAGE) as running:
         assert ask(running, "/original/original.hmk")[1] == other.read_bytes()
+    compress(np.ones((5, 6, 7), np.float32), "R=1", axes=["time", "lat", "lon"]).save(other, overwrite=True)
+    with serve(file, original=other, page=PAGE) as running:
+        assert ask(running, "/original/original.hmk")[1] == other.read_bytes()
     compress(np.ones((5, 6), np.float32), "R=1,1", axes=["a", "y"]).save(other, overwrite=True)
-    with pytest.raises(HmkctaError, match="original-shape"):
+    with pytest.raises(HmkctaError, match=r"found \(5, 6\), allowed \(5, 6, 7\), the model's. Next: give the array"):
         serve(file, original=other, page=PAGE)
     other.write_bytes(b"nothing")
     with pytest.raises(HmkctaError, match="truncated"):

@@ -27,13 +27,13 @@ from urllib.parse import quote, unquote, urlsplit
 from numpy.typing import NDArray
 
 from .conventions import meant
-from .errors import HmkctaError, Kind, expect, invalid
+from .errors import HmkctaError, Kind, expect
 from .hmkfile import encode
 from .model import open as open_model
 from .packed import Metadata
 from .progress import Progress
 from .readers import open_array
-from .verbatim import verbatim
+from .verbatim import check_shape, verbatim
 
 HOST = "127.0.0.1"
 PAGE = "viewer_page"
@@ -119,7 +119,7 @@ def serve(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | ND
         path: the `.hmk` file. It is checked here as `hmkcta.open` does, and again by the page, which reads it anew
             at each reload.
         original: what to compare with: an array of the model's shape, a file that `hmkcta.open_array` opens as one, or
-            another `.hmk` file.
+            another `.hmk` file of that shape, whatever its axes are called.
         nan: value that stands for NaN and infinity in the original.
         port: 0 takes a free one.
         page: the page's files by path; by default the one that is installed.
@@ -197,9 +197,7 @@ def _original(
     """The original as a file that the page's decoder reads."""
     if isinstance(original, str | os.PathLike):
         if os.fspath(original).endswith(".hmk"):
-            shape, wanted = open_model(original).shape, tuple(axis.size for axis in like.axes)
-            if shape != wanted:
-                raise invalid("original-shape", "original", shape, f"{wanted}, the model's")
+            check_shape(open_model(original).shape, like)
             return Resource("application/octet-stream", Path(original))
         original = open_array(os.fspath(original), progress=progress)
     metadata, level = verbatim(meant(original), like, nan)

@@ -33,9 +33,7 @@ def verbatim(array: NDArray[Any], like: Metadata, nan: float | None = None) -> t
     >>> metadata.undecomposed, (level.core_scale[0] * level.core.astype(np.float32)).tolist()
     ((0, 1), [0.0, 1.0, 2.0, 3.0, 4.0, 5.0])
     """
-    shape = tuple(axis.size for axis in like.axes)
-    if array.shape != shape:
-        raise invalid("original-shape", "original", array.shape, f"{shape}, the model's")
+    check_shape(array.shape, like)
     if 2 * array.size > MOST_BYTES:
         raise HmkctaError(Kind.RESOURCE_LIMIT, "original-too-large", "original", found=f"{array.size} elements",
                           allowed=f"at most {MOST_BYTES // 2}, which a GPU holds next to the model",
@@ -56,6 +54,18 @@ def verbatim(array: NDArray[Any], like: Metadata, nan: float | None = None) -> t
         quality=(_quality(values, values - stored),), writer=like.writer,
     )
     return metadata, _level(core, scale)
+
+
+def check_shape(shape: tuple[int, ...], like: Metadata) -> None:
+    """Refuse an original of another shape than the model; what its axes are called is of no account.
+
+    Raises:
+        HmkctaError: the sizes differ, or their order.
+    """
+    wanted = tuple(axis.size for axis in like.axes)
+    if shape != wanted:
+        raise invalid("original-shape", "original", shape, f"{wanted}, the model's",
+                      "give the array that was compressed, or a file made of it, with its axes in this order")
 
 
 def _bounds(sizes: tuple[int, ...]) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:

@@ -223,6 +223,17 @@ describe.runIf(there)("viewer in Chromium", () => {
     expect(await page.locator("#loading").textContent()).toContain("light has no directions as coordinates");
   });
 
+  it("compares with a file of the same shape, whatever its axes are called", async () => {
+    await open("material.hmk", undefined, "--original", join(folder, "renamed.hmk"));
+    await reached(page, "ready");
+    const alone = await pixels(page, size);
+    await set({ Show: "split" });
+    expect(await labelled("With").inputValue()).toBe("original");
+    const found = await pixels(page, size);
+    const line = (i: number): boolean => Math.abs(Math.floor(i / 3) % size + 0.5 - size / 2) < 1; // between the two sides
+    expect(found.filter((_, i) => !line(i))).toEqual(alone.filter((_, i) => !line(i)));
+  });
+
   it("compares what is decoded and nothing else", async () => {
     await open("volume.hmk");
     await reached(page, "ready");

@@ -3,6 +3,7 @@
 import { SAMPLES, valueRange } from "./decode/element";
 import { Decoder } from "./gpu/decoder";
 import { type Gpu, guarded } from "./gpu/device";
+import { asOriginal } from "./original";
 import { type Problem, asProblem } from "./problem";
 import type { FileKind, Metadata } from "./reader/metadata";
 import type { Reading } from "./reader/read";
@@ -142,11 +143,8 @@ export class App {
 
   /** A model to compare with, all of whose levels are there. */
   async setOriginal(original: Reading): Promise<void> {
-    const sizes = (metadata: Metadata): string => metadata.axes.map((axis) => `${axis.name} ${axis.size}`).join(", ");
-    if (sizes(original.metadata) !== sizes(this.metadata)) {
-      throw asProblem(new Error(`The original has the axes ${sizes(original.metadata)}; the model ${sizes(this.metadata)}.`));
-    }
-    this.originalDecoder = new Decoder(this.gpu.device, original.metadata, original.levels);
+    const metadata = asOriginal(original.metadata, this.metadata.axes);
+    this.originalDecoder = new Decoder(this.gpu.device, metadata, original.levels);
     original.levels.forEach(() => this.originalDecoder?.addLevel());
     this.original = original;
     this.state.compare.level = null;

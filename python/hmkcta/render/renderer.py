@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..conventions import meant
 from ..errors import expect, invalid
 from ..model import Model
+from ..verbatim import check_shape
 from .animate import default_motion, moving
 from .display import Display, display_of, heat_gain, show
 from .layout import lay_out, value_range
@@ -80,8 +81,8 @@ class Renderer:
         expect("model", model, Model, "a Model", "open the file: hmkcta.open(path)")
         if backend not in BACKENDS:
             raise invalid("unknown-backend", "backend", repr(backend), ", ".join(BACKENDS))
-        if original is not None and tuple(original.shape) != model.shape:
-            raise invalid("original-shape", "original", tuple(original.shape), f"{model.shape}, the model's")
+        if original is not None:
+            check_shape(tuple(original.shape), model.metadata)
         self.kind = kind or model.metadata.kind
         self._model = model
         self._original = meant(original)
