@@ -234,6 +234,46 @@ describe.runIf(there)("viewer in Chromium", () => {
     expect(found.filter((_, i) => !line(i))).toEqual(alone.filter((_, i) => !line(i)));
   });
 
+  it.each<[string, number, (whole: Buffer) => Buffer, string]>([
+    ["missing", 404, (whole) => whole, "The original cannot be shown. There is no file other.hmk on 127.0.0.1"],
+    ["damaged", 200, (whole) => Buffer.concat([whole.subarray(0, -9), Buffer.alloc(9, 1)]), "The original cannot be shown. The file is damaged."],
+    ["another kind of file", 200, () => Buffer.alloc(100, 77), "The original cannot be shown. This is no .hmk file"],
+    ["of another shape", 200, () => readFileSync(join(folder, "volume.hmk")), "The original has another shape than the model."],
+  ])("shows the model without its original where that is %s", async (_, status, made, sentence) => {
+    await open("stack.hmk", "&never");
+    await reached(page, "ready");
+    const base = server!.url.split("?")[0]!;
+    await page.route("**/files/other.hmk", (route) => route.fulfill({ status, body: made(readFileSync(join(folder, "stack.hmk"))) }));
+    await page.goto(`${base}?file=files/stack.hmk&original=files/other.hmk&pixels=${size}x${size}`);
+    await reached(page, "ready");
+    const told = page.getByRole("alert");
+    expect((await told.locator("h1").textContent())!.startsWith(sentence)).toBe(true);
+    expect(await told.textContent()).toContain("The model is shown without it.");
+    expect(await told.evaluate((element) => element.classList.contains("aside"))).toBe(true);
+    expect(await page.locator("#loading").textContent()).toBe("");
+    await set({ Show: "split" });
+    expect(await labelled("With").inputValue(), "levels are left to compare with").toBe("1");
+    await set({ Show: "none", Level: "1" });
+    await told.evaluate((element) => element.remove());
+    expect(new Set(await pixels(page, size)).size, "a picture, not a blank").toBeGreaterThan(20);
+  });
+
+  it("says nothing of an address that fails once another file was dropped", async () => {
+    await open("stack.hmk");
+    await reached(page, "ready");
+    let fail: () => Promise<void> = () => Promise.resolve();
+    await page.route("**/files/late.hmk", (route) => {
+      fail = () => route.fulfill({ status: 404 });
+    });
+    await page.goto(`${server!.url.split("?")[0]!}?file=files/late.hmk`);
+    await drop("good.hmk", readFileSync(join(folder, "stack.hmk")));
+    await reached(page, "ready");
+    await fail();
+    await page.waitForTimeout(300);
+    expect(await page.getByRole("alert").isVisible()).toBe(false);
+    expect(await page.evaluate(() => document.documentElement.dataset["state"])).toBe("ready");
+  });
+
   it("compares what is decoded and nothing else", async () => {
     await open("volume.hmk");
     await reached(page, "ready");

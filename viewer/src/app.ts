@@ -1,5 +1,6 @@
 /** One model on the page: its levels as they arrive, the renderer of what it is shown as, and the drawing of frames. */
 
+import { type Cost, measured, predicted } from "./cost";
 import { SAMPLES, valueRange } from "./decode/element";
 import { Decoder } from "./gpu/decoder";
 import { type Gpu, guarded } from "./gpu/device";
@@ -31,27 +32,6 @@ export interface Statistics {
   level: number;
 }
 
-/** What the last frame took, and what a pixel more would. */
-interface Cost {
-  pixels: number;
-  milliseconds: number;
-  slope: number;
-}
-
-/** The cost after a further frame. A frame has a part that pixels do not change, which two sizes tell apart. */
-function measured(before: Cost | null, pixels: number, milliseconds: number): Cost {
-  const share = milliseconds / pixels;
-  if (before === null || before.pixels === pixels) {
-    return { pixels, milliseconds, slope: Math.min(share, before?.slope ?? share) };
-  }
-  const slope = (milliseconds - before.milliseconds) / (pixels - before.pixels);
-  return { pixels, milliseconds, slope: Math.min(share, Math.max(0.2 * share, slope)) };
-}
-
-function predicted(cost: Cost, pixels: number): number {
-  return cost.milliseconds + cost.slope * (pixels - cost.pixels);
-}
-
 /** What the page around is told. */
 export interface Watcher {
   onFrame(statistics: Statistics): void;
@@ -66,6 +46,7 @@ export class App {
   original: Reading | null = null;
   private readonly decoder: Decoder;
   private originalDecoder: Decoder | null = null;
+  private compared: Decoder | null = null; // the original, once the renderer has it
   private screen!: Screen; // there before anything is drawn
   private renderer: Renderer | null = null;
   private white = 1;
@@ -141,14 +122,28 @@ export class App {
     this.redraw();
   }
 
-  /** A model to compare with, all of whose levels are there. */
+  /** A model to compare with, all of whose levels are there; where that fails, all stays as it was. */
   async setOriginal(original: Reading): Promise<void> {
+    const { device } = this.gpu;
     const metadata = asOriginal(original.metadata, this.metadata.axes);
-    this.originalDecoder = new Decoder(this.gpu.device, metadata, original.levels);
-    original.levels.forEach(() => this.originalDecoder?.addLevel());
+    const decoder = await guarded(device, "preparing the original", () => {
+      const made = new Decoder(device, metadata, original.levels);
+      original.levels.forEach(() => made.addLevel());
+      return made;
+    });
+    this.originalDecoder = decoder;
+    try {
+      await this.use(this.kind, ++this.choices);
+    } catch (error) {
+      this.originalDecoder = null;
+      decoder.destroy();
+      throw error;
+    }
+    if (this.closed) {
+      decoder.destroy();
+    }
     this.original = original;
     this.state.compare.level = null;
-    await this.showAs(this.kind);
   }
 
   /** What the file can be shown as: its kind, if its axes make it, and slices. */
@@ -163,32 +158,38 @@ export class App {
 
   /** Change the renderer; what the axes do not make is shown as slices, with the reason. */
   async showAs(kind: FileKind): Promise<void> {
-    const decoders = [this.decoder, ...(this.originalDecoder === null ? [] : [this.originalDecoder])];
-    const { device } = this.gpu;
-    const notes: string[] = [];
     const choice = ++this.choices;
-    let made: Renderer | null = null;
-    try {
-      if (kind === "svbrdf") made = await SvbrdfRenderer.make(device, this.metadata, decoders, [this.state, ...this.frameSize(true)]);
-      if (kind === "lightfield") made = await LightfieldRenderer.make(device, this.metadata, decoders);
-      if (kind === "volume") made = await VolumeRenderer.make(device, this.metadata, decoders);
-    } catch (error) {
-      notes.push(asProblem(error).message);
-    }
-    const renderer = made ?? await SliceRenderer.make(device, decoders);
+    await this.use(kind, choice).catch((error: unknown) => this.use("generic", choice, [asProblem(error).message]));
+  }
+
+  /** Have another renderer, of the model and the original that there is by now. */
+  private async use(kind: FileKind, choice: number, notes: string[] = []): Promise<void> {
+    const decoders = [this.decoder, ...(this.originalDecoder === null ? [] : [this.originalDecoder])];
+    const renderer = await this.made(kind, decoders);
     if (this.closed || choice !== this.choices) { // another choice came before this one was ready
       renderer.destroy();
       return;
     }
-    this.kind = made === null ? "generic" : kind;
+    this.kind = kind;
     this.renderer?.destroy();
     this.renderer = renderer;
+    this.compared = decoders[1] ?? null;
     this.cost = null;
     this.warm = false;
     this.whole = false;
-    this.watcher.onNotes([...notes, ...this.renderer.notes]);
+    this.watcher.onNotes([...notes, ...renderer.notes]);
     this.resetView();
     this.redraw();
+  }
+
+  private made(kind: FileKind, decoders: Decoder[]): Promise<Renderer> {
+    const { device } = this.gpu;
+    switch (kind) {
+      case "svbrdf": return SvbrdfRenderer.make(device, this.metadata, decoders, [this.state, ...this.frameSize(true)]);
+      case "lightfield": return LightfieldRenderer.make(device, this.metadata, decoders);
+      case "volume": return VolumeRenderer.make(device, this.metadata, decoders);
+      default: return SliceRenderer.make(device, decoders);
+    }
   }
 
   /** Say what went wrong, unless another file is shown by now. */
@@ -298,8 +299,8 @@ export class App {
     if (mode === "none") {
       return [first];
     }
-    return other === null && this.originalDecoder !== null
-      ? [first, { decoder: this.originalDecoder, level: this.originalDecoder.arrived }]
+    return other === null && this.compared !== null
+      ? [first, { decoder: this.compared, level: this.compared.arrived }]
       : [first, { decoder: this.decoder, level: Math.min(other ?? 1, this.decoder.arrived) }];
   }
 

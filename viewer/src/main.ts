@@ -3,6 +3,7 @@
 import { App, type Statistics } from "./app";
 import { type Gpu, openGpu } from "./gpu/device";
 import { load } from "./load";
+import { originalProblem } from "./original";
 import { Problem, asProblem } from "./problem";
 import type { Reading } from "./reader/read";
 import { Screen } from "./render/screen";
@@ -39,6 +40,7 @@ class Page {
   private shown = 0; // the deepest level that was on screen
   private fileBytes: [number, number] = [0, 0];
   private source: ByteSource | null = null;
+  private notes = ""; // on how the model is shown
   private quiet = true;
   private hush = 0; // the timer that ends it
   private readonly canvas = byId<HTMLCanvasElement>("canvas");
@@ -72,45 +74,51 @@ class Page {
 
   /** The file that the address names, or one beside the page, or none. */
   private async openFile(name: string | null): Promise<void> {
-    const { signal } = this.session;
+    const { signal } = this.session; // aborted when a file is dropped on the page meanwhile
     const source = await openUrl(fileUrl(name ?? DEFAULT_FILE, location.href)).catch((error: unknown) => {
-      if (name !== null) {
+      if (name !== null && !signal.aborted) {
         throw error;
       }
       return null;
     });
-    if (signal.aborted) { // a file was dropped on the page meanwhile
+    if (source === null && !signal.aborted) {
+      await this.opening;
+    }
+    if (signal.aborted) {
       return;
     }
     if (source === null) {
-      await this.opening;
       byId("welcome").hidden = false;
       mark("empty");
       return;
     }
-    await this.show(source);
     const original = PARAMETERS.get("original");
-    const { app } = this;
-    if (original !== null && app !== null && this.source === source) {
-      byId("loading").textContent = "Loading the original ...";
-      try {
-        await app.setOriginal(await load(await openUrl(fileUrl(original, location.href)), {
-          onTables: () => undefined, onLevel: () => undefined,
-        }));
-      } catch (error) {
-        if (this.source === source) {
-          throw error;
-        }
-      }
-      if (this.source === source) { // no other file was opened meanwhile
-        this.panel?.build();
-        mark("ready");
-      }
+    await this.show(source, original === null ? "ready" : "model-ready");
+    if (original !== null && this.app !== null && this.source === source) {
+      await this.addOriginal(this.app, original, this.session.signal);
     }
   }
 
-  /** Show a file from its first bytes on. */
-  private async show(source: ByteSource): Promise<void> {
+  /** Load what to compare the model with; where that fails, the model stays on screen. */
+  private async addOriginal(app: App, address: string, signal: AbortSignal): Promise<void> {
+    byId("loading").textContent = "Loading the original ...";
+    try {
+      const source = await openUrl(fileUrl(address, location.href));
+      await app.setOriginal(await load(source, { onTables: () => undefined, onLevel: () => undefined }));
+    } catch (error) {
+      if (!signal.aborted && byId("message").hidden) { // what is said of the model matters more
+        this.tell(originalProblem(error), true);
+      }
+    }
+    if (!signal.aborted && !app.closed) {
+      byId("loading").textContent = this.notes;
+      this.panel?.build();
+      mark("ready");
+    }
+  }
+
+  /** Show a file from its first bytes on, up to a state. */
+  private async show(source: ByteSource, end = "ready"): Promise<void> {
     this.close();
     this.source = source;
     mark("loading");
@@ -154,7 +162,7 @@ class Page {
       return;
     }
     this.progress(source.size, source.size);
-    mark(PARAMETERS.get("original") === null ? "ready" : "model-ready");
+    mark(end);
   }
 
   /** Compile what the file needs; nothing of it is seen once another file was opened. */
@@ -173,7 +181,8 @@ class Page {
       onFrame: unlessAborted((statistics) => this.frame(statistics)),
       onProblem: unlessAborted((problem) => this.fail(problem)),
       onNotes: unlessAborted((notes) => {
-        byId("loading").textContent = notes.join(" ");
+        this.notes = notes.join(" ");
+        byId("loading").textContent = this.notes;
       }),
     }, pixels === null ? null : [Number(pixels[1]), Number(pixels[2])]);
     if (signal.aborted) {
@@ -229,7 +238,7 @@ class Page {
     }
     byId("controls").replaceChildren();
     byId("facts").textContent = "";
-    byId("loading").textContent = "";
+    byId("loading").textContent = this.notes = "";
     byId("statistics").textContent = "";
   }
 
@@ -300,6 +309,11 @@ class Page {
 
   /** Say what went wrong; beside the picture where one is still shown. */
   private fail(problem: Problem, aside = false): void {
+    this.tell(problem, aside);
+    mark("failed");
+  }
+
+  private tell(problem: Problem, aside: boolean): void {
     this.speak();
     byId("message").classList.toggle("aside", aside);
     byId("message-sentence").textContent = problem.sentence;
@@ -308,7 +322,6 @@ class Page {
     byId("message").hidden = false;
     byId("welcome").hidden = true;
     byId("progress").hidden = true;
-    mark("failed");
   }
 
   private listen(): void {

@@ -1,6 +1,6 @@
 /** What a model is compared with: any file of its shape, whose axes are then the model's. */
 
-import { Problem } from "./problem";
+import { Problem, asProblem } from "./problem";
 import type { Axis, Metadata } from "./reader/metadata";
 
 /**
@@ -16,4 +16,11 @@ export function asOriginal(original: Metadata, axes: Axis[]): Metadata {
   }
   const names = new Map(original.axes.map(({ name }, n) => [name, axes[n]!.name]));
   return { ...original, axes, organisation: original.organisation.map((mode) => mode.map((name) => names.get(name)!)) };
+}
+
+/** What to say of an original that failed; the model is there all the same. */
+export function originalProblem(error: unknown): Problem {
+  const { sentence, detail, next } = asProblem(error);
+  return new Problem(sentence.startsWith("The original") ? sentence : `The original cannot be shown. ${sentence}`, detail,
+    `${next} The model is shown without it.`.trimStart());
 }

@@ -2,7 +2,7 @@
 
 import { describe, expect, it } from "vitest";
 import { axisPlaces } from "../src/decode/element";
-import { asOriginal } from "../src/original";
+import { asOriginal, originalProblem } from "../src/original";
 import { Problem } from "../src/problem";
 import type { Metadata } from "../src/reader/metadata";
 import { loads } from "../src/reader/read";
@@ -45,5 +45,13 @@ describe("an original", () => {
     const shape = (of: typeof axes): string => of.map(({ size }) => size).join(" x ");
     expect(refused).toThrow(Problem);
     expect(refused).toThrow(`original: found ${shape(axes)}, allowed ${shape(metadata.axes)}, the model's. Give the array`);
+  });
+
+  it.each<[Error, string]>([
+    [new Problem("The original has another shape.", "", "Give another."), "The original has another shape. Give another. The model is shown without it."],
+    [new Problem("There is no file."), "The original cannot be shown. There is no file. The model is shown without it."],
+    [new Error("odd"), "The original cannot be shown. Something unforeseen went wrong on this page. odd"],
+  ])("that fails is named: %s", (error, sentence) => {
+    expect(originalProblem(error).message.startsWith(sentence)).toBe(true);
   });
 });
