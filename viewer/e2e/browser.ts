@@ -4,7 +4,7 @@ import { type ChildProcess, execFileSync, spawn } from "node:child_process";
 import { existsSync, mkdtempSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
-import { type Browser, type Page, chromium } from "playwright-core";
+import { type Browser, type Locator, type Page, chromium } from "playwright-core";
 import { PNG } from "pngjs";
 
 const ROOT = join(import.meta.dirname, "..", "..");
@@ -101,4 +101,25 @@ export async function pixels(page: Page, size: number): Promise<Uint8Array> {
   await settled(page);
   const shot = PNG.sync.read(await page.screenshot({ clip: { x: 0, y: 0, width: size, height: size } }));
   return Uint8Array.from({ length: 3 * size * size }, (_, i) => shot.data[4 * Math.floor(i / 3) + (i % 3)]!);
+}
+
+/** The input or list with a label that is seen. */
+export function control(page: Page, label: string): Locator {
+  return page.getByLabel(label, { exact: true }).and(page.locator("input, select")).locator("visible=true").first();
+}
+
+/** Bring the controls of the page to some values. */
+export async function setControls(page: Page, values: Record<string, string>): Promise<void> {
+  for (const [label, value] of Object.entries(values)) {
+    const found = control(page, label);
+    await (await found.evaluate((element) => element.tagName) === "SELECT" ? found.selectOption(value) : found.fill(value));
+  }
+}
+
+export function dropFile(page: Page, name: string, bytes: Buffer): Promise<void> {
+  return page.evaluate(({ text, as }) => {
+    const data = new DataTransfer();
+    data.items.add(new File([Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0))], as));
+    window.dispatchEvent(new DragEvent("drop", { dataTransfer: data, bubbles: true }));
+  }, { text: bytes.toString("base64"), as: name });
 }

@@ -5,7 +5,9 @@ import { join } from "node:path";
 import type { Browser, Locator, Page } from "playwright-core";
 import { PNG } from "pngjs";
 import { afterAll, afterEach, beforeAll, describe, expect, it } from "vitest";
-import { Server, WITHOUT_WEBGPU, haveBrowser, launch, makeModels, pixels, reached, settled } from "./browser";
+import {
+  Server, WITHOUT_WEBGPU, control, dropFile, haveBrowser, launch, makeModels, pixels, reached, setControls, settled,
+} from "./browser";
 
 /** Of 255: rounding, and sums in another order. */
 const TOLERANCE = 6;
@@ -55,26 +57,9 @@ describe.runIf(there)("viewer in Chromium", () => {
     await page.goto(server.url + query);
   }
 
-  function labelled(label: string): Locator {
-    return page.getByLabel(label, { exact: true }).and(page.locator("input, select")).locator("visible=true").first();
-  }
-
-  /** Bring the controls of the page to some values. */
-  async function set(controls: Record<string, string>): Promise<void> {
-    for (const [label, value] of Object.entries(controls)) {
-      const control = labelled(label);
-      await (await control.evaluate((element) => element.tagName) === "SELECT"
-        ? control.selectOption(value) : control.fill(value));
-    }
-  }
-
-  function drop(name: string, bytes: Buffer): Promise<void> {
-    return page.evaluate(({ text, as }) => {
-      const data = new DataTransfer();
-      data.items.add(new File([Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0))], as));
-      window.dispatchEvent(new DragEvent("drop", { dataTransfer: data, bubbles: true }));
-    }, { text: bytes.toString("base64"), as: name });
-  }
+  const labelled = (label: string): Locator => control(page, label);
+  const set = (values: Record<string, string>): Promise<void> => setControls(page, values);
+  const drop = (name: string, bytes: Buffer): Promise<void> => dropFile(page, name, bytes);
 
   it.each(pictures)("shows $name as NumPy does", async ({ name, file, controls, drag, mesh }) => {
     const original = name.includes("original") ? ["--original", join(folder, file.replace(".hmk", ".npy"))] : [];
@@ -217,63 +202,6 @@ describe.runIf(there)("viewer in Chromium", () => {
     expect(await page.getByLabel("Down", { exact: true }).count()).toBe(0);
   });
 
-  it("keeps saying what it assumes when there is an original", async () => {
-    await open("bare.hmk", undefined, "--original", join(folder, "bare.npy"));
-    await reached(page, "ready");
-    expect(await page.locator("#loading").textContent()).toContain("light has no directions as coordinates");
-  });
-
-  it("compares with a file of the same shape, whatever its axes are called", async () => {
-    await open("material.hmk", undefined, "--original", join(folder, "renamed.hmk"));
-    await reached(page, "ready");
-    const alone = await pixels(page, size);
-    await set({ Show: "split" });
-    expect(await labelled("With").inputValue()).toBe("original");
-    const found = await pixels(page, size);
-    const line = (i: number): boolean => Math.abs(Math.floor(i / 3) % size + 0.5 - size / 2) < 1; // between the two sides
-    expect(found.filter((_, i) => !line(i))).toEqual(alone.filter((_, i) => !line(i)));
-  });
-
-  it.each<[string, number, (whole: Buffer) => Buffer, string]>([
-    ["missing", 404, (whole) => whole, "The original cannot be shown. There is no file other.hmk on 127.0.0.1"],
-    ["damaged", 200, (whole) => Buffer.concat([whole.subarray(0, -9), Buffer.alloc(9, 1)]), "The original cannot be shown. The file is damaged."],
-    ["another kind of file", 200, () => Buffer.alloc(100, 77), "The original cannot be shown. This is no .hmk file"],
-    ["of another shape", 200, () => readFileSync(join(folder, "volume.hmk")), "The original has another shape than the model."],
-  ])("shows the model without its original where that is %s", async (_, status, made, sentence) => {
-    await open("stack.hmk", "&never");
-    await reached(page, "ready");
-    const base = server!.url.split("?")[0]!;
-    await page.route("**/files/other.hmk", (route) => route.fulfill({ status, body: made(readFileSync(join(folder, "stack.hmk"))) }));
-    await page.goto(`${base}?file=files/stack.hmk&original=files/other.hmk&pixels=${size}x${size}`);
-    await reached(page, "ready");
-    const told = page.getByRole("alert");
-    expect((await told.locator("h1").textContent())!.startsWith(sentence)).toBe(true);
-    expect(await told.textContent()).toContain("The model is shown without it.");
-    expect(await told.evaluate((element) => element.classList.contains("aside"))).toBe(true);
-    expect(await page.locator("#loading").textContent()).toBe("");
-    await set({ Show: "split" });
-    expect(await labelled("With").inputValue(), "levels are left to compare with").toBe("1");
-    await set({ Show: "none", Level: "1" });
-    await told.evaluate((element) => element.remove());
-    expect(new Set(await pixels(page, size)).size, "a picture, not a blank").toBeGreaterThan(20);
-  });
-
-  it("says nothing of an address that fails once another file was dropped", async () => {
-    await open("stack.hmk");
-    await reached(page, "ready");
-    let fail: () => Promise<void> = () => Promise.resolve();
-    await page.route("**/files/late.hmk", (route) => {
-      fail = () => route.fulfill({ status: 404 });
-    });
-    await page.goto(`${server!.url.split("?")[0]!}?file=files/late.hmk`);
-    await drop("good.hmk", readFileSync(join(folder, "stack.hmk")));
-    await reached(page, "ready");
-    await fail();
-    await page.waitForTimeout(300);
-    expect(await page.getByRole("alert").isVisible()).toBe(false);
-    expect(await page.evaluate(() => document.documentElement.dataset["state"])).toBe("ready");
-  });
-
   it("compares what is decoded and nothing else", async () => {
     await open("volume.hmk");
     await reached(page, "ready");
@@ -368,6 +296,16 @@ describe.runIf(there)("viewer in Chromium", () => {
     await page.goto(`${base}?file=data:text/plain,1`);
     await reached(page, "failed");
     expect(await page.getByRole("alert").textContent()).toContain("http and https only");
+    await page.goto(`${base}?file=index.html`);
+    await reached(page, "failed");
+    expect(await page.getByRole("alert").textContent()).toContain("what begins like a web page");
+    await page.goto(`${base}?file=files/stack.hmk&pixels=0x0`);
+    await reached(page, "failed");
+    expect(await page.getByRole("alert").textContent()).toContain("pixels: found 0x0, allowed 1x1 to ");
+    await page.goto(`${base}?file=files/stack.hmk&original=&pixels=1x1`);
+    await reached(page, "ready");
+    await page.goto(`${base}?file=`);
+    await reached(page, "empty");
     await page.goto(base);
     await reached(page, "empty");
     expect(await page.getByRole("heading", { name: "Show an .hmk file" }).isVisible()).toBe(true);

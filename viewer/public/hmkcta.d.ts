@@ -56,14 +56,14 @@ export interface OnGpu {
 /** For `instanceof`; models come from `open`. */
 export declare const Model: { readonly prototype: Model; [Symbol.hasInstance](value: unknown): value is Model };
 
-/** A file that is damaged, incomplete or newer. */
+/** A file that is damaged, incomplete, newer or no .hmk file. */
 export declare class HmkError extends Error {
   private constructor();
   /** A code of docs/format.md, section 8. */
   readonly reason: string;
 }
 
-/** A file that could not be fetched. */
+/** A file that could not be fetched, or a source that is nothing to read. */
 export declare class Problem extends Error {
   private constructor();
   readonly sentence: string;

@@ -2,7 +2,9 @@
 
 import { LENGTH_BYTES, headerLength } from "./reader/header";
 import { DEFAULT_LIMITS } from "./reader/limits";
+import { START, recognised } from "./reader/lookalikes";
 import { Reading } from "./reader/read";
+import { HmkError } from "./reader/reasons";
 import type { ByteSource } from "./stream";
 
 /**
@@ -18,10 +20,7 @@ export interface Listener {
 
 /** Read a file; throws `HmkError` or `Problem`. */
 export async function load(source: ByteSource, listener: Listener): Promise<Reading> {
-  await source.upTo(LENGTH_BYTES);
-  const length = headerLength(source.bytes, source.size, VIEWER_LIMITS);
-  await source.upTo(LENGTH_BYTES + length);
-  const reading = new Reading(source.bytes.subarray(LENGTH_BYTES, LENGTH_BYTES + length), source.size, VIEWER_LIMITS);
+  const reading = await begin(source);
   await source.upTo(reading.tablesEnd);
   reading.readTables(source.bytes);
   const levels = reading.metadata.levels.map((_, l) => l + 1);
@@ -37,6 +36,22 @@ export async function load(source: ByteSource, listener: Listener): Promise<Read
     }
   }
   return reading;
+}
+
+/** Read the header; what is no `.hmk` file at all is told by what it looks like. */
+async function begin(source: ByteSource): Promise<Reading> {
+  try {
+    await source.upTo(LENGTH_BYTES);
+    const length = headerLength(source.bytes, source.size, VIEWER_LIMITS);
+    await source.upTo(LENGTH_BYTES + length);
+    return new Reading(source.bytes.subarray(LENGTH_BYTES, LENGTH_BYTES + length), source.size, VIEWER_LIMITS);
+  } catch (error) {
+    if (!(error instanceof HmkError)) {
+      throw error;
+    }
+    await source.upTo(START).catch(() => undefined);
+    throw recognised(error, source.bytes.subarray(0, Math.min(START, source.have)));
+  }
 }
 
 /** Fetch while shaders are compiled and pictures drawn; one promise an end, each kept when its bytes are there. */

@@ -8,6 +8,7 @@ import { Problem, asProblem } from "./problem";
 import type { Reading } from "./reader/read";
 import { Screen } from "./render/screen";
 import { BlobSource, type ByteSource, fileUrl, openUrl } from "./stream";
+import { fixedSize, given } from "./ui/address";
 import { byId } from "./ui/controls";
 import { facts, mebibytes } from "./ui/facts";
 import { isMesh, listenForFiles, meshIn } from "./ui/files";
@@ -51,7 +52,7 @@ class Page {
     try {
       this.opening = this.openGpu();
       this.opening.catch(() => undefined); // whoever waits for it hears of the failure
-      await this.openFile(PARAMETERS.get("file"));
+      await this.openFile(given(PARAMETERS, "file"));
     } catch (error) {
       this.fail(asProblem(error));
     }
@@ -92,7 +93,7 @@ class Page {
       mark("empty");
       return;
     }
-    const original = PARAMETERS.get("original");
+    const original = given(PARAMETERS, "original");
     await this.show(source, original === null ? "ready" : "model-ready");
     if (original !== null && this.app !== null && this.source === source) {
       await this.addOriginal(this.app, original, this.session.signal);
@@ -171,7 +172,7 @@ class Page {
     await this.opening;
     signal.throwIfAborted();
     this.shown = 0;
-    const pixels = /^(\d+)x(\d+)$/.exec(PARAMETERS.get("pixels") ?? "");
+    const size = fixedSize(given(PARAMETERS, "pixels"), this.gpu!.device.limits.maxTextureDimension2D);
     const unlessAborted = <T>(tell: (told: T) => void) => (told: T): void => {
       if (!signal.aborted) {
         tell(told);
@@ -184,7 +185,7 @@ class Page {
         this.notes = notes.join(" ");
         byId("loading").textContent = this.notes;
       }),
-    }, pixels === null ? null : [Number(pixels[1]), Number(pixels[2])]);
+    }, size);
     if (signal.aborted) {
       app.close();
     }

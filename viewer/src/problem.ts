@@ -1,5 +1,6 @@
 /** What went wrong, as the page says it: a sentence, perhaps details, and what to do next. */
 
+import { ForeignFile } from "./reader/lookalikes";
 import { HmkError, type Kind, type Reason } from "./reader/reasons";
 
 export class Problem extends Error {
@@ -22,7 +23,11 @@ const NO_HMK = "This is no .hmk file";
 const NEWER = "The file is newer than this page.";
 
 /** The first sentence. The kind alone would lead astray where another kind of file, a picture say, was taken for this one. */
-function headline({ kind, reason, where, sentence }: HmkError): string {
+function headline(error: HmkError): string {
+  if (error instanceof ForeignFile) {
+    return `${NO_HMK}.`;
+  }
+  const { kind, reason, where, sentence } = error;
   const other = where === "header" && ["header-bytes", "json-syntax", "json-encoding"].includes(reason);
   const leads: Partial<Record<Reason, string>> = {
     "header-too-large": `${NO_HMK}, or one whose header is larger than the limit.`,

@@ -4,6 +4,7 @@ import { createServer } from "node:http";
 import type { AddressInfo } from "node:net";
 import { describe, expect, it } from "vitest";
 import { HmkError, type Model, open, Problem } from "../src/module";
+import { asProblem } from "../src/problem";
 import { fixture } from "./corpus";
 
 interface Expected {
@@ -62,6 +63,13 @@ describe("a model", () => {
     ["; allowed: whole numbers from -", (model) => model.at(model.shape.map((size) => -size - 1))],
     ["index of ", (model) => model.at([0.5, 0])],
     ["end of ", (model) => model.slice([[0, 1000], 0])],
+    ["index: undefined; allowed: an array of 2, one an axis (", (model) => model.at(undefined as never)],
+    ["index: 3; allowed: an array of 2", (model) => model.slice(3 as never)],
+    [": undefined; allowed: whole numbers from -", (model) => model.slice([0, undefined] as never)],
+    [", [from, to] or null", (model) => model.slice([0, [1]] as never)],
+    [': "1"; allowed: whole numbers from -', (model) => model.at([0, "1"] as never)],
+    [": null; allowed: whole numbers from -", (model) => model.at([0, null] as never)],
+    ["end of ", (model) => model.slice([0, [0, undefined]] as never)],
     ["level 3; allowed: 1 to 2", (model) => model.at([0, 0], 3)],
     ["level 0; allowed: 1 to 2", (model) => model.at([0, 0], 0)],
   ])("refuses with %j", async (sentence, use) => {
@@ -106,6 +114,24 @@ describe("opening", () => {
       server.closeAllConnections();
       server.close();
     }
+  });
+
+  it.each([[undefined, "undefined"], [null, "null"], [7, "7"], [{}, "[object Object]"], [[bytes], "[[object Uint8Array]]"]])(
+    "refuses %s, which is nothing to read", async (source, shown) => {
+      await expect(open(source as never)).rejects.toThrow(Problem);
+      await expect(open(source as never)).rejects.toThrow(`source: found ${shown}, allowed an address, a Blob`);
+    });
+
+  it.each<[string, string]>([
+    ["<!DOCTYPE html>\n<html><body>404</body></html>", "a web page, allowed an .hmk file. Next: see in a browser"],
+    ["\n <html lang=en></html>", "a web page"], ["\x93NUMPY\x01\0v\0{'descr'", "a NumPy array (.npy), allowed"],
+    ["PK\x03\x04\x14\0\0\0", "a zip archive"], ["\x1f\x8b\x08\0\0\0\0\0", "a file packed by gzip"],
+    ["version https://git-lfs.github.com/spec/v1\n", "a pointer of Git LFS"], ["plain text of somebody", "no .hmk file, allowed"],
+  ])("says what a file begins like that is none: %j", async (text, what) => {
+    const other = open(new Blob([Buffer.from(text, "latin1"), new Uint8Array(60)]));
+    await expect(other).rejects.toThrow(HmkError);
+    await expect(other).rejects.toThrow(`header: found what begins like ${what}`);
+    expect(asProblem(await other.catch((error: unknown) => error)).sentence).toBe("This is no .hmk file.");
   });
 
   it("refuses damage and what is no address", async () => {

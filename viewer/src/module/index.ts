@@ -5,6 +5,7 @@ import { Problem } from "../problem";
 import { HmkError } from "../reader/reasons";
 import { BlobSource, type ByteSource, fileUrl, openUrl } from "../stream";
 import { Model } from "./model";
+import { shown } from "./shown";
 
 export { HmkError, Model, Problem };
 export type { Index, Slice } from "./model";
@@ -16,8 +17,8 @@ export type LevelListener = (model: Model, level: number) => void | Promise<void
 /**
  * Read a file from its address, or one that is at hand, and check it on the way.
  *
- * Throws an `HmkError` of a file that is damaged, incomplete or newer (its `reason` is of docs/format.md, section 8), a
- * `Problem` where it could not be fetched.
+ * Throws an `HmkError` of a file that is damaged, incomplete, newer or no `.hmk` file (its `reason` is of docs/format.md,
+ * section 8), a `Problem` where it could not be fetched or `source` is nothing to read.
  */
 export async function open(source: string | URL | Blob | BufferSource, onLevel: LevelListener = () => undefined): Promise<Model> {
   let model: Model | null = null;
@@ -37,5 +38,13 @@ function byteSource(source: string | URL | Blob | BufferSource): ByteSource | Pr
     const base = typeof document === "object" ? document.baseURI : typeof location === "object" ? location.href : undefined;
     return openUrl(fileUrl(String(source), base));
   }
+  if (!isBytes(source)) {
+    throw new Problem(`source: found ${shown(source)}, allowed an address, a Blob, File, ArrayBuffer or typed array.`);
+  }
   return new BlobSource(source instanceof File ? source : new File([source], "the file"));
+}
+
+/** Whether somebody's program gave what its types promise; objects of another frame are no instances of this one's. */
+function isBytes(source: unknown): boolean {
+  return ArrayBuffer.isView(source) || ["[object Blob]", "[object File]", "[object ArrayBuffer]"].includes(Object.prototype.toString.call(source));
 }

@@ -4,6 +4,7 @@ import { axisPlaces, decodeRows, sourceValue } from "../decode/element";
 import type { Axis, FileKind, LevelQuality } from "../reader/metadata";
 import type { Reading } from "../reader/read";
 import { OnGpu } from "./onGpu";
+import { shown } from "./shown";
 
 /** One index, which counts from the end if it is negative; `[from, to]`, without the latter; `null`: the whole axis. */
 export type Index = number | readonly [from: number, to: number] | null;
@@ -48,12 +49,23 @@ export class Model {
 
   /** One element, of the first `level` levels. */
   at(index: readonly number[], level = this.arrived): number {
-    return this.slice(index, level).values[0]!;
+    return this.decode(this.ranges(index, false), level)[0]!;
   }
 
   /** Some elements. */
   slice(index: readonly Index[], level = this.arrived): Slice {
-    const ranges = this.ranges(index);
+    const ranges = this.ranges(index, true);
+    const shape = ranges.map(([from, to]) => to - from).filter((_, axis) => typeof index[axis] !== "number");
+    return { shape, values: this.decode(ranges, level) };
+  }
+
+  /** The numbers on a GPU, and the WGSL that decodes them there. */
+  onGpu(device: GPUDevice): OnGpu {
+    return new OnGpu(device, this.reading, () => this.arrived);
+  }
+
+  /** Elements of some ranges, the last axis fastest. */
+  private decode(ranges: [from: number, to: number][], level: number): Float32Array<ArrayBuffer> {
     const levels = this.checkedLevel(level);
     const shape = ranges.map(([from, to]) => to - from);
     const values = new Float32Array(shape.reduce((count, size) => count * size, 1));
@@ -68,30 +80,29 @@ export class Model {
       }
       values[at] = sourceValue(decodeRows(this.reading.levels, rows, levels), transform);
     }
-    return { shape: shape.filter((_, axis) => typeof index[axis] !== "number"), values };
+    return values;
   }
 
-  /** The numbers on a GPU, and the WGSL that decodes them there. */
-  onGpu(device: GPUDevice): OnGpu {
-    return new OnGpu(device, this.reading, () => this.arrived);
-  }
-
-  private ranges(index: readonly Index[]): [from: number, to: number][] {
+  /** What an index says of each axis; only where `several` may it be more than one place. */
+  private ranges(index: readonly Index[], several: boolean): [from: number, to: number][] {
+    const names = this.axes.map((axis) => axis.name).join(", ");
+    if (!Array.isArray(index)) {
+      throw new RangeError(`index: ${shown(index)}; allowed: an array of ${this.axes.length}, one an axis (${names})`);
+    }
     if (index.length !== this.axes.length) {
-      const names = this.axes.map((axis) => axis.name).join(", ");
       throw new RangeError(`${index.length} indices; allowed: ${this.axes.length}, one an axis (${names})`);
     }
-    return index.map((each, axis) => {
-      const { name, size } = this.axes[axis]!;
-      if (each === null) {
+    return this.axes.map(({ name, size }, axis) => {
+      const each = index[axis] as Index;
+      if (several && each === null) {
         return [0, size];
       }
-      if (typeof each === "number") {
-        const from = bounded(`index of ${name}`, each, size, size - 1);
-        return [from, from + 1];
+      if (several && Array.isArray(each) && each.length === 2) {
+        const [from, to] = [bounded(`start of ${name}`, each[0], size, size), bounded(`end of ${name}`, each[1], size, size)];
+        return [from, Math.max(from, to)];
       }
-      const [from, to] = [bounded(`start of ${name}`, each[0], size, size), bounded(`end of ${name}`, each[1], size, size)];
-      return [from, Math.max(from, to)];
+      const from = bounded(`index of ${name}`, each, size, size - 1, several ? ", [from, to] or null" : "");
+      return [from, from + 1];
     });
   }
 
@@ -104,10 +115,10 @@ export class Model {
 }
 
 /** An index from the start of an axis. */
-function bounded(what: string, index: number, size: number, most: number): number {
-  const found = index < 0 ? index + size : index;
-  if (!Number.isInteger(found) || found < 0 || found > most) {
-    throw new RangeError(`${what}: ${index}; allowed: whole numbers from ${-size} to ${most}`);
+function bounded(what: string, index: unknown, size: number, most: number, or = ""): number {
+  const found = typeof index === "number" && index < 0 ? index + size : index;
+  if (typeof found !== "number" || !Number.isInteger(found) || found < 0 || found > most) {
+    throw new RangeError(`${what}: ${shown(index)}; allowed: whole numbers from ${-size} to ${most}${or}`);
   }
   return found;
 }
