@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Generator
 from pathlib import Path
+from typing import Any
 from urllib.parse import parse_qs, quote, urlsplit
 
 import numpy as np
@@ -250,6 +251,41 @@ def test_other_files_as_originals(model: Model, file: Path, tmp_path: Path) -> N
     other.write_bytes(b"nothing")
     with pytest.raises(HmkctaError, match="truncated"):
         serve(file, original=other, page=PAGE)
+
+
+@pytest.mark.parametrize("name", ["LF.HMK", "model", "model.npy"])
+def test_other_files_as_originals_have_any_name(name: str, model: Model, file: Path) -> None:
+    other = file.parent / name
+    other.write_bytes(file.read_bytes())
+    with serve(file, original=other, page=PAGE) as running:
+        assert ask(running, "/original/original.hmk")[1] == file.read_bytes()
+    before = "import hmkcta.serve as s; s.installed_page = lambda: {'/': s.Resource('text/html', data=b'page')}"
+    process = start("view", file, "--original", other, "--no-browser", before=before)
+    assert process.stdout is not None
+    assert "&original=original/original.hmk" in process.stdout.readline()
+    process.send_signal(signal.SIGINT)
+    assert finish(process)[0] == 0
+    array = saved(file.parent / "array.npy", model[...]).rename(file.parent / "array.hmk")
+    with pytest.raises(HmkctaError, match="found what begins like a NumPy array"):
+        serve(file, original=array, page=PAGE)
+
+
+def test_originals_are_what_numpy_makes_an_array_of(model: Model, file: Path) -> None:
+    values = model[...].astype(np.float16)
+    with serve(file, original=values.tolist(), page=PAGE) as running:
+        np.testing.assert_allclose(Model(*loads(ask(running, "/original/original.hmk")[1]))[...], values, rtol=1e-3)
+
+
+@pytest.mark.parametrize(("original", "sentence"), [
+    ([[1, 2]], r"original: found \(1, 2\), allowed \(5, 6, 7\), the model's\."),
+    ([[1, 2], [3]], r"original: found \[\[1, 2\], \[3\]\], allowed as many numbers in each of its lists"),
+    ({"a": 1}, "original: found dtype object, allowed floating point, integers or booleans"),
+    (b"source.npy", "original: found dtype .S10, allowed floating point"),
+    (np.ma.masked_less(np.zeros((5, 6, 7)), 1), "original: found 210 masked values, allowed no mask"),
+], ids=["shape", "ragged", "mapping", "bytes", "masked"])
+def test_originals_that_are_no_arrays_are_named(file: Path, original: Any, sentence: str) -> None:
+    with pytest.raises(HmkctaError, match=sentence):
+        serve(file, original=original, page=PAGE)
 
 
 def test_a_clone_without_a_page_says_so(monkeypatch: pytest.MonkeyPatch) -> None:

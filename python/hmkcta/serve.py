@@ -24,11 +24,10 @@ from types import TracebackType
 from typing import Any, BinaryIO, cast
 from urllib.parse import quote, unquote, urlsplit
 
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
-from .conventions import meant
 from .errors import HmkctaError, Kind, expect
-from .hmkfile import encode
+from .hmkfile import encode, is_hmk
 from .model import open as open_model
 from .packed import Metadata
 from .progress import Progress
@@ -110,7 +109,7 @@ class Server:
             self._thread.join(0.5)
 
 
-def serve(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | NDArray[Any] | None = None,
+def serve(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | ArrayLike | None = None,
           nan: float | None = None, port: int = 0, page: Mapping[str, Resource] | None = None,
           progress: Progress | None = None) -> Server:
     """Serve the viewer and a file on 127.0.0.1.
@@ -118,8 +117,8 @@ def serve(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | ND
     Args:
         path: the `.hmk` file. It is checked here as `hmkcta.open` does, and again by the page, which reads it anew
             at each reload.
-        original: what to compare with: an array of the model's shape, a file that `hmkcta.open_array` opens as one, or
-            another `.hmk` file of that shape, whatever its axes are called.
+        original: what to compare with: an array of the model's shape, or what NumPy makes one of; a file that
+            `hmkcta.open_array` opens as one; or another `.hmk` file of that shape, whatever its axes are called.
         nan: value that stands for NaN and infinity in the original.
         port: 0 takes a free one.
         page: the page's files by path; by default the one that is installed.
@@ -145,7 +144,7 @@ def serve(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | ND
     return Server(table, query, port)
 
 
-def view(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | NDArray[Any] | None = None,
+def view(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | ArrayLike | None = None,
          nan: float | None = None, port: int = 0, browser: bool = True, progress: Progress | None = None) -> Server:
     """Serve a file and open the page in the browser; the server runs until it is closed or the program ends.
 
@@ -192,15 +191,15 @@ def _files(folder: Traversable, prefix: str) -> list[tuple[str, Traversable]]:
 
 
 def _original(
-    like: Metadata, original: str | os.PathLike[str] | NDArray[Any], nan: float | None, progress: Progress | None
+    like: Metadata, original: str | os.PathLike[str] | ArrayLike, nan: float | None, progress: Progress | None
 ) -> Resource:
     """The original as a file that the page's decoder reads."""
     if isinstance(original, str | os.PathLike):
-        if os.fspath(original).endswith(".hmk"):
+        if is_hmk(original):
             check_shape(open_model(original).shape, like)
             return Resource("application/octet-stream", Path(original))
         original = open_array(os.fspath(original), progress=progress)
-    metadata, level = verbatim(meant(original), like, nan)
+    metadata, level = verbatim(original, like, nan)
     return Resource("application/octet-stream", data=b"".join(encode(metadata, (level,))))
 
 

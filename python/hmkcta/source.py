@@ -151,6 +151,28 @@ class Source:
         return next(number for number, axis in enumerate(self.axes) if axis.name == name)
 
 
+def as_array(values: Any, where: str) -> NDArray[Any]:
+    """Real numbers that were given in whatever form; what they mean, of an open dataset.
+
+    Raises:
+        HmkctaError: not an array of real numbers, or a masked one.
+
+    >>> as_array([[1, 2]], "array").shape
+    (1, 2)
+    """
+    try:
+        array = cast(NDArray[Any], np.asanyarray(meant(values)))
+    except ValueError:  # nested lists of different lengths
+        raise invalid("array-shape", where, shown(values), "as many numbers in each of its lists") from None
+    if array.dtype.kind not in "bfiu":
+        hint = "compress real and imaginary part as an axis of two" if array.dtype.kind == "c" else ""
+        raise invalid("dtype", where, f"dtype {array.dtype}", "floating point, integers or booleans", hint)
+    if np.ma.is_masked(array):  # what is behind a mask would be compressed as if it were data
+        found = f"{int(np.ma.getmaskarray(array).sum())} masked values"
+        raise invalid("masked", where, found, "no mask", "give a value to put there, array.filled(0)")
+    return array.astype(np.float64) if array.dtype.kind == "f" and array.dtype.itemsize > 8 else array
+
+
 def described(array: Any, axes: Sequence[Axis | str] | None = None, transform: str | None = None) -> Source:
     """An array with its description; its values are not looked at, so its fingerprint is a stand-in.
 
@@ -159,18 +181,7 @@ def described(array: Any, axes: Sequence[Axis | str] | None = None, transform: s
             fit, or no such transform.
     """
     axes = axes if axes is not None else _dimensions(array)
-    try:
-        array = cast(NDArray[Any], np.asanyarray(meant(array)))
-    except ValueError:  # nested lists of different lengths
-        raise invalid("array-shape", "array", shown(array), "as many numbers in each of its lists") from None
-    if array.dtype.kind not in "bfiu":
-        hint = "compress real and imaginary part as an axis of two" if array.dtype.kind == "c" else ""
-        raise invalid("dtype", "array", f"dtype {array.dtype}", "floating point, integers or booleans", hint)
-    if np.ma.is_masked(array):  # what is behind a mask would be compressed as if it were data
-        found = f"{int(np.ma.getmaskarray(array).sum())} masked values"
-        raise invalid("masked", "array", found, "no mask", "give a value to put there, array.filled(0)")
-    if array.dtype.kind == "f" and array.dtype.itemsize > 8:  # no file records more
-        array = array.astype(np.float64)
+    array = as_array(array, "array")
     if not 1 <= array.ndim <= 8 or array.size == 0:
         raise invalid("array-shape", "array", f"shape {array.shape}", "1 to 8 axes, none of them empty")
     named, dtype = _named(array.shape, axes), array.dtype.newbyteorder("=").name

@@ -6,39 +6,44 @@ subnormal ones float16 keeps 11 bits, an SNR of about 73 dB.
 
 from __future__ import annotations
 
-from math import frexp
-from typing import Any
+from math import frexp, prod
+from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .axes import deorganise, organise
 from .errors import HmkctaError, Kind, invalid
 from .metrics import snr_db
 from .packed import LevelBounds, LevelQuality, Metadata, PackedLevel
+from .source import as_array
 
 #: What the viewer's GPU image may take, less than the 640 MiB of its five pages.
 MOST_BYTES = 512 << 20
 
 
-def verbatim(array: NDArray[Any], like: Metadata, nan: float | None = None) -> tuple[Metadata, PackedLevel]:
+def verbatim(array: ArrayLike, like: Metadata, nan: float | None = None) -> tuple[Metadata, PackedLevel]:
     """Metadata and the one level of a model with the array's values, in the axes and modes of another model.
 
     Raises:
-        HmkctaError: the array has another shape than the model, numbers that are not finite and `nan` does not stand
-            for them, or more than `MOST_BYTES` as float16.
+        HmkctaError: the array is none of real numbers, has another shape than the model, numbers that are not finite
+            and `nan` does not stand for them, or more than `MOST_BYTES` as float16.
 
     >>> from hmkcta._example import example_metadata
     >>> metadata, level = verbatim(np.arange(6.0).reshape(2, 3), example_metadata())
     >>> metadata.undecomposed, (level.core_scale[0] * level.core.astype(np.float32)).tolist()
     ((0, 1), [0.0, 1.0, 2.0, 3.0, 4.0, 5.0])
     """
-    check_shape(array.shape, like)
-    if 2 * array.size > MOST_BYTES:
-        raise HmkctaError(Kind.RESOURCE_LIMIT, "original-too-large", "original", found=f"{array.size} elements",
+    if isinstance(shape := getattr(array, "shape", None), tuple):  # of a dataset, before it is read
+        check_shape(cast("tuple[int, ...]", shape), like)
+    elements = prod(axis.size for axis in like.axes)
+    if 2 * elements > MOST_BYTES:
+        raise HmkctaError(Kind.RESOURCE_LIMIT, "original-too-large", "original", found=f"{elements} elements",
                           allowed=f"at most {MOST_BYTES // 2}, which a GPU holds next to the model",
                           hint="compress a part of it, and compare that")
-    values = np.asarray(array, np.float32)
+    numbers = as_array(array, "original")
+    check_shape(numbers.shape, like)
+    values = np.asarray(numbers, np.float32)
     if nan is not None:
         values = np.where(np.isfinite(values), values, np.float32(nan))
     peak = float(np.abs(values).max(initial=0))

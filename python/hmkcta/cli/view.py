@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from ..hmkfile import is_hmk
 from ..serve import serve
 from .compared import opened
 from .interrupt import Interrupted
@@ -33,7 +34,7 @@ def view_command(file: str, original: str | None, nan: float | None, port: int, 
     The page and FILE are served on this computer only. It streams: level 1 first.
     """
     del verbose
-    model = original if original is not None and original.endswith(".hmk") else None
+    model = original if original is not None and is_hmk(original) else None
     array = opened("--original", None if model else original, source)
     with serve(file, original=model or array, nan=nan, port=port) as server:
         try:

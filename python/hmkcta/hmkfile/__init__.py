@@ -2,6 +2,7 @@
 
 from .limits import DEFAULT_LIMITS as DEFAULT_LIMITS
 from .limits import Limits as Limits
+from .lookalikes import is_hmk as is_hmk
 from .metadata import INLINE_COORDS as INLINE_COORDS
 from .metadata import KINDS as KINDS
 from .metadata import VERSION as VERSION

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import stat
+
 from ..errors import ForeignFile, HmkctaError
+from .limits import DEFAULT_LIMITS
 
 _COMPRESS = "hmkcta compress it, or give the .hmk file that was made of it"
 #: First bytes, lower-cased, what they look like, and what to do.
@@ -42,3 +46,21 @@ def recognised(error: HmkctaError, start: bytes) -> HmkctaError:
     found = f"what begins like {found}" if found else "what begins like no .hmk file"
     return ForeignFile(error.kind, error.reason, error.where, found=found, allowed="an .hmk file",
                        hint=advice or "check that it is an .hmk file")
+
+
+def is_hmk(path: str | os.PathLike[str]) -> bool:
+    """Whether a path is one of an `.hmk` file: by the first bytes, so that any name will do, or by its ending.
+
+    >>> is_hmk("none.HMK"), is_hmk("none.npy")
+    (True, False)
+    """
+    if os.fspath(path).lower().endswith(".hmk"):  # whatever is in it: reading it says what that is
+        return True
+    try:
+        if not stat.S_ISREG(os.stat(path).st_mode):  # a pipe would block on opening
+            return False
+        with open(path, "rb") as file:
+            start = file.read(_JSON_AT + 1)
+    except (OSError, ValueError):
+        return False
+    return start[_JSON_AT:] == b"{" and int.from_bytes(start[:_JSON_AT], "little") <= DEFAULT_LIMITS.json_bytes
