@@ -127,8 +127,15 @@ def test_index_arrays_are_of_any_integers(dtype: type[np.integer[Any]]) -> None:
         MODELS[0][index + dtype(100)]
 
 
-@pytest.mark.parametrize("key", [True, np.True_, 1.5, "x", np.zeros(3), [0, [1, 2]], (..., ...), (0,) * 5, 6, [-7],
-                                 np.ones(5, np.bool_), ([0, 1], [0, 1, 2])], ids=repr)
+def test_an_index_that_is_one_bool_is_called_so() -> None:
+    """NumPy makes an axis of it."""
+    for key in (True, (..., np.True_), (..., np.array(True))):
+        with pytest.raises(IndexError, match=r"a lone bool, True, .* None for a new axis"):
+            MODELS[0][key]
+
+
+@pytest.mark.parametrize("key", [True, np.True_, np.array(True), 1.5, "x", np.zeros(3), [0, [1, 2]], (..., ...),
+                                 (0,) * 5, 6, [-7], np.ones(5, np.bool_), ([0, 1], [0, 1, 2]), (None,) * 70], ids=repr)
 def test_bad_keys_are_index_errors(key: Any) -> None:
     with pytest.raises(IndexError) as caught:
         MODELS[0][key]
@@ -224,6 +231,18 @@ def test_as_integers_values_are_rounded_and_cut_off() -> None:
     assert np.array_equal(np.asarray(MODELS[0], np.bool_), values >= 0.5)
 
 
+@pytest.mark.parametrize("dtype", [np.float16, ">f2"])
+def test_as_float16_too_large_values_are_its_largest(dtype: str) -> None:
+    """As in `reconstruct`: a cast would make infinities of finite numbers."""
+    loud = [replace(level, core_scale=level.core_scale * np.float32(1e6)) for level in MODELS[0].levels]
+    model = Model(MODELS[0].metadata, loud)
+    values = np.asarray(model, dtype)
+    assert values.dtype == np.dtype(dtype)
+    assert np.array_equal(values, model.reconstruct(np.empty(SHAPE, dtype)))
+    assert (values.min(), values.max()) == (-65504, 65504)
+    assert np.asarray(model, np.float64).max() > 1e5
+
+
 def test_too_little_memory_is_said_before_it_is_taken() -> None:
     with pytest.raises(HmkctaError, match="memmap") as caught:
         MODELS[0].reconstruct(max_memory=400)
@@ -262,6 +281,12 @@ def test_saved_and_opened_again(tmp_path: Path) -> None:
         with pytest.raises(HmkctaError):
             one.save(path)
         one.save(path, overwrite=True)
+
+
+def test_its_shape_is_that_of_its_axes() -> None:
+    with pytest.raises(AttributeError):
+        setattr(MODELS[0], "shape", (1, 2))  # noqa: B010 (type checkers would refuse the plain assignment)
+    assert MODELS[0].shape == SHAPE
 
 
 def test_what_it_says_about_itself() -> None:
@@ -332,3 +357,7 @@ def test_sample_shapes_and_range() -> None:
     for shape in ((3,), (2, 5), ()):
         with pytest.raises(HmkctaError, match=r"\[.., 4\]"):
             model.sample(np.zeros(shape))
+    with pytest.raises(HmkctaError, match=r"coords: found 1 masked values, allowed no mask") as caught:
+        model.sample(np.ma.masked_equal([[0.0, 0, 0, 1], [2, 0, 0, 0]], 2))
+    assert caught.value.reason == "masked"
+    assert_same(model.sample(np.ma.masked_array([1.0, 0, 0, 0], False)), reference[1, 0, 0, 0])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,8 +18,9 @@ from hmkcta import backends
 from hmkcta.axes import name_axes
 from hmkcta.backends import decoding, native
 from hmkcta.decode import decode_block, decode_elements, dense, scattered
-from hmkcta.errors import HmkctaError
+from hmkcta.errors import HmkctaError, Kind
 from hmkcta.model import Model
+from hmkcta.model import open as open_model
 from hmkcta.packed import PackedLevel
 from random_models import Shapes, random_model
 
@@ -248,3 +250,18 @@ def test_the_arrays_of_a_level_are_flattened_once(monkeypatch: pytest.MonkeyPatc
     del levels
     gc.collect()
     assert len(decoding.flattened) == kept - 3
+
+
+def test_a_file_that_something_wrote_into_while_it_was_open_is_damaged(tmp_path: Path) -> None:
+    """As far as decoding notices, which reads what is in the file now."""
+    path = tmp_path / "a.hmk"
+    Model(*random_model(np.random.default_rng(1), (12, 14, 9), 2)).save(path)
+    model = open_model(path)
+    with path.open("r+b") as file:
+        length = int.from_bytes(file.read(8), "little")
+        file.seek(8 + length)
+        file.write(b"\xff" * (path.stat().st_size - 8 - length))
+    with pytest.raises(HmkctaError, match="level-arrays") as caught:
+        model[...]
+    assert caught.value.kind is Kind.CORRUPTION
+    assert "Model.save" in caught.value.hint

@@ -16,12 +16,12 @@ from typing import Any, TypeAlias, TypeGuard, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import HmkctaError, Kind
+from .errors import HmkctaError, Kind, invalid, shown
 
 Index: TypeAlias = NDArray[np.intp]
-_ALLOWED = "integers, slices, ..., None, integer or boolean arrays"
-#: Stands for every index beyond the range of `Index`.
-_FAR = 1 << 62
+_ALLOWED = "integers, slices, ..., None, integer arrays, boolean arrays of the axes that they select from"
+#: Most dimensions of a NumPy array.
+_MOST_DIMENSIONS = 64
 #: Indices of a mode that are looked at first.
 _FEW = 256
 Array: TypeAlias = NDArray[Any]
@@ -90,6 +90,32 @@ def _as_arrays(items: list[Item], shape: Sequence[int]) -> list[Item]:
     return found
 
 
+def positions(coords: Any, shape: Sequence[int], names: Sequence[str]) -> NDArray[np.float64]:
+    """Positions between elements, in units of indices: as given, [.., ndim], each within its axis.
+
+    Raises:
+        HmkctaError: a position outside, NaN or masked, or not one number an axis.
+    """
+    order = len(shape)
+    if np.ma.is_masked(coords):
+        found = f"{int(np.ma.getmaskarray(coords).sum())} masked values"
+        raise invalid("masked", "coords", found, "no mask", "give positions to put there, or leave the masked ones out")
+    try:
+        points = np.asarray(coords, np.float64)
+    except (TypeError, ValueError, OverflowError):  # words, lists of different lengths, huge whole numbers
+        raise invalid("argument-type", "coords", shown(coords), f"[.., {order}] numbers, one an axis") from None
+    if not points.ndim or points.shape[-1] != order:
+        raise invalid("coords-shape", "coords", f"shape {points.shape}", f"[.., {order}], one number an axis")
+    flat = points.reshape(-1, order)
+    last = np.array(shape) - 1
+    outside = ~((flat >= 0) & (flat <= last))
+    if outside.any():
+        row, axis = (int(i) for i in np.argwhere(outside)[0])
+        found = f"{flat[row, axis]} ({int(outside.any(axis=1).sum())} such positions)"
+        raise invalid("coords-out-of-range", f"coords of axis {names[axis]}", found, f"0 to {last[axis]}")
+    return points
+
+
 def cut(axes: Sequence[Index], part: tuple[slice, ...]) -> list[Index]:
     """The indices of a slab of the selection."""
     return [index[tuple(span if length > 1 else slice(None) for span, length in zip(part, index.shape, strict=False))]
@@ -127,6 +153,9 @@ def _ranked(index: Index) -> tuple[Index, Index]:
 def _spread(result: list[int], found: list[tuple[int, Index]], first: int, together: tuple[int, ...]) -> Selection:
     """Give every axis's indices the order of the result; the index arrays' dimensions begin at dimension `first`."""
     full = (*result[:first], *together, *result[first:])
+    if len(full) > _MOST_DIMENSIONS:
+        allowed = f"up to {_MOST_DIMENSIONS}, as NumPy has"
+        raise IndexingError("index-dimensions", "index", f"a result of {len(full)} dimensions", allowed)
     axes: list[Index] = []
     for dimension, index in found:
         if dimension < 0:  # an index array: its last dimension is the last of `together`
@@ -145,7 +174,7 @@ def _parse(part: Any) -> Item:
     if part is None or part is Ellipsis or isinstance(part, slice):
         return cast("Item", part)
     if isinstance(part, bool | np.bool_):
-        raise IndexingError("index-type", "index", "one boolean", _ALLOWED)
+        raise _lone(bool(cast("Any", part)))
     if not isinstance(part, np.ndarray | list | tuple):
         try:
             return operator.index(part)
@@ -157,11 +186,16 @@ def _parse(part: Any) -> Item:
         raise IndexingError("index-type", "index", "a ragged list", "an array of integers or booleans") from None
     if not array.size and not isinstance(part, np.ndarray):
         return array.astype(np.intp)  # an empty list
-    if array.dtype.kind not in "iub" or (array.dtype.kind == "b" and array.ndim == 0):
+    if array.dtype.kind not in "iub":
         raise IndexingError("index-type", "index", f"numbers of type {array.dtype}", _ALLOWED)
-    if array.dtype.kind == "u":
-        array = np.minimum(array, np.uint64(_FAR)).astype(np.intp)
+    if array.dtype.kind == "b" and array.ndim == 0:
+        raise _lone(bool(array))
     return int(array) if array.ndim == 0 else array
+
+
+def _lone(truth: bool) -> IndexingError:
+    hint = f"write {int(truth)} for an element, None for a new axis"
+    return IndexingError("index-type", "index", f"a lone bool, {truth}", _ALLOWED, hint)
 
 
 def _is_mask(item: Item) -> TypeGuard[Array]:
@@ -193,7 +227,7 @@ def _split_masks(items: list[Item], shape: Sequence[int]) -> list[Item]:
                 raise IndexingError("mask-shape", f"mask of axis {axis}", f"shape {item.shape}", f"shape {expected}")
             split.extend(np.nonzero(item))
         else:
-            split.append(item.astype(np.intp) if isinstance(item, np.ndarray) else item)
+            split.append(item)
     return split
 
 
@@ -207,11 +241,12 @@ def _broadcast(arrays: list[Array]) -> tuple[int, ...]:
 
 
 def _in_range(index: Array, axis: int, size: int) -> Index:
-    """Count negative indices from the end, and refuse those outside."""
+    """Count negative indices from the end, and refuse those outside, which may be beyond the range of `Index`."""
     low, high = int(index.min(initial=0)), int(index.max(initial=0))
     if index.size and (low < -size or high >= size):
         bad = (index < -size) | (index >= size)
         _one_in_range(int(index[bad][0]), axis, size)
+    index = index.astype(np.intp, copy=False)
     return index if low >= 0 else np.where(index < 0, index + size, index)
 
 

@@ -16,9 +16,9 @@ from numpy.typing import DTypeLike, NDArray
 
 from .axes import axis_order, mode_sizes
 from .decode import decode_block, decode_elements
-from .errors import expect, invalid, shown
+from .errors import expect, invalid
 from .hmkfile import encoded_size, load, save
-from .indexing import Index, Selection, cut, occurring, select
+from .indexing import Index, Selection, cut, occurring, positions, select
 from .memory import available_memory, check_memory, format_bytes
 from .packed import LevelBounds, LevelQuality, Metadata, PackedLevel
 from .plan import LevelSpec, Plan, multiply_adds
@@ -67,13 +67,18 @@ class Model:
             raise invalid("level-count", "levels", len(levels), f"{max(1, len(metadata.levels))}, as the metadata say")
         self.metadata: Final = metadata
         self.levels: Final = tuple(levels)
-        self.shape: Final = tuple(axis.size for axis in metadata.axes)
+        self._shape: Final = tuple(axis.size for axis in metadata.axes)
         self._transform: Final = from_json(metadata.transform)
         self._sizes: Final = mode_sizes(metadata.axes, metadata.organisation)
         order = iter(axis_order(metadata.axes, metadata.organisation))
         self._axes_of_mode: Final = [[next(order) for _ in mode] for mode in metadata.organisation]
 
     # What it is
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Sizes of the source axes."""
+        return self._shape
 
     @property
     def ndim(self) -> int:
@@ -188,11 +193,14 @@ class Model:
         return (self[i] for i in range(len(self)))
 
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
-        """All elements; what NumPy calls to use the model as an array. Of integers the nearest, as in `reconstruct`."""
+        """All elements; what NumPy calls to use the model as an array.
+
+        Of integers and of float16 the nearest, as in `reconstruct`: a cast makes 0 of 256, infinity of 65536.
+        """
         if copy is False:
             raise ValueError("a model is decoded into a new array: copy=False cannot be")
         wanted = self.dtype if dtype is None else np.dtype(dtype)
-        if wanted.kind not in "iub":
+        if wanted.kind not in "iubf" or (wanted.kind == "f" and wanted.itemsize >= 4):
             return self.reconstruct().astype(wanted, copy=False)
         check_memory(wanted.itemsize * self.size, f"all {self.size} elements", "index a part")
         return self.reconstruct(np.empty(self.shape, wanted))
@@ -207,22 +215,10 @@ class Model:
             Values, [..], float32.
 
         Raises:
-            HmkctaError: a position outside or NaN, or not `ndim` numbers each.
+            HmkctaError: a position outside, NaN or masked, or not `ndim` numbers each.
         """
-        try:
-            points = np.asarray(coords, np.float64)
-        except (TypeError, ValueError, OverflowError):  # words, lists of different lengths, huge whole numbers
-            allowed = f"[.., {self.ndim}] numbers, one an axis"
-            raise invalid("argument-type", "coords", shown(coords), allowed) from None
-        if not points.ndim or points.shape[-1] != self.ndim:
-            raise invalid("coords-shape", "coords", f"shape {points.shape}", f"[.., {self.ndim}], one number an axis")
+        points = positions(coords, self.shape, [axis.name for axis in self.metadata.axes])
         flat = points.reshape(-1, self.ndim)
-        last = np.array(self.shape) - 1
-        outside = ~((flat >= 0) & (flat <= last))
-        if outside.any():
-            row, axis = (int(i) for i in np.argwhere(outside)[0])
-            raise invalid("coords-out-of-range", f"coords of axis {self.metadata.axes[axis].name}",
-                          f"{flat[row, axis]} ({int(outside.any(axis=1).sum())} such positions)", f"0 to {last[axis]}")
         values = np.empty(len(flat), np.float32)
         step = max(1, _SCATTERED >> self.ndim)
         for start in range(0, len(flat), step):
@@ -234,7 +230,7 @@ class Model:
 
         Args:
             out: array to fill, of the source's shape, for instance a `numpy.memmap`; a new float32 array by default.
-                Of integers, say of the type `metadata.source_dtype`, it gets the nearest ones.
+                Of integers, say of the type `metadata.source_dtype`, or float16 it gets the nearest ones.
             max_memory: bytes to allocate at most; what is available by default.
 
         Returns:
@@ -387,6 +383,9 @@ def _all_finite(values: Floats) -> bool:
 
 def open(path: str | os.PathLike[str], verify: bool = True) -> Model:
     """Open a file; its arrays are mapped, not read, until they are needed.
+
+    Replace a file that is open by `Model.save`, or by renaming another one, which leaves the opened one as it was.
+    Writing into it changes what models decode, and cutting it short ends the process (SIGBUS), as with any map.
 
     Args:
         path: the file.

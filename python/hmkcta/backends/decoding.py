@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _native
-from ..errors import invalid
+from ..errors import HmkctaError, Kind
 from ..packed import PackedLevel
 
 Index = NDArray[np.intp]
@@ -41,11 +41,14 @@ def add_block(levels: Sequence[PackedLevel], rows: Sequence[Index], block: NDArr
 
 
 def _checked(decode: Callable[[], None]) -> None:
-    """Arrays that contradict each other are reported as in a file."""
+    """Arrays that contradict each other are reported as in a file: they may be a map of one that was written into."""
     try:
         decode()
     except ValueError as error:
-        raise invalid("level-arrays", "arrays of a level", error, "what docs/format.md, section 3, says") from error
+        raise HmkctaError(
+            Kind.CORRUPTION, "level-arrays", "arrays of a level", found=error,
+            allowed="what docs/format.md, section 3, says",
+            hint="open the file again if something wrote into it; replace a file that is open by Model.save") from error
 
 
 def _arrays(level: PackedLevel) -> dict[str, Any]:
