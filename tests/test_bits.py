@@ -14,19 +14,22 @@ import pytest
 from numpy.typing import NDArray
 
 import hmkcta
-from cli_tools import report, run, smooth
+from cli_tools import refused, report, run, smooth
 from hmkcta import HmkctaError, Model, choose_plan, compress, parse_plan, predict
 from hmkcta.backends import reference
 from hmkcta.cells import Cells, round_cores
 from hmkcta.filesize import planned_bytes
 from hmkcta.follow import Task, follow
 from hmkcta.narrow import BASIS_NUMBERS, CORE_NUMBERS, narrowed, widened
-from hmkcta.plan import Plan, parse_level
+from hmkcta.plan import LevelSpec, Plan, parse_level
 from hmkcta.source import prepare
 from hmkcta.synthetic import Dataset, volume
 from random_models import random_model
 from test_kernels import random_cells
 
+#: A ramp with noise, of which every level leaves something, and its modes.
+RAMP = np.add.outer(np.arange(32.0), np.arange(24.0)) + np.random.default_rng(0).random((32, 24))
+MODES = (("axis0",), ("axis1",))
 #: Plans of every structure; `{}` stands for the bits.
 PLANS = (
     "R=4,5,5,5{}",
@@ -237,6 +240,32 @@ def test_plans_of_other_bits_are_refused(plan: str, reason: str) -> None:
     with pytest.raises(HmkctaError) as refusal:
         fitted(plan=plan)
     assert refusal.value.reason == reason
+
+
+@pytest.mark.parametrize(("plan", "bits", "level"), [
+    ("R=4 bits=8", 16, 1), ("R=4 bits=16", 8, 1), ("R=4 / R=2 bits=8", 16, 2), ("R=4 / R<=2 bits=8", 16, 2),
+])
+def test_bits_beside_a_plan_that_says_others_are_refused(plan: str, bits: int, level: int, tmp_path: Path) -> None:
+    source, found = tmp_path / "a.npy", f"found {bits}, and bits={24 - bits} in level {level} of the plan"
+    for given in (plan, parse_plan(plan, MODES)):
+        with pytest.raises(HmkctaError, match=found) as refusal:
+            compress(RAMP, given, bits=bits, size=20_000)
+        assert refusal.value.reason == "two-bits"
+    np.save(source, RAMP)
+    words = ("--plan", plan, "--bits", bits, "--size", "20KB")
+    assert found in refused("plan", source, *words, code=2)
+    assert found in refused("compress", source, "-o", tmp_path / "a.hmk", *words, code=2)
+    assert list(tmp_path.iterdir()) == [source]
+
+
+@pytest.mark.parametrize(("plan", "bits", "stored"), [
+    ("R=4", 8, [8]), ("R=4 bits=16", 16, [16]), ("R=4 / R=2 bits=8", 8, [8, 8]), ("R=4 / R=2 bits=8", None, [16, 8]),
+])
+def test_bits_beside_a_plan_count_where_it_says_none(plan: str, bits: int | None, stored: list[int]) -> None:
+    assert [level.bits for level in compress(RAMP, plan, bits=bits).levels] == stored
+    by_hand = replace(parse_plan("R=4", MODES), levels=(LevelSpec((4, 4), (1, 1), (1, 1), bits=8),))
+    with pytest.raises(HmkctaError, match="two-bits"):
+        compress(RAMP, by_hand, bits=16)
 
 
 def test_random_files_of_bytes_decode_as_their_numbers_say(tmp_path: Path) -> None:

@@ -124,9 +124,9 @@ def compress(
             of explicit levels, whatever those of a `Plan` say.
         transform: value transform for high dynamic range, e.g. ``log1p``; None: identity.
         nan: value to put for NaN and infinity; None: refuse them.
-        bits: of each core and basis number in the file, 16 (float16) or 8; None: as the plan says, for a chosen one
-            eight as far as that does, up to some 40 dB, or some 40 more below a first level of 16; one of rank one
-            always has 16.
+        bits: of each core and basis number in the file, 16 (float16) or 8, in all levels, none of which may say
+            another; None: as the plan says, for a chosen one eight as far as that does, up to some 40 dB, or some 40
+            more below a first level of 16; one of rank one always has 16.
         kind: ``svbrdf``, ``lightfield``, ``volume`` or ``generic``, whose roles the axes must have; None: what their
             roles make.
         seed: the same seed makes the same file.
@@ -150,7 +150,8 @@ def compress(
 
     Warns:
         GoalMissed: the SNR is out of reach; the model is the best found.
-        UserWarning: a plan chosen for an SNR missed it, and another one is fitted; a device is missing.
+        UserWarning: a plan chosen for an SNR missed it, and another one is fitted; a device is missing; the model is no
+            better than zeros alone, of which the SNR is 0 dB.
 
     >>> import numpy as np
     >>> ramp = np.add.outer(np.arange(32.0), np.arange(24.0))
@@ -185,10 +186,19 @@ def compress(
         )
         with kernels.use(device):
             model = follow(task) if plan else follow_any(task, plans[1:], lambda said: warn(said, stacklevel=5))
-    if misses(model.snr, goal := task.plan.snr):
-        said = f"the SNR is {model.snr:.2f} dB, below the {goal:g} dB asked for; the model is the best found"
-        warn(said, GoalMissed, stacklevel=2)
+    _warn_of(model, task.plan.snr)
     return model
+
+
+def _warn_of(model: Model, goal: float | None) -> None:
+    """Warn, where `compress` was called, of an SNR below the goal, and of one that needs no file."""
+    if misses(model.snr, goal):
+        said = f"the SNR is {model.snr:.2f} dB, below the {goal:g} dB asked for; the model is the best found"
+        warn(said, GoalMissed, stacklevel=3)
+    if model.snr <= 0:
+        plain = model.metadata.transform["name"] == "identity"
+        better = "ask for more bytes" if plain else "another transform, or the same with a larger scale"
+        warn(f"an SNR of {model.snr:.1f} dB is no better than zeros alone. Next: {better}", stacklevel=3)
 
 
 @contextmanager
@@ -296,7 +306,16 @@ def _with_all_said(plan: Plan | str, source: Source, wanted: Wanted, scheme: str
 
 
 def of_bits(levels: Sequence[LevelSpec], bits: int | None) -> tuple[LevelSpec, ...]:
-    """The levels, all numbers of which have so many bits, if they are given."""
+    """The levels, all numbers of which have so many bits, if they are given.
+
+    Raises:
+        HmkctaError: a level says another number of them.
+    """
+    for number, level in enumerate(levels, start=1):
+        says = level.bits_written or level.bits != BITS[0]
+        if bits not in (None, level.bits) and says:
+            found = f"{bits}, and bits={level.bits} in level {number} of the plan"
+            raise invalid("two-bits", "bits", found, "one of them", "leave one of them out")
     return tuple(level if bits is None else replace(level, bits=bits) for level in levels)
 
 

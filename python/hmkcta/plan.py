@@ -41,7 +41,8 @@ class LevelSpec:
     ranks of its own up to R, by one Lagrange multiplier over the level (`allocation.py`), as the plan's goal allows.
     `fewest` are numbers of blocks for axes of the grid: of so many up to those of the grid the goal takes what pays.
     `cuts` lists axes that each such node may be cut along into so many equal blocks, or a divisor of that, as pays: its
-    cells, which then all have the same ranks. `bits` are those of each core and basis number in the file.
+    cells, which then all have the same ranks. `bits` are those of each core and basis number in the file, and
+    `bits_written` tells whether a text said them: by themselves, 16 may be said or left out.
 
     >>> LevelSpec((2, 2, None), (4, 3, 1), (2, 2, 1)).search
     'optimal'
@@ -56,6 +57,7 @@ class LevelSpec:
     cuts: tuple[tuple[str, int], ...] = ()
     fewest: tuple[tuple[str, int], ...] = ()
     bits: int = 16
+    bits_written: bool = field(default=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         if self.scheme not in SCHEMES:
@@ -258,7 +260,8 @@ def parse_level(text: str, organisation: Organisation, scheme: str = "most") -> 
     if "," not in given and max(clusters) > 1:
         mixture = tuple(min(k, 1) if c == 1 else k for k, c in zip(mixture, clusters, strict=True))
     bits = _number("bits", words.get("bits", str(BITS[0])))
-    return LevelSpec(ranks, clusters, mixture, "most" if grid else scheme, grid, own, cuts, fewest, bits)
+    scheme = "most" if grid else scheme
+    return LevelSpec(ranks, clusters, mixture, scheme, grid, own, cuts, fewest, bits, bits_written="bits" in words)
 
 
 def _grid(

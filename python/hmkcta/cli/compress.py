@@ -186,7 +186,8 @@ def advice(model: Model, plan: str | None, goal: Goal) -> str:
     """What may reach the goal that was missed."""
     levels = len(model.levels)
     if model.levels[-1].bits == 8 and (plan is not None or goal.settings["bits"] == 8):
-        return "allow numbers of two bytes, --bits 16" + ("" if plan is None else ", or add ranks or a level")
+        wide = "bits=16" if plan is not None and "bits=" in plan else "--bits 16"
+        return f"allow numbers of two bytes, {wide}" + ("" if plan is None else ", or add ranks or a level")
     if model.snr > FLOAT32_SNR:
         return f"ask for up to {FLOAT32_SNR:.0f} dB: everything is decoded in float32"
     if _keeps_no_more(model):

@@ -50,10 +50,6 @@ def notes(model: Model, array: NDArray[Any], *, planned: bool = True) -> list[st
     elif (windows := folded(array.shape)) is not None and (share := _share_of_longest(model)) > MOSTLY:
         found.append(f"the longest axis has more rows than all others together, which take {100 * share:.0f} % of "
                      f"the file. Next: where neighbours are alike, make windows of it, {windows}")
-    if model.snr <= 0:
-        found.append(f"an SNR of {model.snr:.1f} dB is no better than zeros alone. Next: " + (
-            "ask for more bytes" if model.metadata.transform["name"] == "identity" else
-            "another --transform, or the same with a larger scale"))
     mean, deviation = _moments(array)
     rmse = model.quality[-1].rmse if model.quality else 0.0
     if abs(mean) > OFFSET * deviation and rmse > HIDDEN * deviation > 0:
