@@ -78,6 +78,15 @@ def test_an_axis_is_described_by_words_and_a_number(name: Any, size: Any, unit: 
         Axis(name, size, unit=unit)
 
 
+def test_a_model_has_axes_of_its_own() -> None:
+    light = Axis("l", 20, "light", np.arange(20.0), "degrees")
+    model = compress(WAVE, "R=2", axes=(light, "x"))
+    again = compress(model, "R=1").metadata.axes
+    assert [(axis.name, axis.role, axis.unit) for axis in again] == [("l", "light", "degrees"), ("x", "space", "")]
+    assert np.array_equal(np.asarray(again[0].coords), np.arange(20.0))
+    assert [axis.name for axis in compress(model, "R=1", axes="y, x").metadata.axes] == ["y", "x"]
+
+
 @pytest.mark.parametrize("path", ["s.npy", Path("s.npy"), b"s.npy"], ids=repr)
 def test_a_path_is_to_be_opened_first(path: Any) -> None:
     for refuse in (compress, hmkcta.choose_plan):

@@ -125,7 +125,14 @@ def test_transform_is_shown(tmp_path: Path) -> None:
                                ("transformed_snr_db", np.log1p(2 * values), np.log1p(2 * decoded))):
         assert level[key] == pytest.approx(10 * np.log10(np.sum(before**2) / np.sum((before - after) ** 2)), abs=1e-3)
         assert f" {level[key]:.2f} " in text
-    run("verify", tmp_path / "a.hmk", "--against", source)
+    found = report("verify", tmp_path / "a.hmk", "--against", source)["levels"][0]
+    assert found["transformed_snr_db"] == pytest.approx(level["transformed_snr_db"], abs=1e-5)
+
+
+def test_an_undecomposed_mode_is_shown_as_a_plan_has_it(tmp_path: Path) -> None:
+    hmkcta.compress(smooth(6, 8), "R=*,2").save(tmp_path / "a.hmk")
+    assert "\n      1  *,2  1,1  1,1 " in run("info", tmp_path / "a.hmk").stdout
+    assert report("info", tmp_path / "a.hmk")["levels"][0]["R"] == [6, 2]
 
 
 @pytest.mark.parametrize(("told", "shown"), [
@@ -202,6 +209,7 @@ def test_one_multiply_add_is_one(tmp_path: Path) -> None:
 
 def test_verify_measures_again(source: Path, packed: Path) -> None:
     found = report("verify", packed, "--against", source)
+    assert [level["transformed_snr_db"] for level in found["levels"]] == [None] * len(found["levels"])
     for level, quality in zip(found["levels"], hmkcta.open(packed).quality, strict=True):
         assert level["snr_db"] == pytest.approx(quality.snr_db, abs=1e-6)
         assert level["max_abs_error"] == pytest.approx(quality.max_abs_error)

@@ -23,6 +23,7 @@ from hmkcta.cli.app import may_go_on
 from hmkcta.cli.options import WORDS
 from hmkcta.errors import Kind
 from hmkcta.journal import NODES
+from hmkcta.recordlog import RecordLog
 from resume_tools import DATA, LEVELS, MODES, After, Stop
 
 
@@ -75,6 +76,17 @@ def test_resume_where_nothing_was_begun(source: Path, tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [tmp_path / "a.hmk"]
 
 
+def test_resume_where_another_process_has_only_begun(source: Path, tmp_path: Path) -> None:
+    """Which has no node to go on with yet, and holds its folder."""
+    (tmp_path / "a.hmk.partial").mkdir()
+    log = RecordLog(tmp_path / "a.hmk.partial" / NODES)
+    for extra in ("--resume", "--overwrite", "--quiet"):
+        result = run("compress", source, "-o", tmp_path / "a.hmk", *COMMAND, extra, code=3)
+        assert "partial-busy" in result.stderr
+        assert "begins anew" not in result.stderr
+    log.close()
+
+
 def test_a_file_where_the_journal_should_be(source: Path, tmp_path: Path) -> None:
     (tmp_path / "a.hmk.partial").write_text("precious")
     for extra in ("--resume", "--overwrite", "--quiet"):
@@ -90,8 +102,8 @@ def test_full_disk(source: Path, tmp_path: Path) -> None:
     code, out, err = finish(start("compress", source, "-o", output, *COMMAND, "--quiet", before=limit))
     assert (code, out) == (3, "")
     assert "disk-full" in err
-    assert "--resume" in err
-    assert err.count("\n") == 1
+    assert err.endswith("--resume\n")
+    assert (err.count("\n"), err.count("Next: ")) == (1, 1)
     found = report("compress", source, "-o", output, *COMMAND, "--resume")
     assert found["nodes_resumed"] > 0
     run("compress", source, "-o", tmp_path / "b.hmk", *COMMAND)

@@ -17,6 +17,11 @@ from random_models import Shapes, random_model
 SIZES = (7, 3, 6, 5)
 
 
+def without(numbers: list[int], n: int) -> list[int]:
+    """All but number n."""
+    return [*numbers[:n], *numbers[n + 1 :]]
+
+
 class Words:
     """A decoder by the text of `docs/rendering.md`, section The image, and of `docs/format.md`, section 4."""
 
@@ -54,18 +59,17 @@ class Words:
 
     def added(self, node: int, place: Sequence[int]) -> float:
         """What a node adds to the element at these places in it."""
-        modes, value = self.modes(node), 0.0
-        clusters, mixtures, ranks, rows, bases = zip(*modes, strict=True)
+        clusters, mixtures, ranks, rows, bases = ([mode[i] for mode in self.modes(node)] for i in range(5))
+        value = 0.0
         for choice in product(*map(range, mixtures)):
             cluster = [0 if n in self.undecomposed else self.words[rows[n] + place[n] * (2 + mixtures[n]) + 2 + k]
                        for n, k in enumerate(choice)]
             factors: list[list[float]] = []
             for n, k in enumerate(choice):
-                others = flat(np.delete(cluster, n).tolist(), np.delete(clusters, n).tolist())
-                first = bases[n] + ((place[n] * mixtures[n] + k) * prod(np.delete(clusters, n).tolist()) + others
-                                    ) * ranks[n]
-                factors.append([float(r == place[n]) if n in self.undecomposed else self.half(first + r)
-                                for r in range(ranks[n])])
+                others = flat(without(cluster, n), without(clusters, n))
+                subset = (place[n] * mixtures[n] + k) * prod(without(clusters, n)) + others
+                factors.append([float(r == place[n]) if n in self.undecomposed else
+                                self.half(bases[n] + subset * ranks[n] + r) for r in range(ranks[n])])
             cell = flat(cluster, clusters)
             scale = float(np.uint32(self.words[self.words[node + 2] + cell]).view(np.float32))
             core = self.words[node + 1] + cell * prod(ranks)

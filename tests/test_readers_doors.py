@@ -306,6 +306,26 @@ def test_arrays_of_other_libraries(tmp_path: Path) -> None:
     assert hmkcta.compress(zarr, "R=2").metadata.source == direct.metadata.source
 
 
+def test_what_holds_arrays_is_told_to_be_given_one_of_them(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", wood=VALUES)
+    with (needed("h5py").File(tmp_path / "a.h5", "w") as file, np.load(tmp_path / "a.npz") as arrays):
+        file["group/wood"] = VALUES
+        zarr = needed("zarr").open_group(tmp_path / "a.zarr", mode="w")
+        zarr["wood"] = VALUES
+        for holder in (file["group"], arrays, zarr, {"wood": VALUES}):
+            with pytest.raises(HmkctaError, match=r"of \['wood'\], allowed one array.*open_array") as caught:
+                hmkcta.compress(holder, "R=2")
+            assert caught.value.reason == "array-is-group"
+
+
+@pytest.mark.parametrize("uri", ["", ":/member"])
+def test_no_path_is_not_the_folder_at_hand(uri: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    np.save(tmp_path / "a.npy", VALUES)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(HmkctaError):
+        hmkcta.open_array(uri)
+
+
 def test_from_hdf5_to_a_file_and_back(tmp_path: Path) -> None:
     values = smooth(16, 24, 20)
     with needed("h5py").File(tmp_path / "run.h5", "w") as file:

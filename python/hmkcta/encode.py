@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from math import prod
@@ -16,7 +16,7 @@ from . import backends as kernels
 from .axes import Axis, check_kind, check_organisation, format_organisation, mode_sizes
 from .backends import Device
 from .choosing.tuning import tune
-from .errors import GoalMissed, expect, invalid
+from .errors import GoalMissed, expect, invalid, shown
 from .executors import thread_count
 from .finer import SMALL, finer
 from .fit import EFFORTS
@@ -112,7 +112,7 @@ def compress(
         plan: levels as `parse_plan` reads them, or a `Plan`, whose goal counts unless `snr` or `size` says another;
             None: chosen for the goal on a sample of the data.
         axes: names (``light``, or ``gloss:space`` with a role) or `Axis` objects, in array order; or the names as one
-            text, ``"light, view, y, x"``; None: an xarray's own.
+            text, ``"light, view, y, x"``; None: those of an xarray or a `Model`.
         snr: least SNR in dB of the stored numbers. With explicit levels: no deeper than needed.
         size: most bytes of the whole file. Neither: 1/100 of the float32 bytes or 50 dB, whichever is less.
         decode_cost: most multiply-adds for one scattered element: bounds ranks that are chosen, those of a chosen plan
@@ -275,6 +275,11 @@ def _check_types(array: object, organisation: object, transform: object, nan: ob
     if isinstance(array, str | bytes | os.PathLike):
         path = repr(os.fsdecode(cast("str | bytes | os.PathLike[str]", array)))
         raise invalid("array-is-path", "array", f"a path, {path}", "an array", f"open it: hmkcta.open_array({path})")
+    if isinstance(array, Mapping) or hasattr(array, "array_keys"):  # of h5py, np.load, xarray; of Zarr
+        names = [str(name) for name in cast("Iterable[object]", array)]
+        found = f"a {type(cast(object, array)).__name__} of {shown(names)}"
+        raise invalid("array-is-group", "array", found, "one array of it",
+                      'give it by its name, array["NAME"], or by hmkcta.open_array("FILE:/NAME")')
     expect("organisation", organisation, str | None, 'text such as "light+rgb, view, y+x"')
     expect("transform", transform, str | None, 'text such as "log1p:0.5"')
     expect("nan", nan, Real | None, "a number")

@@ -221,9 +221,11 @@ class Journal(NoJournal):
     def _refuse_others(self) -> None:
         if self.folder.exists() and not self.folder.is_dir():
             raise fault("unwritable", str(self.folder), "a file", "a folder, or nothing", "move it away")
+        with self._as_io():
+            busy = in_use(self.folder / NODES)
+        if busy:  # whose folder holds no work at first
+            raise self._busy()
         if not (self._resume or self._overwrite) and self.holds_work:
-            if in_use(self.folder / NODES):
-                raise self._busy()
             raise HmkctaError(Kind.IO, "partial-exists", str(self.folder), found="the work of an interrupted run",
                               hint="go on with it by resume=True or --resume, "
                                    "or begin again with overwrite=True or --overwrite")
@@ -280,9 +282,9 @@ class Journal(NoJournal):
             yield
         except OSError as error:
             full = error.errno in DISK_FULL
+            hint = "free some space, then go on by resume=True or --resume" if full else "check the folder"
             raise fault("disk-full" if full else "unwritable", str(self.folder), error.strerror or error,
-                        "a folder with room for what is finished",
-                        "free some space, then go on with --resume" if full else "check the folder") from error
+                        "a folder with room for what is finished", hint) from error
 
 
 def decisive(source: Source, plan: Plan | None, **settings: Any) -> dict[str, Any]:

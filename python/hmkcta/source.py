@@ -218,8 +218,14 @@ def prepare(
     return replace(source, unit=unit, tiny=least < TINY * unit)
 
 
-def _dimensions(array: Any) -> list[str] | None:
-    """Names that the array has for its own axes, as xarray's do, made words of; None: it has none, or two alike."""
+def _dimensions(array: Any) -> Sequence[Axis | str] | None:
+    """Axes that the array has of its own: those of a model, or names, as xarray's have, made words of.
+
+    None: it has none, or two alike.
+    """
+    axes: Any = getattr(getattr(array, "metadata", None), "axes", None)
+    if isinstance(axes, tuple) and all(isinstance(axis, Axis) for axis in cast("tuple[Any, ...]", axes)):
+        return cast("tuple[Axis, ...]", axes)
     names: Any = getattr(array, "dims", None)
     if not isinstance(names, tuple):
         return None

@@ -87,14 +87,14 @@ class Hmkcta(click.Group):
         except (click.ClickException, click.exceptions.Exit, click.Abort):
             raise
         except HmkctaError as error:
-            kept = going_on(ctx) if may_go_on(ctx, error) else ""
+            kept = going_on(ctx, then=bool(error.hint)) if may_go_on(ctx, error) else ""
             code = Exit.IO if isinstance(error, ForeignFile) else error.kind.exit_code
             raise Failure(f"{error} {kept}".rstrip(), code, error) from error
         except KeyboardInterrupt as error:
             raise _interruption(ctx, error.number if isinstance(error, Interrupted) else signal.SIGINT) from None
         except MemoryError as error:
             advice = "Next: give --max-memory, a smaller part, or a coarser plan."
-            raise Failure(f"the memory ran out. {advice} {going_on(ctx)}".rstrip(), Exit.RESOURCE) from error
+            raise Failure(f"the memory ran out. {advice} {going_on(ctx, then=True)}".rstrip(), Exit.RESOURCE) from error
         except Exception as error:
             raise _unforeseen(error, bool(ctx.meta.get(VERBOSE))) from error
 

@@ -96,6 +96,12 @@ def _coordinates(axis: dict[str, Any]) -> str:
     return f", coordinates{unit}" if axis["coordinates"] else ""
 
 
+def _shape(level: dict[str, Any], undecomposed: Sequence[int]) -> list[str]:
+    """R, C, K as a plan has them: * for the rank of a mode that is left undecomposed."""
+    ranks = ["*" if n in undecomposed else rank for n, rank in enumerate(level["R"])]
+    return [",".join(map(str, numbers)) for numbers in (ranks, level["C"], level["K"])]
+
+
 def as_text(report: dict[str, Any], verbose: bool) -> str:
     """The facts for people."""
     axes = ", ".join(f"{axis['name']} {axis['size']} ({axis['role']}{_coordinates(axis)})" for axis in report["axes"])
@@ -103,7 +109,7 @@ def as_text(report: dict[str, Any], verbose: bool) -> str:
     levels = table(
         ["level", "R", "C", "K", "bits", "subdivision", "nodes", "empty", "clusters", "empty", "SNR dB",
          *(f"SNR of {name}" for name in domain), "RMSE", "max error", "size"],
-        [[str(level["level"]), *(",".join(map(str, level[key])) for key in "RCK"), str(level["bits"]),
+        [[str(level["level"]), *_shape(level, report["undecomposed"]), str(level["bits"]),
           level["subdivision"], str(level["nodes"]), str(level["nodes_that_carry_nothing"]),
           str(level["clusters"]), str(level["clusters_that_carry_nothing"]),
           decibels(level["snr_db"]), *(decibels_or_unknown(level["transformed_snr_db"]) for _ in domain),

@@ -47,8 +47,8 @@ def nothing_kept(ctx: click.Context) -> str:
     return f"nothing is left half written, and nothing kept, as {why}. Next: the same command, which begins anew"
 
 
-def going_on(ctx: click.Context) -> str:
-    """What is kept and the command that goes on with it; empty where nothing is."""
+def going_on(ctx: click.Context, *, then: bool = False) -> str:
+    """What is kept and the command that goes on with it, what is said before `then` being next; empty: nothing is."""
     journal: Journal | None = ctx.meta.get(_JOURNAL)
     try:
         if journal is None or not journal.holds_work:
@@ -57,4 +57,4 @@ def going_on(ctx: click.Context) -> str:
         return ""
     words = ["hmkcta", "compress", *ctx.meta[WORDS]]
     command = shlex.join(words if "--resume" in words else [*words, "--resume"])
-    return f"What is finished is kept in {journal.folder}. Next: {command}"
+    return f"What is finished is kept in {journal.folder}{', then' if then else '. Next'}: {command}"

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from ..errors import HmkctaError, Kind
-from ..measure import measure
+from ..measure import measure_both
 from ..model import Model
 from ..model import open as open_model
 from ..packed import LevelQuality
@@ -49,12 +49,12 @@ def verify_command(file: str, against: str | None, nan: float | None, as_json: b
     del verbose
     model = open_model(file)
     report: dict[str, Any] = {"file": file, "digests": "ok", "structure": "ok"}
-    measured: tuple[LevelQuality, ...] = ()
+    measured = transformed = tuple[LevelQuality, ...]()
     array = opened("--against", against, source, quiet or as_json)
     if array is not None:
         with Progress(quiet or as_json) as progress:
-            measured = measure(model, array, nan=nan, progress=progress)
-        report["levels"] = _report(model, measured)
+            measured, transformed = measure_both(model, array, nan=nan, progress=progress)
+        report["levels"] = _report(model, measured, transformed)
     if not as_json and not quiet:
         _show(file, model, measured)
     for number, (said, found) in enumerate(zip(model.quality, measured, strict=False), start=1):
@@ -63,10 +63,14 @@ def verify_command(file: str, against: str | None, nan: float | None, as_json: b
         emit(report)
 
 
-def _report(model: Model, measured: tuple[LevelQuality, ...]) -> list[dict[str, Any]]:
-    return [{"level": number, "snr_db": found.snr_db, "rmse": found.rmse, "max_abs_error": found.max_abs_error,
-             "snr_db_in_file": said.snr_db}
-            for number, (said, found) in enumerate(zip(model.quality, measured, strict=True), start=1)]
+def _report(
+    model: Model, measured: tuple[LevelQuality, ...], transformed: tuple[LevelQuality, ...]
+) -> list[dict[str, Any]]:
+    """The SNR of transformed values is null where there is no transform, as `compress --json` has it."""
+    plain = model.metadata.transform["name"] == "identity"
+    return [{"level": number, "snr_db": found.snr_db, "transformed_snr_db": None if plain else inner.snr_db,
+             "rmse": found.rmse, "max_abs_error": found.max_abs_error, "snr_db_in_file": said.snr_db}
+            for number, (said, found, inner) in enumerate(zip(model.quality, measured, transformed, strict=True), 1)]
 
 
 def _show(file: str, model: Model, measured: tuple[LevelQuality, ...]) -> None:

@@ -55,6 +55,9 @@ def open_array(
         if member is not None:
             raise invalid("source-member", f"member of {uri}", repr(member), "none: raw binary is one array")
         return open_raw(Path(uri), shape, dtype, order, offset)
+    if str(uri) == "":  # which would be the folder at hand
+        raise invalid("argument-type", "uri", "''", "the path of a file or a folder, or a pattern",
+                      "give one; '.' is the folder at hand")
     place, inner = _split(str(uri))
     member, unpacker = member if member is not None else inner, Unpacker(max_memory, progress)
     if _is_pattern(place):
