@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from statistics import median
 
@@ -27,6 +28,15 @@ def waves(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A file of 10 MB."""
     path = tmp_path_factory.mktemp("waves") / "waves.npy"
     write_waves(path, SIZES[0])
+    return path
+
+
+@pytest.fixture(scope="module")
+def rows(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file of 14 MB: many rows near a few."""
+    rng, path = np.random.default_rng(0), tmp_path_factory.mktemp("rows") / "rows.npy"
+    values = rng.standard_normal((40, 12))[rng.integers(40, size=300_000)]
+    np.save(path, (values + 0.2 * rng.standard_normal(values.shape)).astype(np.float32))
     return path
 
 
@@ -98,6 +108,51 @@ def test_memory_of_a_large_model_is_what_was_said(plan: str, threads: int, waves
     options = {"plan": plan, "quality": "fast", "scheme": "most", "threads": threads}
     peaks = [taken("compress", waves, **options)["peak"] for _ in range(3)]
     assert said / 1.25 < median(peaks) < 1.25 * said
+
+
+#: Ranks that a size decides: of one node, as bytes; of clusters of many rows; of many nodes; of a streamed tensor.
+OWN_RANKS: list[tuple[str, str, int, dict[str, int]]] = [
+    ("waves", "R<=40 bits=8", 1_000_000, {}),
+    ("rows", "R<=12,* C=40,1", 2_500_000, {}),
+    ("waves", "R=1 grid=axis0:5,axis1:5,axis2:5,axis3:2 / R<=8,8,8,20", 5_000_000, {"decode_cost": 15_000}),
+    ("waves", "R<=40 bits=8", 1_000_000, {"max_memory": 260_000_000}),
+]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there is no getrusage")
+@pytest.mark.parametrize(("name", "text", "size", "options"), OWN_RANKS)
+def test_memory_of_ranks_of_each_node_is_what_was_said(
+    name: str, text: str, size: int, options: dict[str, int], waves: Path, rows: Path
+) -> None:
+    path = {"waves": waves, "rows": rows}[name]
+    sizes = np.load(path, mmap_mode="r").shape
+    plan = replace(parse_plan(text, MODES[: len(sizes)]), size=size)
+    cost, memory = options.get("decode_cost", 4096), options.get("max_memory")
+    said = forecast(plan, sizes, EFFORTS["fast"], 2, memory, decode_cost=cost).memory
+    took = taken("compress", path, plan=text, size=size, quality="fast", **options)["peak"]
+    assert said / 1.25 < took < 1.25 * said
+
+
+def test_memory_of_a_goal_is_that_of_its_bytes() -> None:
+    """What an SNR takes is known where a sample told."""
+    sizes, plan = (300, 300, 300, 20), parse_plan("R=1 grid=axis0:9,axis1:9,axis2:9 / R<=33 bits=8", MODES)
+
+    def memory(**goal: float) -> int:
+        return forecast(replace(plan, **goal), sizes, EFFORTS["fast"], 2, 2_000_000_000).memory
+
+    small, large = memory(size=500_000), memory(size=5_500_000)
+    assert 40_000_000 < large - small < 60_000_000
+    assert memory(snr=30.0, expected=5_500_000) == large
+    assert memory(snr=30.0) < small
+
+
+def test_a_chosen_plan_takes_as_long_again_for_others_that_it_is_compared_with() -> None:
+    plan, sizes = parse_plan("R=1 grid=axis0:2 / R<=8", MODES), (40,) * 4
+
+    def comparing(effort: str, choosing: int) -> float:
+        return forecast(plan, sizes, EFFORTS[effort], 2, None, choosing=choosing).comparing
+
+    assert comparing("medium", 10**8) > 0 == comparing("medium", 0) == comparing("fast", 10**8)
 
 
 def test_a_model_that_memory_has_no_room_for_is_refused(waves: Path) -> None:

@@ -150,6 +150,28 @@ def test_a_plan_says_what_choosing_it_takes_and_what_following_it(tmp_path: Path
     assert " more to choose it anew" in run(*words).stdout
     assert report(*words, "--plan", "R<=4")["choosing_seconds"] is None
     assert " more to choose it anew" not in run(*words, "--plan", "R<=4").stdout
+    assert found["comparing_seconds"] == 0  # a fast choice is compared with no others
+    assert report(*words[:-1], "medium")["comparing_seconds"] > 0
+
+
+def test_a_plan_for_an_snr_says_about_how_many_bytes_that_takes(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", smooth(40, 41, 42))
+    words = (tmp_path / "a.npy", "--snr", "35")
+    said = report("plan", *words)
+    took = report("compress", *words, "-o", tmp_path / "a.hmk")["bytes"]
+    assert said["predicted_bytes"] is None
+    assert said["expected_bytes"] / 1.25 < took < 1.25 * said["expected_bytes"]
+    assert "about " in run("plan", *words).stdout
+    assert report("plan", *words[:1], "--plan", "R<=4", "--snr", "35")["expected_bytes"] is None
+
+
+def test_a_plan_says_that_written_ranks_take_more_than_the_decode_cost(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", smooth(30, 31, 32))
+    words = ("plan", tmp_path / "a.npy", "--plan", "R=4", "--decode-cost")
+    (said,) = report(*words, "10")["notes"]
+    assert "takes 64 multiply-adds, more than --decode-cost 10" in said
+    assert said in run(*words, "10").stderr
+    assert not report(*words, "64")["notes"]
 
 
 BYTES = [

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from .choosing.judging import CARES
 from .disjoint import JUDGING
-from .fit import EFFORTS, Effort
 from .finer import LARGE
+from .fit import EFFORTS, Effort
 from .measure import SLAB as MEASURED
 from .measure_streamed import SLAB as MEASURED_OUTSIDE
 from .memberships import ROUNDS, ROWS, ROWS_EACH
@@ -69,11 +69,15 @@ _GRAM_NS, _NUMBER_NS = 80.0, 250.0
 _NODE_NS = 1.5e6
 #: What each further thread does of the work of one.
 _SECOND = 0.7
+#: How many times as long as the fit of a chosen plan those of others take that it is compared with: of large arrays; of
+#: others, where it has several levels, and where it has one, as then numbers of clusters are tried.
+_OTHERS_OF_LARGE, _OTHERS, _OTHERS_OF_ONE_LEVEL = 2, 4, 20
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """Bytes of memory at most, bytes of scratch space on disk, seconds; the latter for a server core, within a factor.
+    """Bytes of memory at most, bytes of scratch space on disk, seconds to follow a plan, and to fit others that a
+    chosen one is compared with; seconds are for a server core, within a factor, the latter no more than a guess.
 
     >>> from hmkcta.plan import parse_plan
     >>> from hmkcta.fit import EFFORTS
@@ -87,39 +91,58 @@ class Forecast:
     memory: int
     scratch: int
     seconds: float
+    comparing: float = 0.0
 
 
 def forecast(
     plan: Plan, sizes: Sequence[int], effort: Effort, threads: int, memory: int | None, *, held: int = 0,
-    choosing: int = 0,
+    choosing: int = 0, decode_cost: int = 4096,
 ) -> Forecast:
     """The cost of a plan for a tensor of the given mode sizes, `memory` bytes allowed (None: half of what is free).
 
     `held` are the bytes of the source if it is in memory as a whole; `choosing` those that `choosing_bytes` tells, 0 if
-    the plan is given. Memory is also for the model of a streamed tensor, unless an SNR decides how large
-    that will be.
+    the plan is given; `decode_cost` bounds ranks of nodes' own. Memory is also for the model, unless an SNR decides how
+    large that will be and no sample told.
     """
     limit, elements = memory_limit(plan, sizes, memory), prod(sizes)
-    model = model_bytes(plan, sizes, threads, room_beside(elements, memory)) + _own_bytes(plan, sizes)
+    own_numbers = _own_numbers(plan, sizes, decode_cost)
+    own_model = _own_bytes(plan, own_numbers)
+    model = model_bytes(plan, sizes, threads, room_beside(elements, memory)) + own_model
+    others = _others(plan, elements, effort) if choosing else 0
+
+    def told(peak: int, scratch: int = 0, cut: int | None = None) -> Forecast:
+        seconds = _seconds(plan, sizes, effort, threads, limit, own_numbers, cut)
+        return Forecast(held + peak, scratch, seconds, others * seconds)
+
     own = plan.levels[-1].own
     if not is_streamed(elements, limit):
-        working = _working(plan, threads) + (_SAVED if own else 0)
+        compared = others > 0 and elements <= LARGE
+        fit = int((_working(plan, threads) + (_SAVED if own else 0)) * elements)
         measuring = _RESIDUAL * elements + _MEASURING * min(elements, MEASURED)
-        compared = choosing > 0 and elements <= LARGE
         features = _parting_bytes(plan, sizes, compared=compared)
-        fits = [int(working * elements) + model] * (2 if compared else 1)
-        most = held + _peak(choosing, *fits, measuring, beside=features)
-        return Forecast(most, 0, _seconds(plan, sizes, effort, threads, limit))
+        # For an SNR others may take up to as many numbers as there are values.
+        theirs = max(model, (2 * MODEL + 2 * TRIED_APART) * elements) if plan.snr is not None else model
+        fits = [fit + theirs, fit + model] if compared else [fit + model]
+        return told(_peak(choosing, *fits, measuring, beside=features))
     check_worksets(plan, sizes, limit, memory)
     if limit == elements:  # fitted in place
-        most = held + _peak(choosing, FLAT * elements + model)
-        return Forecast(most, 0, _seconds(plan, sizes, effort, threads, limit))
+        return told(_peak(choosing, FLAT * elements + model))
     cut = next((n for n, level in enumerate(plan.levels[:-1]) if level.cells > 1), None)
     measuring = 3 * _RESIDUAL * threads * min(MEASURED_OUTSIDE, limit // 16)
     working = model + max(_outside(plan, sizes, limit, threads, cut), measuring)
     copies = int(cut is not None or any(level.disjoint or level.cuts for level in plan.levels))
-    scratch = 4 * elements * (copies + (1 if own and cut is not None else 0))
-    return Forecast(held + _peak(choosing, working), scratch, _seconds(plan, sizes, effort, threads, limit, cut))
+    copies += int(own and cut is not None)
+    # A model of zeros has told how many bytes it will have.
+    return told(_peak(choosing, own_model, working), 4 * elements * copies, cut)
+
+
+def _others(plan: Plan, elements: int, effort: Effort) -> int:
+    """How many times as long as its own fit those take of plans that a chosen one is compared with."""
+    if effort.candidates <= EFFORTS["fast"].candidates:
+        return 0
+    if elements > LARGE:
+        return _OTHERS_OF_LARGE
+    return _OTHERS if len(plan.levels) > 1 else _OTHERS_OF_ONE_LEVEL
 
 
 def _outside(plan: Plan, sizes: Sequence[int], limit: int, threads: int, cut: int | None) -> int:
@@ -132,7 +155,8 @@ def _outside(plan: Plan, sizes: Sequence[int], limit: int, threads: int, cut: in
         if level.disjoint and fitted <= limit:
             each = _BLOCK * max(together, JUDGING * fitted if level.own else 0)
         elif below:
-            each = WORKING * together
+            alone = fitting_bytes(sizes, level, limit) if level.cells == 1 else WORKING * fitted
+            each = alone * together // max(1, fitted)
         elif level.disjoint:
             each = (_ALONE if level.cells == 1 else WORKING) * fitted
         else:
@@ -147,24 +171,27 @@ def _outside(plan: Plan, sizes: Sequence[int], limit: int, threads: int, cut: in
     return most
 
 
-def _own_numbers(plan: Plan, sizes: Sequence[int]) -> int:
-    """Numbers of a last level whose nodes have ranks of their own: as many as its bytes hold; none that are not known.
+def _own_numbers(plan: Plan, sizes: Sequence[int], decode_cost: int) -> int:
+    """Numbers of a last level whose nodes have ranks of their own, as many as its bytes hold; 0 where none are known.
 
-    An SNR does not say how many it takes, but where a sample did.
+    An SNR does not say how many it takes, but a sample may have told.
     """
-    level, nbytes = plan.levels[-1], plan.size or plan.expected or 0
+    level, nbytes, nodes = plan.levels[-1], plan.size or plan.expected or 0, 1
     if not level.own:
         return 0
-    nodes = 1
     for above in plan.levels[:-1]:
         nodes, sizes = nodes * above.clamped(sizes).cells, part_sizes(sizes, above)
-    return min(nodes * numbers(sizes, level), 8 * nbytes // level.bits)
+    spec = level.clamped(sizes)
+    whole = prod(size for size, rank in zip(sizes, spec.ranks, strict=True) if rank is None)
+    cores = prod(rank for rank in spec.ranks if rank is not None)
+    most = numbers(sizes, spec) - spec.cells * whole * max(0, cores - decode_cost)
+    return min(nodes * most, 8 * nbytes // level.bits)
 
 
-def _own_bytes(plan: Plan, sizes: Sequence[int]) -> int:
+def _own_bytes(plan: Plan, own_numbers: int) -> int:
     """Bytes of that level's model; what is tried beside it is of one node."""
-    count, nodes = _own_numbers(plan, sizes), prod(level.cells for level in plan.levels[:-1])
-    return 2 * MODEL * count + 2 * TRIED_APART * count // nodes
+    nodes = prod(level.cells for level in plan.levels[:-1])
+    return 2 * MODEL * own_numbers + 2 * TRIED_APART * own_numbers // nodes
 
 
 def _working(plan: Plan, threads: int) -> float:
@@ -196,7 +223,8 @@ def _slabs(plan: Plan, sizes: Sequence[int], limit: int, threads: int, cut: int 
     copies: float = _SLAB_CUT
     if not outside[0].disjoint:
         copies = _SLAB_COPIES + _SLAB_SEEN * max(projected_share(sizes, level) for level in outside)
-    return int(4 * copies * SLAB * max(1, min(threads, limit // SLAB)))
+    slab = min(SLAB, prod(sizes))
+    return int(4 * copies * slab * max(1, min(threads, limit // SLAB)))
 
 
 def choosing_bytes(elements: int, effort: Effort, threads: int, memory: int | None, snr: float | None) -> int:
@@ -239,10 +267,10 @@ def _largest(elements: int, level: LevelSpec) -> int:
 
 
 def _seconds(
-    plan: Plan, sizes: Sequence[int], effort: Effort, threads: int, limit: int, cut: int | None = None
+    plan: Plan, sizes: Sequence[int], effort: Effort, threads: int, limit: int, own_numbers: int, cut: int | None
 ) -> float:
     elements, beside, each = prod(sizes), 0.0, _SOURCE_NS + (0 if cut is None else _PIECE_NS * (1 + effort.backfits))
-    own_numbers = _own_numbers(plan, sizes) or elements  # no plan that is worth following has more
+    own_numbers = own_numbers or elements  # no plan that is worth following has more
     alone, nodes = 0.0, 1
     for number, level in enumerate(plan.levels, start=1):
         own = effort.at(number, len(plan.levels))

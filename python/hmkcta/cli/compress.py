@@ -17,9 +17,8 @@ from ..finer import USED
 from ..goals import misses
 from ..hmkfile import check_output
 from ..model import Model
-from ..plan import multiply_adds
 from .failure import Exit
-from .goal import Goal, goal_from, goal_options
+from .goal import Goal, beyond_cost, goal_from, goal_options
 from .info import decibels_or_unknown, transformed_snr
 from .notes import notes
 from .options import (
@@ -80,7 +79,7 @@ def compress_command(source: str, output: str, plan: str | None, device: str, re
               "plans_fitted": progress.plans}
     missed, said = missed_goal(model, goal), [str(each.message) for each in warned]
     said += notes(model, array, planned=plan is not None) + unused(model, goal, plan)
-    said += beyond_cost(model, goal, plan)
+    said += beyond_cost(model.decode_cost, goal, plan)
     if as_json:
         emit({"output": output, **report, "reached": missed is None, "notes": said})
     elif not quiet:
@@ -161,15 +160,6 @@ def unused(model: Model, goal: Goal, plan: str | None) -> list[str]:
     else:
         why = "the ranks of the plan allow no more. Next: write higher ones"
     return [f"of --size {100 * model.nbytes / goal.size:.0f} % are used: {why}"]
-
-
-def beyond_cost(model: Model, goal: Goal, plan: str | None) -> list[str]:
-    """A sentence on a plan whose written ranks take more multiply-adds than --decode-cost."""
-    cost = goal.settings["decode_cost"]
-    if plan is None or model.decode_cost <= cost:
-        return []
-    return [f"an element takes {multiply_adds(model.decode_cost)}, more than --decode-cost {cost}, which bounds ranks "
-            "that are chosen (R<=..), not written ones. Next: write lower ranks, or leave --plan out"]
 
 
 def _keeps_no_more(model: Model) -> bool:

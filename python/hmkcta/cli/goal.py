@@ -14,7 +14,7 @@ from ..axes import check_kind, format_organisation, name_axes
 from ..errors import invalid
 from ..fit import EFFORTS
 from ..hmkfile import KINDS
-from ..plan import SCHEMES, Plan
+from ..plan import SCHEMES, Plan, multiply_adds
 from ..readers import open_array, read_coordinates
 from .options import Assignment, ByteSize, Count, Names, memory_option, nan_option, source_options, together
 from .progress import Progress
@@ -123,3 +123,12 @@ def _written(name: str, value: Any) -> str:
     if isinstance(value, list | tuple):
         return ",".join(map(str, cast("Sequence[Any]", value)))
     return repr(value) if isinstance(value, float) else str(value)
+
+
+def beyond_cost(cost: int, goal: Goal, plan: str | None) -> list[str]:
+    """A sentence on a --plan whose written ranks take more multiply-adds than --decode-cost."""
+    most = goal.settings["decode_cost"]
+    if plan is None or cost <= most:
+        return []
+    return [f"an element takes {multiply_adds(cost)}, more than --decode-cost {most}, which bounds ranks that are "
+            "chosen (R<=..), not written ones. Next: write lower ranks, or leave --plan out"]

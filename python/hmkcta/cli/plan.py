@@ -22,7 +22,7 @@ from ..plan_checks import check_plan
 from ..scratch import scratch_folder
 from ..source import Source
 from ..source import described as describe_source
-from .goal import Goal, command_for, goal_from, goal_options
+from .goal import Goal, beyond_cost, command_for, goal_from, goal_options
 from .options import Command, File, json_option, quiet_option, together, verbose_option
 from .output import emit, seconds, share, table
 from .progress import Progress
@@ -59,10 +59,13 @@ def plan_command(source: str, plan: str | None, as_json: bool, quiet: bool, verb
     report["command"] = command_for(source, "OUT.hmk", chosen, goal)
     report["goal_command"] = command_for(source, "OUT.hmk", None, goal) if plan is None else None
     report["seconds"] = round(progress.elapsed, 3)
+    said = beyond_cost(report["decode_cost"], goal, plan)
     if as_json:
-        emit({"source": source, **report})
+        emit({"source": source, **report, "notes": said})
     else:
         click.echo(as_text(report))
+    for sentence in [] if quiet else said:
+        click.echo(f"hmkcta: {sentence}.", err=True)
 
 
 def given_plan(text: str, source: Source, goal: Goal) -> Plan:
@@ -81,8 +84,8 @@ def expected(plan: Plan, source: Source, goal: Goal, *, choosing: bool) -> Forec
     effort = EFFORTS[options["quality"]]
     held, memory = 0 if isinstance(source.array, np.memmap) else source.array.nbytes, options["max_memory"]
     before = choosing_bytes(prod(source.shape), effort, threads, memory, plan.snr) if choosing else 0
-    sizes = mode_sizes(source.axes, plan.organisation)
-    return forecast(plan, sizes, effort, threads, memory, held=held, choosing=before)
+    sizes, most = mode_sizes(source.axes, plan.organisation), options["decode_cost"]
+    return forecast(plan, sizes, effort, threads, memory, held=held, choosing=before, decode_cost=most)
 
 
 def describe(plan: Plan, source: Source, goal: Goal, choosing: float | None) -> dict[str, Any]:
@@ -103,7 +106,7 @@ def describe(plan: Plan, source: Source, goal: Goal, choosing: float | None) -> 
         "predicted_bytes": predicted_bytes(_largest(plan, goal), source, goal.kind, goal.settings["seed"]),
         "expected_bytes": plan.expected,
         "decode_cost": sum(costs), "memory": cost.memory, "scratch": cost.scratch,
-        "fitting_seconds": round(cost.seconds, 1),
+        "fitting_seconds": round(cost.seconds, 1), "comparing_seconds": round(cost.comparing, 2),
         "choosing_seconds": None if choosing is None else round(choosing, 3), "source_bytes_float32": 4 * prod(sizes),
     }
 
@@ -138,9 +141,12 @@ def as_text(report: dict[str, Any]) -> str:
     rows = [[str(level["level"]), str(level["decode_cost"]), level["text"]] for level in report["levels"]]
     goals = [f"at least {report['snr']:g} dB"] if report["snr"] is not None else []
     goals += [f"at most {format_bytes(report['size'])}"] if report["size"] is not None else []
-    times = f"about {seconds(report['fitting_seconds'])} with the plan given"
+    times = [f"time          about {seconds(report['fitting_seconds'])} with the plan given, "
+             "longer on a busy or slow machine"]
     if (choosing := report["choosing_seconds"]) is not None:
-        times += f", {seconds(choosing)} more to choose it anew"
+        others = report["comparing_seconds"]
+        times += [f"              {seconds(choosing)} more to choose it anew"
+                  + (f", and some {seconds(others)} to fit others that it is compared with" if others else "")]
     commands = ["To do it:", f"  {report['command']}"]
     if report["goal_command"] is not None:
         commands = ["To do it, and keep the best of this plan and others like it:", f"  {report['goal_command']}",
@@ -153,7 +159,7 @@ def as_text(report: dict[str, Any]) -> str:
         f"memory        {format_bytes(report['memory'])}",
         *([f"scratch       {format_bytes(report['scratch'])} in {scratch_folder()}, set by TMPDIR"]
           if report["scratch"] else []),
-        f"time          {times}, longer on a busy or slow machine",
+        *times,
         "",
         table(["level", "decode cost", "ranks R, clusters C, mixture K"], rows, left=[2]),
         "",
