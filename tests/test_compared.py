@@ -69,9 +69,8 @@ def test_the_command_line_adds_the_times_of_all_plans_and_counts_them(tmp_path: 
     source = saved(tmp_path / "a.npy", smooth(12, 14, 16))
     words = ("compress", source, "-o", tmp_path / "a.hmk", "--size", 3000, "--overwrite")
     found = report(*words)
-    assert found["plans_fitted"] > 2
-    assert found["levels"][0]["seconds"] > 0
+    assert found["plans_tried"] > 2
     said = run(*words, "--verbose").stderr
     assert "  level 1: " in said
     assert OF_PLAN not in said
-    assert report(*words[:4], "--plan", "R=2", "--overwrite")["plans_fitted"] == 1
+    assert report(*words[:4], "--plan", "R=2", "--overwrite")["plans_tried"] == 1

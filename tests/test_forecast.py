@@ -129,8 +129,8 @@ def test_memory_of_ranks_of_each_node_is_what_was_said(
     plan = replace(parse_plan(text, MODES[: len(sizes)]), size=size)
     cost, memory = options.get("decode_cost", 4096), options.get("max_memory")
     said = forecast(plan, sizes, EFFORTS["fast"], 2, memory, decode_cost=cost).memory
-    took = taken("compress", path, plan=text, size=size, quality="fast", **options)["peak"]
-    assert said / 1.25 < took < 1.25 * said
+    peaks = [taken("compress", path, plan=text, size=size, quality="fast", **options)["peak"] for _ in range(3)]
+    assert said / 1.25 < median(peaks) < 1.25 * said
 
 
 def test_memory_of_a_goal_is_that_of_its_bytes() -> None:
@@ -146,13 +146,17 @@ def test_memory_of_a_goal_is_that_of_its_bytes() -> None:
     assert memory(snr=30.0) < small
 
 
-def test_a_chosen_plan_takes_as_long_again_for_others_that_it_is_compared_with() -> None:
-    plan, sizes = parse_plan("R=1 grid=axis0:2 / R<=8", MODES), (40,) * 4
+def test_others_that_a_chosen_plan_is_compared_with_take_times_of_its_own() -> None:
+    """More where numbers of clusters are tried; none of arrays that are streamed, nor beside a given plan."""
 
-    def comparing(effort: str, choosing: int) -> float:
-        return forecast(plan, sizes, EFFORTS[effort], 2, None, choosing=choosing).comparing
+    def times(text: str, effort: str = "medium", side: int = 40, **options: int) -> float:
+        plan = replace(parse_plan(text, MODES), size=100_000)
+        cost = forecast(plan, (side,) * 4, EFFORTS[effort], 2, options.get("memory"), choosing=options["choosing"])
+        return round(cost.comparing / cost.seconds)
 
-    assert comparing("medium", 10**8) > 0 == comparing("medium", 0) == comparing("fast", 10**8)
+    blocks = "R=1 grid=axis0:2 / R<=8"
+    assert times("R<=8", choosing=10**8) > times(blocks, choosing=10**8) > times(blocks, "fast", choosing=10**8) == 1
+    assert times(blocks, choosing=0) == times(blocks, side=80, memory=500_000_000, choosing=10**8) == 0
 
 
 def test_a_model_that_memory_has_no_room_for_is_refused(waves: Path) -> None:

@@ -14,7 +14,7 @@ from .disjoint import JUDGING
 from .finer import LARGE
 from .fit import EFFORTS, Effort
 from .measure import SLAB as MEASURED
-from .measure_streamed import SLAB as MEASURED_OUTSIDE
+from .measure_streamed import slab_within
 from .memberships import ROUNDS, ROWS, ROWS_EACH
 from .plan import LevelSpec, Plan
 from .predict import (
@@ -40,8 +40,9 @@ from .workset import check_worksets, fitting_bytes, projected_share, workset, wo
 
 #: Bytes for each element of a tensor in memory: its residual lasts, the rest is `WORKING`; a saved residual for goals.
 _RESIDUAL, _SAVED = 4, 4
-#: Bytes for each element of a slab that quality is measured on.
-_MEASURING = 36
+#: Bytes for each element of a slab that quality is measured on, and of one of a streamed tensor: the slab, what is left
+#: of it, and the parts of that.
+_MEASURING, _MEASURED_OUTSIDE = 36, 12
 #: Bytes of the interpreter with everything loaded; the share of what a stage took that its heaps keep from the next.
 _BASE, _KEPT = 56 * 2**20, 0.3
 #: Bytes for each element of a slab of a source that is checked, of the next one, and of a sample that plans are judged
@@ -76,8 +77,8 @@ _OTHERS_OF_LARGE, _OTHERS, _OTHERS_OF_ONE_LEVEL = 2, 4, 20
 
 @dataclass(frozen=True)
 class Forecast:
-    """Bytes of memory at most, bytes of scratch space on disk, seconds to follow a plan, and to fit others that a
-    chosen one is compared with; seconds are for a server core, within a factor, the latter no more than a guess.
+    """Bytes of memory at most, bytes of scratch space on disk, seconds to follow a plan, and seconds to fit others that
+    a chosen one is compared with. Seconds are for a server core, within a factor; those for others are a guess.
 
     >>> from hmkcta.plan import parse_plan
     >>> from hmkcta.fit import EFFORTS
@@ -106,16 +107,17 @@ def forecast(
     """
     limit, elements = memory_limit(plan, sizes, memory), prod(sizes)
     own_numbers = _own_numbers(plan, sizes, decode_cost)
-    own_model = _own_bytes(plan, own_numbers)
+    own_model = _own_bytes(plan, sizes, own_numbers)
     model = model_bytes(plan, sizes, threads, room_beside(elements, memory)) + own_model
-    others = _others(plan, elements, effort) if choosing else 0
+    streamed = is_streamed(elements, limit)
+    others = _others(plan, elements, effort) if choosing and not streamed else 0
 
-    def told(peak: int, scratch: int = 0, cut: int | None = None) -> Forecast:
+    def found(peak: int, scratch: int = 0, cut: int | None = None) -> Forecast:
         seconds = _seconds(plan, sizes, effort, threads, limit, own_numbers, cut)
         return Forecast(held + peak, scratch, seconds, others * seconds)
 
     own = plan.levels[-1].own
-    if not is_streamed(elements, limit):
+    if not streamed:
         compared = others > 0 and elements <= LARGE
         fit = int((_working(plan, threads) + (_SAVED if own else 0)) * elements)
         measuring = _RESIDUAL * elements + _MEASURING * min(elements, MEASURED)
@@ -123,23 +125,23 @@ def forecast(
         # For an SNR others may take up to as many numbers as there are values.
         theirs = max(model, (2 * MODEL + 2 * TRIED_APART) * elements) if plan.snr is not None else model
         fits = [fit + theirs, fit + model] if compared else [fit + model]
-        return told(_peak(choosing, *fits, measuring, beside=features))
+        return found(_peak(choosing, *fits, measuring, beside=features))
     check_worksets(plan, sizes, limit, memory)
     if limit == elements:  # fitted in place
-        return told(_peak(choosing, FLAT * elements + model))
+        return found(_peak(choosing, FLAT * elements + model))
     cut = next((n for n, level in enumerate(plan.levels[:-1]) if level.cells > 1), None)
-    measuring = 3 * _RESIDUAL * threads * min(MEASURED_OUTSIDE, limit // 16)
+    measuring = _MEASURED_OUTSIDE * threads * min(slab_within(limit), elements)
     working = model + max(_outside(plan, sizes, limit, threads, cut), measuring)
     copies = int(cut is not None or any(level.disjoint or level.cuts for level in plan.levels))
     copies += int(own and cut is not None)
-    # A model of zeros has told how many bytes it will have.
-    return told(_peak(choosing, own_model, working), 4 * elements * copies, cut)
+    # Its bytes are counted on a model of zeros before the fit, whose memory the heaps keep a share of.
+    return found(_peak(choosing, own_model, working), 4 * elements * copies, cut)
 
 
 def _others(plan: Plan, elements: int, effort: Effort) -> int:
-    """How many times as long as its own fit those take of plans that a chosen one is compared with."""
+    """How many times as long as its own fit those take of plans that a chosen one in memory is compared with."""
     if effort.candidates <= EFFORTS["fast"].candidates:
-        return 0
+        return 0 if plan.size is None else 1
     if elements > LARGE:
         return _OTHERS_OF_LARGE
     return _OTHERS if len(plan.levels) > 1 else _OTHERS_OF_ONE_LEVEL
@@ -180,17 +182,21 @@ def _own_numbers(plan: Plan, sizes: Sequence[int], decode_cost: int) -> int:
     if not level.own:
         return 0
     for above in plan.levels[:-1]:
-        nodes, sizes = nodes * above.clamped(sizes).cells, part_sizes(sizes, above)
+        spec = above.clamped(sizes)
+        decode_cost -= spec.decode_cost()
+        nodes, sizes = nodes * spec.cells, part_sizes(sizes, above)
     spec = level.clamped(sizes)
     whole = prod(size for size, rank in zip(sizes, spec.ranks, strict=True) if rank is None)
     cores = prod(rank for rank in spec.ranks if rank is not None)
-    most = numbers(sizes, spec) - spec.cells * whole * max(0, cores - decode_cost)
+    most = numbers(sizes, spec) - spec.cells * whole * max(0, cores - max(1, decode_cost))
     return min(nodes * most, 8 * nbytes // level.bits)
 
 
-def _own_bytes(plan: Plan, own_numbers: int) -> int:
+def _own_bytes(plan: Plan, sizes: Sequence[int], own_numbers: int) -> int:
     """Bytes of that level's model; what is tried beside it is of one node."""
-    nodes = prod(level.cells for level in plan.levels[:-1])
+    nodes = 1
+    for above in plan.levels[:-1]:
+        nodes, sizes = nodes * above.clamped(sizes).cells, part_sizes(sizes, above)
     return 2 * MODEL * own_numbers + 2 * TRIED_APART * own_numbers // nodes
 
 
@@ -211,7 +217,7 @@ def _parting_bytes(plan: Plan, sizes: Sequence[int], *, compared: bool) -> int:
     level = plan.levels[-1]
     if not level.own:
         return 0  # counted with its model
-    if compared and prod(sizes) <= LARGE:
+    if compared:
         return ROW * max(sizes)
     parted = [size for size, count in zip(sizes, level.clusters, strict=True) if count > 1 and not level.grid]
     return ROW * max(parted, default=0)

@@ -16,6 +16,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from math import prod
 from pathlib import Path
+from time import sleep
 from types import TracebackType
 from typing import Any, TypeVar, cast
 
@@ -34,6 +35,8 @@ from .recordlog import Busy, RecordLog, in_use
 from .source import Source
 
 RUN, PLAN, NODES = "run.json", "plan.json", "nodes.log"
+#: Seconds beyond which no process merely looks whether another is at work.
+_LOOK = 0.05
 Number = TypeVar("Number", np.uint16, np.float16, np.float32)
 
 
@@ -222,9 +225,11 @@ class Journal(NoJournal):
         if self.folder.exists() and not self.folder.is_dir():
             raise fault("unwritable", str(self.folder), "a file", "a folder, or nothing", "move it away")
         with self._as_io():
-            busy = in_use(self.folder / NODES)
-        if busy:  # whose folder holds no work at first
-            raise self._busy()
+            if in_use(self.folder / NODES):
+                sleep(_LOOK)
+                # Not of a process that looks just as this one does, for which it takes the lock for a moment.
+                if in_use(self.folder / NODES):
+                    raise self._busy()
         if not (self._resume or self._overwrite) and self.holds_work:
             raise HmkctaError(Kind.IO, "partial-exists", str(self.folder), found="the work of an interrupted run",
                               hint="go on with it by resume=True or --resume, "

@@ -76,6 +76,11 @@ class _Errors:
             self.below(below, depth + 1, tuple(p[r] for p, r in zip(places, own, strict=True)), old, sub)
 
 
+def slab_within(limit: int) -> int:
+    """Elements of a slab, where so many may be worked on at once."""
+    return min(SLAB, max(SLAB // 8, limit // (4 * AT_ONCE)))
+
+
 def measure_streamed(
     tree: Hierarchy, residual: Streamed, progress: Progress
 ) -> tuple[tuple[LevelQuality, ...], tuple[LevelQuality, ...]]:
@@ -91,7 +96,7 @@ def measure_streamed(
         errors.below(root, 0, tuple(rows), values, left)
         return errors
 
-    slab = min(SLAB, max(SLAB // 8, residual.limit // (4 * AT_ONCE)))
+    slab = slab_within(residual.limit)
     parts = source.parts(slab)
     for number, errors in enumerate(in_order(measured, parts, residual.workers(4 * slab)), start=1):
         total[0].merge(errors.plain)

@@ -165,7 +165,7 @@ def as_array(values: Any, where: str) -> NDArray[Any]:
     except ValueError:  # nested lists of different lengths
         raise invalid("array-shape", where, shown(values), "as many numbers in each of its lists") from None
     if array.dtype.kind not in "bfiu":
-        hint = "compress real and imaginary part as an axis of two" if array.dtype.kind == "c" else ""
+        hint = "give real and imaginary part as an axis of two" if array.dtype.kind == "c" else ""
         raise invalid("dtype", where, f"dtype {array.dtype}", "floating point, integers or booleans", hint)
     if np.ma.is_masked(array):  # what is behind a mask would be compressed as if it were data
         found = f"{int(np.ma.getmaskarray(array).sum())} masked values"

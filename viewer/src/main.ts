@@ -103,6 +103,7 @@ class Page {
   /** Load what to compare the model with; where that fails, the model stays on screen. */
   private async addOriginal(app: App, address: string, signal: AbortSignal): Promise<void> {
     byId("loading").textContent = "Loading the original ...";
+    const whole = byId("message").hidden; // else the model broke off, and what is there stays failed
     try {
       const source = await openUrl(fileUrl(address, location.href));
       await app.setOriginal(await load(source, { onTables: () => undefined, onLevel: () => undefined }));
@@ -114,7 +115,9 @@ class Page {
     if (!signal.aborted && !app.closed) {
       byId("loading").textContent = this.notes;
       this.panel?.build();
-      mark("ready");
+      if (whole) {
+        mark("ready");
+      }
     }
   }
 

@@ -44,7 +44,8 @@ function memory(size: number): Uint8Array<ArrayBuffer> {
 
 function lost(name: string, have: number, size: number, error: unknown): Problem {
   const mib = (bytes: number): string => (bytes / 2 ** 20).toFixed(1);
-  return new Problem(`The connection was lost after ${mib(have)} of ${mib(size)} MiB of ${name}.`,
+  const after = size > 0 ? ` after ${mib(have)} of ${mib(size)} MiB of ${name}` : ` on the way of ${name}`;
+  return new Problem(`The connection was lost${after}.`,
     error instanceof Error ? error.message : "", "Reload the page to try again.");
 }
 

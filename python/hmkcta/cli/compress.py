@@ -76,7 +76,7 @@ def compress_command(source: str, output: str, plan: str | None, device: str, re
                          progress=progress, journal=journal, **goal.settings_for(array))
         model.save(output, overwrite=overwrite)
     report = {**describe(model, array, progress), "device": asdict(where), "nodes_resumed": journal.found,
-              "plans_fitted": progress.plans}
+              "plans_tried": progress.plans}
     missed, said = missed_goal(model, goal), [str(each.message) for each in warned]
     said += notes(model, array, planned=plan is not None) + unused(model, goal, plan)
     said += beyond_cost(model.decode_cost, goal, plan)

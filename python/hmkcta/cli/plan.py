@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from math import prod
 from time import perf_counter
@@ -19,6 +20,7 @@ from ..forecast import Forecast, choosing_bytes, forecast
 from ..memory import format_bytes
 from ..plan import Plan, multiply_adds, parse_plan
 from ..plan_checks import check_plan
+from ..predict import part_sizes
 from ..scratch import scratch_folder
 from ..source import Source
 from ..source import described as describe_source
@@ -95,9 +97,7 @@ def describe(plan: Plan, source: Source, goal: Goal, choosing: float | None) -> 
     """
     sizes = mode_sizes(source.axes, plan.organisation)
     cost = expected(plan, source, goal, choosing=choosing is not None)
-    allowed_cost, costs = goal.settings["decode_cost"], list[int]()
-    for level in plan.levels:
-        costs.append(min(level.decode_cost(), max(1, allowed_cost - sum(costs))) if level.own else level.decode_cost())
+    costs = _decode_costs(plan, sizes, goal.settings["decode_cost"])
     return {
         "organisation": format_organisation(plan.organisation), "mode_sizes": list(sizes), "plan": str(plan),
         "levels": [{"level": number, "text": str(level), "search": level.search, "decode_cost": cost}
@@ -106,9 +106,19 @@ def describe(plan: Plan, source: Source, goal: Goal, choosing: float | None) -> 
         "predicted_bytes": predicted_bytes(_largest(plan, goal), source, goal.kind, goal.settings["seed"]),
         "expected_bytes": plan.expected,
         "decode_cost": sum(costs), "memory": cost.memory, "scratch": cost.scratch,
-        "fitting_seconds": round(cost.seconds, 1), "comparing_seconds": round(cost.comparing, 2),
+        "fitting_seconds": round(cost.seconds, 2), "comparing_seconds": round(cost.comparing, 2),
         "choosing_seconds": None if choosing is None else round(choosing, 3), "source_bytes_float32": 4 * prod(sizes),
     }
+
+
+def _decode_costs(plan: Plan, sizes: Sequence[int], allowed: int) -> list[int]:
+    """Multiply-adds of every level, as far as nodes that are equal parts of those above have rows for its ranks."""
+    costs = list[int]()
+    for level in plan.levels:
+        cost = level.clamped(sizes).decode_cost()
+        costs.append(min(cost, max(1, allowed - sum(costs))) if level.own else cost)
+        sizes = part_sizes(sizes, level)
+    return costs
 
 
 def _largest(plan: Plan, goal: Goal) -> Plan:
@@ -127,8 +137,8 @@ def _doubt(report: dict[str, Any]) -> str:
 
 def _bytes(report: dict[str, Any]) -> str:
     """Bytes of the file, as far as they are known, and of how many they are one."""
-    known, expected = report["predicted_bytes"], report["expected_bytes"]
-    count = known or expected
+    known = report["predicted_bytes"]
+    count = known or report["expected_bytes"]
     if count is None:
         return f"as many as {report['snr']:g} dB need"
     of_all = f"{share(report['source_bytes_float32'] / count)} the values in float32"

@@ -25,7 +25,7 @@ class Progress:
 
     Attributes:
         stages: seconds spent in each stage, those of all compared plans together.
-        plans: how many plans were fitted, where they are compared.
+        plans: how many plans were begun, where they are compared: some of them may not be followed to the end.
     """
 
     def __init__(self, quiet: bool = False) -> None:

@@ -57,4 +57,4 @@ def going_on(ctx: click.Context, *, then: bool = False) -> str:
         return ""
     words = ["hmkcta", "compress", *ctx.meta[WORDS]]
     command = shlex.join(words if "--resume" in words else [*words, "--resume"])
-    return f"What is finished is kept in {journal.folder}{', then' if then else '. Next'}: {command}"
+    return f"What is finished is kept in {journal.folder}{'; then' if then else '. Next'}: {command}"

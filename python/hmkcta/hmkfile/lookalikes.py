@@ -60,7 +60,8 @@ def is_hmk(path: str | os.PathLike[str]) -> bool:
         if not stat.S_ISREG(os.stat(path).st_mode):  # a pipe would block on opening
             return False
         with open(path, "rb") as file:
-            start = file.read(_JSON_AT + 1)
+            start, size = file.read(_JSON_AT + 1), os.fstat(file.fileno()).st_size
     except (OSError, ValueError):
         return False
-    return start[_JSON_AT:] == b"{" and int.from_bytes(start[:_JSON_AT], "little") <= DEFAULT_LIMITS.json_bytes
+    length = int.from_bytes(start[:_JSON_AT], "little")
+    return start[_JSON_AT:] == b"{" and 2 <= length <= min(size - _JSON_AT, DEFAULT_LIMITS.json_bytes)
