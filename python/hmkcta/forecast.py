@@ -28,6 +28,7 @@ from .predict import (
     joint_bytes,
     memory_limit,
     model_bytes,
+    nodes_of,
     numbers,
     part_sizes,
     room_beside,
@@ -178,25 +179,19 @@ def _own_numbers(plan: Plan, sizes: Sequence[int], decode_cost: int) -> int:
 
     An SNR does not say how many it takes, but a sample may have told.
     """
-    level, nbytes, nodes = plan.levels[-1], plan.size or plan.expected or 0, 1
-    if not level.own:
+    *above, (spec, nodes, parts) = nodes_of(plan, sizes)
+    if not spec.own:
         return 0
-    for above in plan.levels[:-1]:
-        spec = above.clamped(sizes)
-        decode_cost -= spec.decode_cost()
-        nodes, sizes = nodes * spec.cells, part_sizes(sizes, above)
-    spec = level.clamped(sizes)
-    whole = prod(size for size, rank in zip(sizes, spec.ranks, strict=True) if rank is None)
+    left = max(1, decode_cost - sum(level.decode_cost() for level, _, _ in above))
+    whole = prod(size for size, rank in zip(parts, spec.ranks, strict=True) if rank is None)
     cores = prod(rank for rank in spec.ranks if rank is not None)
-    most = numbers(sizes, spec) - spec.cells * whole * max(0, cores - max(1, decode_cost))
-    return min(nodes * most, 8 * nbytes // level.bits)
+    most = numbers(parts, spec) - spec.cells * whole * max(0, cores - left)
+    return min(nodes * most, 8 * (plan.size or plan.expected or 0) // spec.bits)
 
 
 def _own_bytes(plan: Plan, sizes: Sequence[int], own_numbers: int) -> int:
     """Bytes of that level's model; what is tried beside it is of one node."""
-    nodes = 1
-    for above in plan.levels[:-1]:
-        nodes, sizes = nodes * above.clamped(sizes).cells, part_sizes(sizes, above)
+    *_, (_, nodes, _) = nodes_of(plan, sizes)
     return 2 * MODEL * own_numbers + 2 * TRIED_APART * own_numbers // nodes
 
 

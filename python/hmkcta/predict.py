@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from math import prod
 
 from .memory import available_memory, check_memory, memory_budget
@@ -89,14 +89,12 @@ def model_bytes(plan: Plan, sizes: Sequence[int], threads: int = 1, room: int = 
     >>> model_bytes(plan, (50, 50, 50, 50)) // 2**20
     278
     """
-    held, most, nodes = 0, 0, 1
-    for level in plan.levels:
-        if level.own:
+    held, most = 0, 0
+    for spec, nodes, parts in nodes_of(plan, sizes):
+        if spec.own:
             break
-        spec = level.clamped(sizes)
-        held += nodes * (NODE + MODEL * 2 * numbers(sizes, spec))
-        most = max(most, held + side_by_side(spec, sizes, min(nodes, threads), room) * tried_bytes(spec, sizes))
-        nodes, sizes = nodes * spec.cells, part_sizes(sizes, spec)
+        held += nodes * (NODE + MODEL * 2 * numbers(parts, spec))
+        most = max(most, held + side_by_side(spec, parts, min(nodes, threads), room) * tried_bytes(spec, parts))
     return most
 
 
@@ -120,6 +118,15 @@ def numbers(sizes: Sequence[int], level: LevelSpec) -> int:
     parts = list(zip(sizes, spec.clusters, spec.mixture, spec.ranks, strict=True))
     bases = sum(size * k * (spec.cells // c) * rank for size, c, k, rank in parts if rank is not None)
     return bases + spec.cells * prod(size if rank is None else rank for size, _, _, rank in parts)
+
+
+def nodes_of(plan: Plan, sizes: Sequence[int]) -> Iterator[tuple[LevelSpec, int, Sequence[int]]]:
+    """Of every level what its nodes have rows for, how many they are, and their sizes, were they equal."""
+    nodes = 1
+    for level in plan.levels:
+        spec = level.clamped(sizes)
+        yield spec, nodes, sizes
+        nodes, sizes = nodes * spec.cells, part_sizes(sizes, spec)
 
 
 def part_sizes(sizes: Sequence[int], level: LevelSpec) -> tuple[int, ...]:

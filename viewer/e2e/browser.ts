@@ -6,6 +6,7 @@ import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { type Browser, type Locator, type Page, chromium } from "playwright-core";
 import { PNG } from "pngjs";
+import { afterAll, afterEach, beforeAll } from "vitest";
 
 const ROOT = join(import.meta.dirname, "..", "..");
 export const PYTHON = join(ROOT, ".venv", "bin", "python");
@@ -69,6 +70,34 @@ export class Server {
       this.process.kill("SIGINT");
     });
   }
+}
+
+/** What opens files of a folder in one browser, each with a server of its own until the test ends. */
+export function opening(
+  folder: string, size: number, opened: (page: Page) => void,
+): (file: string, query?: string, ...options: string[]) => Promise<void> {
+  let browser: Browser;
+  let page: Page | null = null;
+  let server: Server | null = null;
+
+  beforeAll(async () => {
+    browser = await launch();
+  });
+  afterAll(async () => {
+    await browser?.close();
+  });
+  afterEach(async () => {
+    await page?.close();
+    await server?.stop();
+    page = server = null;
+  });
+
+  return async (file, query = `&pixels=${size}x${size}`, ...options) => {
+    server = await Server.start(join(folder, file), ...options);
+    page = await browser.newPage({ viewport: { width: 900, height: 640 } });
+    opened(page);
+    await page.goto(server.url + query);
+  };
 }
 
 /** Wait until the page has come to a state; what it says of a failure is the error if it comes to that instead. */

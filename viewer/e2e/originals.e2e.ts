@@ -2,36 +2,19 @@
 
 import { readFileSync } from "node:fs";
 import { join } from "node:path";
-import type { Browser, Page } from "playwright-core";
-import { afterAll, afterEach, beforeAll, describe, expect, it } from "vitest";
-import { Server, control, dropFile, haveBrowser, launch, makeModels, pixels, reached, setControls } from "./browser";
+import type { Page } from "playwright-core";
+import { describe, expect, it } from "vitest";
+import { control, dropFile, haveBrowser, makeModels, opening, pixels, reached, setControls } from "./browser";
 
 const there = haveBrowser();
 const folder = there ? makeModels() : "";
 const size = 64;
 
 describe.runIf(there)("originals in Chromium", () => {
-  let browser: Browser;
   let page: Page;
-  let server: Server | null = null;
-
-  beforeAll(async () => {
-    browser = await launch();
+  const open = opening(folder, size, (opened) => {
+    page = opened;
   });
-  afterAll(async () => {
-    await browser?.close();
-  });
-  afterEach(async () => {
-    await page?.close();
-    await server?.stop();
-    server = null;
-  });
-
-  async function open(file: string, query = `&pixels=${size}x${size}`, ...options: string[]): Promise<void> {
-    server = await Server.start(join(folder, file), ...options);
-    page = await browser.newPage({ viewport: { width: 900, height: 640 } });
-    await page.goto(server.url + query);
-  }
 
   it("keeps saying what it assumes when there is an original", async () => {
     await open("bare.hmk", undefined, "--original", join(folder, "bare.npy"));
@@ -58,7 +41,7 @@ describe.runIf(there)("originals in Chromium", () => {
   ])("shows the model without its original where that is %s", async (_, status, made, sentence) => {
     await open("stack.hmk", "&never");
     await reached(page, "ready");
-    const base = server!.url.split("?")[0]!;
+    const base = page.url().split("?")[0]!;
     await page.route("**/files/other.hmk", (route) => route.fulfill({ status, body: made(readFileSync(join(folder, "stack.hmk"))) }));
     await page.goto(`${base}?file=files/stack.hmk&original=files/other.hmk&pixels=${size}x${size}`);
     await reached(page, "ready");
@@ -81,7 +64,7 @@ describe.runIf(there)("originals in Chromium", () => {
     await page.route("**/files/late.hmk", (route) => {
       fail = () => route.fulfill({ status: 404 });
     });
-    await page.goto(`${server!.url.split("?")[0]!}?file=files/late.hmk`);
+    await page.goto(`${page.url().split("?")[0]!}?file=files/late.hmk`);
     await dropFile(page, "good.hmk", readFileSync(join(folder, "stack.hmk")));
     await reached(page, "ready");
     await fail();

@@ -2,11 +2,12 @@
 
 import { readFileSync, writeFileSync } from "node:fs";
 import { join } from "node:path";
-import type { Browser, Locator, Page } from "playwright-core";
+import type { Locator, Page } from "playwright-core";
 import { PNG } from "pngjs";
-import { afterAll, afterEach, beforeAll, describe, expect, it } from "vitest";
+import { describe, expect, it } from "vitest";
 import {
-  Server, WITHOUT_WEBGPU, control, dropFile, haveBrowser, launch, makeModels, pixels, reached, setControls, settled,
+  Server, WITHOUT_WEBGPU, control, dropFile, haveBrowser, launch, makeModels, opening, pixels, reached, setControls,
+  settled,
 } from "./browser";
 
 /** Of 255: rounding, and sums in another order. */
@@ -35,27 +36,10 @@ const { size, pictures, slices }: Document = there
   : { size: 0, pictures: [], slices: { rows: 0, columns: 0, window: [0, 1], levels: {} } };
 
 describe.runIf(there)("viewer in Chromium", () => {
-  let browser: Browser;
   let page: Page;
-  let server: Server | null = null;
-
-  beforeAll(async () => {
-    browser = await launch();
+  const open = opening(folder, size, (opened) => {
+    page = opened;
   });
-  afterAll(async () => {
-    await browser?.close();
-  });
-  afterEach(async () => {
-    await page?.close();
-    await server?.stop();
-    server = null;
-  });
-
-  async function open(file: string, query = `&pixels=${size}x${size}`, ...options: string[]): Promise<void> {
-    server = await Server.start(join(folder, file), ...options);
-    page = await browser.newPage({ viewport: { width: 900, height: 640 } });
-    await page.goto(server.url + query);
-  }
 
   const labelled = (label: string): Locator => control(page, label);
   const set = (values: Record<string, string>): Promise<void> => setControls(page, values);
@@ -289,7 +273,7 @@ describe.runIf(there)("viewer in Chromium", () => {
   it("says what is not there", async () => {
     await open("stack.hmk");
     await reached(page, "ready");
-    const base = server!.url.split("?")[0]!;
+    const base = page.url().split("?")[0]!;
     await page.goto(`${base}?file=files/other.hmk`);
     await reached(page, "failed");
     expect(await page.getByRole("alert").textContent()).toContain("There is no file other.hmk");
@@ -348,13 +332,14 @@ describe.runIf(there)("viewer in Chromium", () => {
 
   it("says so where there is no WebGPU", async () => {
     const other = await launch(WITHOUT_WEBGPU);
-    server = await Server.start(join(folder, "stack.hmk"));
-    page = await other.newPage();
-    await page.addInitScript("delete Navigator.prototype.gpu");
-    await page.goto(server.url);
-    await reached(page, "failed");
-    expect(await page.getByRole("alert").textContent()).toContain("no WebGPU");
+    const server = await Server.start(join(folder, "stack.hmk"));
+    const without = await other.newPage();
+    await without.addInitScript("delete Navigator.prototype.gpu");
+    await without.goto(server.url);
+    await reached(without, "failed");
+    expect(await without.getByRole("alert").textContent()).toContain("no WebGPU");
     await other.close();
+    await server.stop();
   });
 
   it("ends cleanly with Ctrl-C", async () => {

@@ -20,7 +20,7 @@ from ..forecast import Forecast, choosing_bytes, forecast
 from ..memory import format_bytes
 from ..plan import Plan, multiply_adds, parse_plan
 from ..plan_checks import check_plan
-from ..predict import part_sizes
+from ..predict import nodes_of
 from ..scratch import scratch_folder
 from ..source import Source
 from ..source import described as describe_source
@@ -114,10 +114,9 @@ def describe(plan: Plan, source: Source, goal: Goal, choosing: float | None) -> 
 def _decode_costs(plan: Plan, sizes: Sequence[int], allowed: int) -> list[int]:
     """Multiply-adds of every level, as far as nodes that are equal parts of those above have rows for its ranks."""
     costs = list[int]()
-    for level in plan.levels:
-        cost = level.clamped(sizes).decode_cost()
-        costs.append(min(cost, max(1, allowed - sum(costs))) if level.own else cost)
-        sizes = part_sizes(sizes, level)
+    for spec, _, _ in nodes_of(plan, sizes):
+        cost = spec.decode_cost()
+        costs.append(min(cost, max(1, allowed - sum(costs))) if spec.own else cost)
     return costs
 
 
