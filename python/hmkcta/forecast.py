@@ -23,7 +23,6 @@ from .predict import (
     ROW,
     TRIED_APART,
     WORKING,
-    is_precise,
     is_streamed,
     joint_bytes,
     memory_limit,
@@ -47,8 +46,8 @@ _MEASURING, _MEASURED_OUTSIDE = 36, 12
 #: Bytes of the interpreter with everything loaded; the share of what a stage took that its heaps keep from the next.
 _BASE, _KEPT = 56 * 2**20, 0.3
 #: Bytes for each element of a slab of a source that is checked, of the next one, and of a sample that plans are judged
-#: on in float32 and in float64; and what each further thread takes of the latter, as samples are seldom at their
-#: largest together.
+#: on for a size and for an SNR, which takes float64 or many ranks; and what each further thread takes of the latter, as
+#: samples are seldom at their largest together.
 _CHECKED, _NEXT, _SAMPLED, _BESIDE = 17, 6, (18, 32), 0.6
 #: Bytes for each element of a block that shares none with others, which is fitted in place; of a workset of one cell;
 #: and of a node beside its share of the residual, where others are fitted one after another.
@@ -125,7 +124,8 @@ def forecast(
         features = _parting_bytes(plan, sizes, compared=compared)
         # For an SNR others may take up to as many numbers as there are values.
         theirs = max(model, (2 * MODEL + 2 * TRIED_APART) * elements) if plan.snr is not None else model
-        fits = [fit + theirs, fit + model] if compared else [fit + model]
+        # One other is seldom followed to the end.
+        fits = [fit + theirs, fit + model] if compared and others > 1 else [fit + model]
         return found(_peak(choosing, *fits, measuring, beside=features))
     check_worksets(plan, sizes, limit, memory)
     if limit == elements:  # fitted in place
@@ -238,7 +238,7 @@ def choosing_bytes(elements: int, effort: Effort, threads: int, memory: int | No
     sample = min(elements, together, CARES.get(effort, CARES[EFFORTS["medium"]]).refine)
     further = max(1, min(threads, together // (2 * sample))) - 1
     # Blocks are seldom thinned to less than twice what is asked for.
-    sampled = _SAMPLED[is_precise(snr)] * min(elements, 2 * sample)
+    sampled = _SAMPLED[snr is not None] * min(elements, 2 * sample)
     checked = _CHECKED * min(elements, CHECKED) + _NEXT * min(max(0, elements - CHECKED), CHECKED)
     return checked + int(sampled * (1 + _BESIDE * further))
 
