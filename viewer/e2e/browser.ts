@@ -1,7 +1,7 @@
 /** Chromium with WebGPU in software, the server, and the page's pixels. */
 
 import { type ChildProcess, execFileSync, spawn } from "node:child_process";
-import { existsSync, mkdtempSync } from "node:fs";
+import { existsSync, mkdtempSync, rmSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { type Browser, type Locator, type Page, chromium } from "playwright-core";
@@ -33,9 +33,10 @@ export function launch(flags: string[] = FLAGS): Promise<Browser> {
 export const WITHOUT_WEBGPU = FLAGS.filter((flag) => !flag.includes("webgpu") && !flag.includes("ulkan")).concat(
   "--disable-features=WebGPU", "--disable-gpu", "--disable-webgpu");
 
-/** The folder with the test models. */
+/** The folder with the test models, gone after the file's tests. */
 export function makeModels(): string {
   const folder = mkdtempSync(join(tmpdir(), "hmkcta-viewer-"));
+  afterAll(() => rmSync(folder, { recursive: true }));
   execFileSync(PYTHON, [join(ROOT, "tests", "make_viewer_models.py"), folder],
     { env: { ...process.env, OPENBLAS_NUM_THREADS: "1" } });
   return folder;

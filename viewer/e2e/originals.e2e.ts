@@ -57,6 +57,25 @@ describe.runIf(there)("originals in Chromium", () => {
     expect(new Set(await pixels(page, size)).size, "a picture, not a blank").toBeGreaterThan(20);
   });
 
+  it("keeps the view that was chosen while the original was on its way", async () => {
+    await open("volume.hmk", "&never");
+    await reached(page, "ready");
+    const base = page.url().split("?")[0]!;
+    let send: () => Promise<void> = () => Promise.resolve();
+    await page.route("**/files/other.hmk", (route) => {
+      send = () => route.fulfill({ body: readFileSync(join(folder, "volume.hmk")) });
+    });
+    await page.goto(`${base}?file=files/volume.hmk&original=files/other.hmk&pixels=${size}x${size}`);
+    await reached(page, "model-ready");
+    const before = await pixels(page, size);
+    await page.locator("canvas").dispatchEvent("wheel", { deltaY: -400 });
+    const chosen = await pixels(page, size);
+    expect(chosen).not.toEqual(before);
+    await send();
+    await reached(page, "ready");
+    expect(await pixels(page, size)).toEqual(chosen);
+  });
+
   it("says nothing of an address that fails once another file was dropped", async () => {
     await open("stack.hmk");
     await reached(page, "ready");

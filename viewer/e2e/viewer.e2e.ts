@@ -1,6 +1,6 @@
 /** The viewer as a user has it: every kind, its controls, and what goes wrong; pixels held to NumPy's. */
 
-import { readFileSync, writeFileSync } from "node:fs";
+import { readFileSync } from "node:fs";
 import { join } from "node:path";
 import type { Locator, Page } from "playwright-core";
 import { PNG } from "pngjs";
@@ -63,7 +63,6 @@ describe.runIf(there)("viewer in Chromium", () => {
     }
     const found = await pixels(page, size);
     const expected = readFileSync(join(folder, `${name}.rgb`));
-    writeFileSync(join(folder, `${name}.found`), found);
     const off = found.filter((value, i) => Math.abs(value - expected[i]!) > TOLERANCE).length / found.length;
     expect(new Set(found).size, "a picture, not a blank").toBeGreaterThan(20);
     expect(off).toBeLessThan(EDGES);

@@ -43,6 +43,7 @@ export class App {
   readonly metadata: Metadata;
   state: State;
   kind: FileKind = "generic";
+  private wanted: FileKind = "generic"; // the kind it shall become, once its renderer is ready
   original: Reading | null = null;
   private readonly decoder: Decoder;
   private originalDecoder: Decoder | null = null;
@@ -132,10 +133,14 @@ export class App {
       return made;
     });
     this.originalDecoder = decoder;
+    const choice = ++this.choices;
     try {
-      await this.use(this.kind, ++this.choices);
+      await this.use(this.wanted, choice);
     } catch (error) {
       this.originalDecoder = null;
+      if (choice !== this.choices) { // a renderer that was chosen meanwhile may have it
+        await this.showAs(this.wanted);
+      }
       decoder.destroy();
       throw error;
     }
@@ -159,6 +164,7 @@ export class App {
   /** Change the renderer; what the axes do not make is shown as slices, with the reason. */
   async showAs(kind: FileKind): Promise<void> {
     const choice = ++this.choices;
+    this.wanted = kind;
     await this.use(kind, choice).catch((error: unknown) => this.use("generic", choice, [asProblem(error).message]));
   }
 
@@ -170,7 +176,8 @@ export class App {
       renderer.destroy();
       return;
     }
-    this.kind = kind;
+    const another = this.renderer === null || kind !== this.kind;
+    this.kind = this.wanted = kind;
     this.renderer?.destroy();
     this.renderer = renderer;
     this.compared = decoders[1] ?? null;
@@ -178,7 +185,9 @@ export class App {
     this.warm = false;
     this.whole = false;
     this.watcher.onNotes([...notes, ...renderer.notes]);
-    this.resetView();
+    if (another) { // else an original came, and the view stays
+      this.resetView();
+    }
     this.redraw();
   }
 
