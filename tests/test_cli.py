@@ -127,6 +127,9 @@ def test_transform_is_shown(tmp_path: Path) -> None:
         assert f" {level[key]:.2f} " in text
     found = report("verify", tmp_path / "a.hmk", "--against", source)["levels"][0]
     assert found["transformed_snr_db"] == pytest.approx(level["transformed_snr_db"], abs=1e-5)
+    shown = run("verify", tmp_path / "a.hmk", "--against", source).stdout
+    assert "SNR of log1p" in shown
+    assert f" {level['transformed_snr_db']:.2f} " in shown
 
 
 def test_an_undecomposed_mode_is_shown_as_a_plan_has_it(tmp_path: Path) -> None:

@@ -56,7 +56,7 @@ def verify_command(file: str, against: str | None, nan: float | None, as_json: b
             measured, transformed = measure_both(model, array, nan=nan, progress=progress)
         report["levels"] = _report(model, measured, transformed)
     if not as_json and not quiet:
-        _show(file, model, measured)
+        _show(file, model, measured, transformed)
     for number, (said, found) in enumerate(zip(model.quality, measured, strict=False), start=1):
         _compare(file, number, said, found)
     if as_json:
@@ -73,13 +73,19 @@ def _report(
             for number, (said, found, inner) in enumerate(zip(model.quality, measured, transformed, strict=True), 1)]
 
 
-def _show(file: str, model: Model, measured: tuple[LevelQuality, ...]) -> None:
+def _show(
+    file: str, model: Model, measured: tuple[LevelQuality, ...], transformed: tuple[LevelQuality, ...]
+) -> None:
     click.echo(f"{file}: digests, indices and numbers are as they should be.")
-    if measured:
-        rows = [[str(number), decibels(found.snr_db), decibels(said.snr_db), f"{found.rmse:.4g}",
-                 f"{found.max_abs_error:.4g}"]
-                for number, (said, found) in enumerate(zip(model.quality, measured, strict=True), start=1)]
-        click.echo(table(["level", "SNR dB", "in the file", "RMSE", "max error"], rows))
+    if not measured:
+        return
+    name = model.metadata.transform["name"]
+    domain = [] if name == "identity" else [name]
+    rows = [[str(number), decibels(found.snr_db), decibels(said.snr_db), *(decibels(inner.snr_db) for _ in domain),
+             f"{found.rmse:.4g}", f"{found.max_abs_error:.4g}"]
+            for number, (said, found, inner) in enumerate(zip(model.quality, measured, transformed, strict=True), 1)]
+    header = ["level", "SNR dB", "in the file", *(f"SNR of {name}" for name in domain), "RMSE", "max error"]
+    click.echo(table(header, rows))
 
 
 def _compare(file: str, number: int, said: LevelQuality, found: LevelQuality) -> None:
