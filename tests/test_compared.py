@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +11,14 @@ import pytest
 import hmkcta
 from cli_tools import report, run, saved, smooth
 from hmkcta import Model, follow
-from hmkcta.plan import Plan
+from hmkcta.fit import EFFORTS
+from hmkcta.followed import fitted_with, further
+from hmkcta.hierarchy import Run
+from hmkcta.plan import Plan, parse_plan
 from hmkcta.progress import OF_PLAN, Compared
+from hmkcta.source import prepare
+
+MODES = (("z",), ("y",), ("x",))
 
 
 def told_while(monkeypatch: pytest.MonkeyPatch, **goal: Any) -> tuple[list[tuple[str, Plan | None]], list[Plan]]:
@@ -48,6 +55,25 @@ def test_every_stage_of_a_fit_says_of_which_plan_it_is(goal: dict[str, Any], mon
     assert seen == sorted(seen)
     assert seen == sorted(seen, key=lambda each: each[1]), "neither number falls"
     assert {stage.partition(OF_PLAN)[0] for stage, plan in told if plan} >= {"level 1", "measuring"}
+
+
+def test_what_takes_more_bytes_than_another_plan_is_not_fitted() -> None:
+    """What takes up to `far` times as many is, and what only misses the SNR."""
+    waves = smooth(12, 14, 16)
+    source = prepare(waves, ["z", "y", "x"], None, None, 1)
+    narrow, plan, large, short = (replace(parse_plan(text, MODES), snr=40.0) for text in
+                                  ("R<=12,14,16 bits=8", "R<=12,14,16", "R<=*,*,16", "R<=*,1,16"))
+    told: list[str] = []
+    run = Run(EFFORTS["fast"], 0, 1, lambda stage, _: told.append(stage))
+    task = follow.Task(source, narrow, "most", 4096, "generic", run)
+    own, *others = fitted_with(task, [plan, large, short], far=2.4)
+    assert [of.plan for of, _ in others] == [plan, short]
+    assert own[1].nbytes < others[0][1].nbytes < 2.4 * own[1].nbytes
+    assert others[1][1].snr < 40
+    told.clear()
+    assert not list(further(task, [plan, large], own[1]))
+    assert "level 1" not in {stage.partition(OF_PLAN)[0] for stage in told}
+    assert [of.plan for of, _ in further(task, [plan, large])] == [plan, large]
 
 
 def test_a_plan_that_is_given_has_no_number(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -40,6 +40,9 @@ OVERSHOOT = 0.25
 ATTEMPTS, FEW_ATTEMPTS = 16, 3
 #: How far above the goal many nodes aim, in dB: their choices come in small steps.
 MARGIN = 0.05
+#: How many times the bytes of another plan one must promise to take before it is given up, at first and once a fit has
+#: told how far promises are off.
+PROMISED = 1.1, 1.02
 #: The search ends where promises too poor and too good lie so near each other, in dB.
 NARROW = 0.03
 #: The most that is reckoned with of an error that is allowed for what numbers of a byte leave.
@@ -165,6 +168,7 @@ class _LastLevel:
                     break
                 aim += OVERSHOOT  # the next step of ranks is further away than the error was off
                 continue
+            self._refuse_more(chosen, PROMISED[min(attempt, 1)])
             tried.add(chosen.choice.tobytes())
             self._fit(chosen)
             reached = self.goal.snr_now(self.tree)
@@ -180,6 +184,13 @@ class _LastLevel:
         last = best or allocate(self.spectra, error=0.0)
         if last.choice.tobytes() != self.fitted:
             self._fit(last)
+
+    def _refuse_more(self, chosen: Allocation, sure: float) -> None:
+        """Give up a plan that takes so many times the bytes of another: what is fitted would not be kept."""
+        nbytes, most = chosen.nbytes + self.beside, self.goal.most
+        if nbytes > sure * most:
+            allowed = f"at most {most:.0f}, which another plan takes"
+            raise invalid("size-too-small", "bytes for the SNR", int(nbytes), allowed)
 
     def _promised(self, chosen: Allocation) -> float:
         """SNR in dB that the choices leave by their own errors, in the domain of the fit."""

@@ -56,6 +56,7 @@ class Goal:
         snr_now: SNR in dB of a hierarchy in the domain of the source values.
         memory: bytes to work in, if they are given.
         untold: squared error that is little beside what the SNR allows.
+        most: bytes of a model that takes no more for the SNR, if there is one: others need not be fitted.
     """
 
     size: int | None
@@ -65,6 +66,7 @@ class Goal:
     snr_now: Callable[[Hierarchy], float]
     memory: int | None = None
     untold: float = 0.0
+    most: float = inf
 
 
 def examined(

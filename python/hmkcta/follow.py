@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from math import prod
+from math import inf, prod
 
 import numpy as np
 
@@ -50,7 +50,7 @@ UNTOLD = 0.02
 class Task:
     """A plan to follow on a source: subdivision scheme (``auto``: the best of three), decode cost, kind of data, most
     bytes of memory (None: half of what is free), bits of a number (None: as suits the goal), whether the organisation
-    is given, and the count of the plans that are compared with it."""
+    is given, most bytes that an SNR may take, and the count of the plans that are compared with it."""
 
     source: Source
     plan: Plan
@@ -61,6 +61,7 @@ class Task:
     memory: int | None = None
     bits: int | None = None
     organised: bool = False
+    most: float = inf
     compared: Compared = field(default_factory=Compared)
 
 
@@ -125,7 +126,9 @@ def _begun(task: Task) -> tuple[Hierarchy, Goal]:
 
     told = task.plan.snr is not None and task.source.value_transform.name == "identity"
     untold = UNTOLD * noise_at(task.plan.snr or 0.0, energy) if told else 0.0
-    return tree, Goal(task.plan.size, task.plan.snr, energy, file_bytes, snr_now, task.memory, untold)
+    # What ranks promise is the SNR of transformed values, which says little of that of the values.
+    most = task.most if source.value_transform.name == "identity" else inf
+    return tree, Goal(task.plan.size, task.plan.snr, energy, file_bytes, snr_now, task.memory, untold, most)
 
 
 def _descend(task: Task, tree: Hierarchy, above: LevelSpec, below: LevelSpec) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from math import inf
 
 from .errors import HmkctaError
 from .follow import Task, follow
@@ -14,22 +15,23 @@ from .plan import Plan
 Followed = tuple[Task, Model]
 
 
-def fitted_with(task: Task, plans: Iterable[Plan]) -> list[Followed]:
-    """The model of the task's own plan, and those of `further` ones."""
+def fitted_with(task: Task, plans: Iterable[Plan], far: float) -> list[Followed]:
+    """The model of the task's own plan, and those of `further` ones that do not take `far` more times the bytes."""
     plans = _suiting(task, plans)
     task.compared.expect(1 + len(plans))
-    return [_fitted(task), *_each(task, plans)]
+    own = _fitted(task)
+    return [own, *_each(task, plans, own[1], far)]
 
 
-def further(task: Task, plans: Iterable[Plan]) -> Iterator[Followed]:
+def further(task: Task, plans: Iterable[Plan], best: Model | None = None) -> Iterator[Followed]:
     """Models of further plans, except those that cannot be followed: there is a model already.
 
-    The least file of such a plan is larger than the goal, or memory does not do; or it is of another organisation than
-    the one given.
+    The least file of such a plan is larger than the goal, or memory does not do; it is of another organisation than
+    the one given; or it takes more bytes for the SNR than the `best`, where that is told, or one of these.
     """
     plans = _suiting(task, plans)
     task.compared.expect(len(plans))
-    yield from _each(task, plans)
+    yield from _each(task, plans, best)
 
 
 def _suiting(task: Task, plans: Iterable[Plan]) -> list[Plan]:
@@ -43,15 +45,19 @@ def _fitted(task: Task) -> Followed:
     return task, follow(replace(task, run=replace(task.run, progress=told)))
 
 
-def _each(task: Task, plans: Iterable[Plan]) -> Iterator[Followed]:
-    """Models of the plans that can be followed."""
+def _each(task: Task, plans: Iterable[Plan], best: Model | None, far: float = 1.0) -> Iterator[Followed]:
+    """Models of the plans that can be followed, and are not `far` behind the best."""
+    most = inf
     for plan in plans:
+        if best is not None and best.snr >= (task.plan.snr or inf):
+            most = min(most, far * best.nbytes)
         try:
-            found = _fitted(replace(task, plan=plan))
+            found = _fitted(replace(task, plan=plan, most=most))
         except HmkctaError as error:
             if error.reason not in ("size-too-small", "memory"):
                 raise
             continue
+        best = None if best is None else found[1]
         yield found
 
 
