@@ -17,8 +17,8 @@ PACKAGE = ROOT / "python" / "hmkcta"
 
 #: Modules and subpackages from the lowest layer up; an import goes to a lower layer, or stays in its subpackage.
 LAYERS = (
-    ("_version", "errors", "executors", "lazy", "metrics", "narrow", "progress", "recordlog", "slabs", "subspaces",
-     "temporaries", "_native"),
+    ("_version", "errors", "executors", "grouping", "lazy", "metrics", "narrow", "progress", "recordlog", "slabs",
+     "subspaces", "temporaries", "_native"),
     ("axes", "conventions", "goals", "grids", "memory", "transform", "tucker", "indexing"),
     ("plan", "packed", "scratch"),
     ("plan_checks",),

@@ -13,6 +13,7 @@ from .allocation import Spectrum, spectrum
 from .disjoint import energy_table, summed
 from .executors import in_order
 from .fit import Labels
+from .grouping import rows_of_parts
 from .hierarchy import (
     Hierarchy,
     LabelsOf,
@@ -202,6 +203,6 @@ def cell_blocks(tensor: F32, labels: Labels, clusters: Sequence[int]) -> list[F3
     blocks = [tensor]
     for n, (part, count) in enumerate(zip(labels, clusters, strict=True)):
         if count > 1:
-            rows = [np.flatnonzero(part == c) for c in range(count)]
+            rows = rows_of_parts(part, count)
             blocks = [block.take(chosen, axis=n) for block in blocks for chosen in rows]
     return blocks

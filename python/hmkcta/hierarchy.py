@@ -18,6 +18,7 @@ from .disjoint import cut_as_fitted, fit_outside, refit_outside
 from .errors import invalid
 from .executors import Queue, repeatedly
 from .fit import Effort, Labels, fit_level, refit_level
+from .grouping import rows_of_parts
 from .journal import NoJournal
 from .memberships import grid_blocks
 from .metrics import squared_norm
@@ -306,7 +307,7 @@ def descend(tree: Hierarchy, scheme: str, run: Run) -> None:
 def _children(node: Node, clusters: Sequence[int]) -> Iterator[Node]:
     assert node.parts is not None
     lists = [
-        [rows[part == c] for c in range(count)]
+        [rows[at] for at in rows_of_parts(part, count)]
         for rows, part, count in zip(node.rows, node.parts, clusters, strict=True)
     ]
     return (Node(tuple(rows), piece=node.piece) for rows in product(*lists))

@@ -9,6 +9,7 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
+from .grouping import rows_of_parts
 from .scratch import Scratch
 
 F32 = NDArray[np.float32]
@@ -47,8 +48,7 @@ def places_of(part: NDArray[np.intp]) -> NDArray[np.intp]:
     [0, 0, 1, 2]
     """
     place = np.empty(len(part), np.intp)
-    for c in np.unique(part):
-        rows = np.flatnonzero(part == c)
+    for rows in rows_of_parts(part, int(part.max(initial=0)) + 1):
         place[rows] = np.arange(len(rows))
     return place
 
@@ -61,11 +61,11 @@ def split(
         yield done, tensor, rows
         return
     labels = parts[n][rows[n]]
-    for c in np.unique(labels):
-        at = np.flatnonzero(labels == c)
-        chosen = (*rows[:n], rows[n][at], *rows[n + 1 :])
-        sub = tensor if len(at) == len(labels) else tensor.take(at, axis=n)
-        yield from split(sub, chosen, parts, n + 1, (*done, int(c)))
+    for c, at in enumerate(rows_of_parts(labels, int(labels.max(initial=0)) + 1)):
+        if len(at):
+            chosen = (*rows[:n], rows[n][at], *rows[n + 1 :])
+            sub = tensor if len(at) == len(labels) else tensor.take(at, axis=n)
+            yield from split(sub, chosen, parts, n + 1, (*done, c))
 
 
 def put(scratch: Scratch, piece: Piece, places: Sequence[NDArray[np.intp]], values: F32) -> None:

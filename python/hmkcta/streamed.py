@@ -23,6 +23,7 @@ from . import backends as kernels
 from .axes import Organisation, mode_sizes
 from .cells import Cells
 from .executors import in_order
+from .grouping import rows_of_parts
 from .metrics import squared_norm
 from .pieces import Piece, Rows, places_of, put, split
 from .progress import Told, nobody, share_of
@@ -204,7 +205,7 @@ class Streamed:
     def _written(
         self, parts: Sequence[NDArray[np.intp]], counts: Sequence[int], without: int | None = None
     ) -> tuple[Scratch, list[Piece]]:
-        lists = [[np.flatnonzero(part == c) for c in range(count)] for part, count in zip(parts, counts, strict=True)]
+        lists = [rows_of_parts(part, count) for part, count in zip(parts, counts, strict=True)]
         places = [places_of(part) for part in parts]
         pieces, start = list[Piece](), 0
         for rows in product(*lists):

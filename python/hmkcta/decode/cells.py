@@ -9,16 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 from math import prod
 from typing import Any
 
 import numpy as np
 
+from ..grouping import rows_of_parts
 from ..packed import PackedLevel
 from .scattered import NO_TABLE, Index, Real, count
 
 Rows = dict[int, tuple[Index, Index]]
+Member = tuple[Index, Index]
 
 #: Elements a step of the nested loop should add, to outweigh its cost in Python.
 STEP = 1 << 14
@@ -128,6 +131,12 @@ class _Node:
     ids: list[Index]  # D x [m_n, K_n]: cluster subsets of each row
     bases: list[Real]  # D x [m_n, K_n, PC before n, PC after n, R_n]
 
+    @cached_property
+    def members(self) -> list[list[Member]]:
+        """D x C_n: rows that belong to each cluster, and at which place of their subset it stands."""
+        found = [rows_of_parts(ids.reshape(-1), count) for ids, count in zip(self.ids, self.clusters, strict=True)]
+        return [[np.divmod(at, ids.shape[1]) for at in of_mode] for of_mode, ids in zip(found, self.ids, strict=True)]
+
     def values(self) -> Real:
         """The node's block, [elements of the undecomposed modes * m_1 * .. * m_(D-1), m_D]."""
         extra = self.core.shape[-1]
@@ -151,7 +160,7 @@ class _Node:
             return
         after, length = prod(self.clusters[n + 1 :]), len(self.ids[n])
         for c in range(self.clusters[n]):
-            members, k = np.nonzero(self.ids[n] == c)
+            members, k = self.members[n][c]
             bases = self.bases[n][members, k, fixed].transpose(1, 0, 2)  # [PC after n, members, R_n]
             product = bases @ core[c].reshape(after, self.ranks[n], -1)  # [PC after n, members, R after n * lines]
             product = product.reshape(after, len(members), prod(self.ranks[n + 1 :]), len(lines))
@@ -170,5 +179,5 @@ class _Node:
             out[lines] += core.reshape(clusters * rank, -1).T @ matrix.reshape(clusters * rank, -1)
             return
         for c in range(clusters):
-            members, k = np.nonzero(ids == c)
+            members, k = self.members[-1][c]
             out[lines[:, None], members] += core[c].T @ bases[members, k].T

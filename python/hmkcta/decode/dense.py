@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from ..grouping import sorted_by
 from ..packed import PackedLevel
 from .cells import add_clustered_node, add_outer, tiles
 from .scattered import BATCH, NO_TABLE, Index, Real, count, level_values, undecomposed_modes
@@ -233,9 +234,9 @@ def _descend(level: PackedLevel, front: _Front) -> _Front:
     edges: dict[int, Index] = {}
     for n in reversed(front.start):
         # Sort the requested rows of the mode by (node, part): a slot for each; a child takes one slot of every mode.
-        base = np.cumsum(clusters[:, n]) - clusters[:, n]
-        key, sorted_rows[n] = _slots_of_rows(level, front, n, base)
-        edges[n] = np.concatenate([[0], np.cumsum(np.bincount(key, minlength=int(clusters[:, n].sum())))])
+        base, every = np.cumsum(clusters[:, n]) - clusters[:, n], int(clusters[:, n].sum())
+        key, sorted_rows[n] = _slots_of_rows(level, front, n, base, every)
+        edges[n] = np.concatenate([[0], np.cumsum(np.bincount(key, minlength=every))])
         rest, part = np.divmod(rest, clusters[owner, n])
         slots[n] = base[owner] + part
         alive &= edges[n][slots[n] + 1] > edges[n][slots[n]]
@@ -260,10 +261,10 @@ def _rows_of(level: PackedLevel, front: _Front, n: int) -> Index:
     return level.row_offset[n][front.node[owner]] + front.pos[n]
 
 
-def _slots_of_rows(level: PackedLevel, front: _Front, n: int, base: Index) -> tuple[Index, Index]:
-    """Slot `base[t] + part` of each requested row of mode n, and the rows sorted by it."""
+def _slots_of_rows(level: PackedLevel, front: _Front, n: int, base: Index, slots: int) -> tuple[Index, Index]:
+    """Slot `base[t] + part`, of so many, of each requested row of mode n, and the rows sorted by it."""
     parts = level.part[n]
     assert parts is not None, NO_TABLE
     owner = np.repeat(count(len(front.node)), np.diff(front.start[n]))
     key = base[owner] + parts[_rows_of(level, front, n)]
-    return key, np.argsort(key, kind="stable")
+    return key, sorted_by(key, slots)

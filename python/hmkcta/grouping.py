@@ -1,0 +1,26 @@
+"""Rows of each part, found at once: looking for every part among all rows takes the product of both."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Rows = NDArray[np.intp]
+
+
+def rows_of_parts(part: NDArray[np.integer], count: int) -> list[Rows]:
+    """For each of so many parts the rows that belong to it, ascending.
+
+    >>> [rows.tolist() for rows in rows_of_parts(np.array([1, 0, 1, 3]), 4)]
+    [[1], [0, 2], [], [3]]
+    """
+    return np.split(sorted_by(part, count), np.cumsum(np.bincount(part, minlength=count)[: count - 1]))
+
+
+def sorted_by(part: NDArray[np.integer], count: int) -> Rows:
+    """All rows, those of one of so many parts after those of another; NumPy sorts short numbers by radix.
+
+    >>> sorted_by(np.array([1, 0, 1, 3]), 4).tolist()
+    [1, 0, 2, 3]
+    """
+    return np.argsort(part.astype(np.uint16) if count <= 1 << 16 else part, kind="stable")
