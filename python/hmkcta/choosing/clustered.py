@@ -22,7 +22,7 @@ from ..slabs import thinning
 from ..subspaces import subspace_clusters
 from .blocks import organised
 from .candidates import Candidate
-from .judging import Ranked, Search, worth_of
+from .judging import Search, worth_of
 from .trial import OUT_OF_REACH, Trial
 
 F32 = NDArray[np.float32]
@@ -58,11 +58,11 @@ def with_clusters(search: Search, found: tuple[float, Candidate]) -> tuple[float
             same = map(worth_of, ranked) if size == search.goal.size else ()
             worth[modes] = max([worth.get(modes, 0.0), *same])
     best = sorted((modes for modes in worth if worth[modes] > found[0] - SURPASSED), key=lambda modes: -worth[modes])
-    judged: Ranked = []
-    for modes in dict.fromkeys([*best[: search.clustered], *_likely(search, list(worth), found[0] - LACKING)]):
+    judged, likely = list[tuple[float, Candidate]](), _likely(search, list(worth), found[0] - LACKING)
+    for modes in dict.fromkeys([*best[: search.clustered], *likely]):
         for item in clustered(search.goal, modes, threads=search.threads):
             judged.append(item)
-            if max(worth[modes], *map(worth_of, judged)) < found[0] - LACKING:
+            if modes not in likely and max(worth[modes], *map(worth_of, judged)) < found[0] - LACKING:
                 break
     first = max(judged, key=worth_of, default=None)
     if first is None or first[0] < found[0] - CLOSE:
@@ -78,13 +78,14 @@ def with_clusters(search: Search, found: tuple[float, Candidate]) -> tuple[float
 def _likely(search: Search, matrices: Sequence[Organisation], least: float) -> list[Organisation]:
     """Matrices that are worth most with clusters, told from a few rows, as many as are to be looked at further.
 
-    What they are worth without says little of it: the best with clusters may then be 10 dB behind.
+    What they are worth without says little of it: the best with clusters may then be 10 dB behind. As little say a few
+    clusters of many, where each is a line.
     """
-    if len(matrices) < 2 or not search.clustered:
+    if not matrices or not search.clustered:
         return []
 
     def worth_with(modes: Organisation) -> float:
-        return next(clustered(search.goal, modes, few=True), (-OUT_OF_REACH, None))[0]
+        return max(map(worth_of, clustered(search.goal, modes, few=True)), default=-OUT_OF_REACH)
 
     worth = dict(zip(matrices, in_order(worth_with, matrices, search.threads), strict=True))
     likely = sorted((modes for modes in worth if worth[modes] > least), key=lambda modes: -worth[modes])
@@ -98,7 +99,7 @@ def clustered(
 
     The shorter mode is left undecomposed: each cell has columns of its own. From the first number of clusters on, twice
     and half as many are looked at while that helps; of few columns, where a rank is a large step, all. `few` rows tell
-    less.
+    less, and are looked at with the first and with most.
     """
     sizes = mode_sizes(trial.source.axes, organisation)
     if len(sizes) != 2 or min(sizes) > MOST_COLUMNS or min(sizes) < 2:
@@ -113,6 +114,9 @@ def clustered(
     judged = partial(_judged, trial, organisation, rows, features, long=long, few=few, threads=threads)
     begun = judged(possible[first])
     yield begun
+    if few:
+        yield from map(judged, possible[first + 1 :][-1:])
+        return
     for way in (possible[first + 1 :], possible[:first][::-1]):
         reached = begun[0]
         for count in way:
@@ -127,8 +131,8 @@ def _judged(
     trial: Trial, organisation: Organisation, rows: F32, features: F64, count: int,
     *, long: int, few: bool, threads: int,
 ) -> tuple[float, Candidate]:
-    """What so many clusters of the long mode are worth, told from some of its rows: by k-means, and unless `few`
-    also by subspaces, as the fit has both."""
+    """What so many clusters of the long mode are worth, told from some of its rows: by k-means and by subspaces, as the
+    fit has both; if `few`, by lines alone."""
     sizes, flags = mode_sizes(trial.source.axes, organisation), (long == 1, long == 0)
     clusters = (1, count) if long else (count, 1)
     ones = (1,) * len(trial.source.shape)
@@ -147,7 +151,7 @@ def _judged(
                   else balanced_clusters(features, count, LIKELIEST[1], rng))  # fmt: skip
         return _left(rows, labels, limit, trial.seed)
 
-    dimensions = [0] if few else [0, *some_dimensions(rows.shape[1])]
+    dimensions = list(dict.fromkeys((0, 1) if few else (0, 1, *some_dimensions(rows.shape[1]))))
     reached = np.minimum.reduce(list(in_order(left_by, dimensions, threads)))
     left = np.concatenate([[energy], reached[choices.entry]])
     kept = pareto(choices.nbytes, left)
