@@ -183,6 +183,16 @@ def test_a_size_buys_more_where_numbers_are_bytes() -> None:
     assert chosen.nbytes <= 20_000
 
 
+def test_transformed_values_have_bytes_where_these_do() -> None:
+    """The default of 50 dB is beyond bytes once the logarithm is taken, but what is aimed at is a size."""
+    rng = np.random.default_rng(4)
+    heights = rng.standard_normal((16, 48, 48)).cumsum(1).cumsum(2) / 40
+    values = np.exp(2.2 * heights)[..., None] * np.array([1, 0.8, 0.6])
+    values[rng.random(heights.shape) > 0.9995] *= 1e3
+    model = compress(values.astype(np.float32), axes="view, y, x, rgb", transform="log1p:0.1", threads=1)
+    assert model.plan.levels[-1].bits == 8
+
+
 def test_an_snr_takes_fewer_bytes() -> None:
     wide, chosen = fitted(snr=25.0, bits=16), fitted(snr=25.0)
     assert chosen.levels[-1].bits == 8

@@ -23,18 +23,20 @@ SURELY_BETTER = 0.75
 Look = Callable[[Search, bool, float], tuple[float, Candidate]]
 
 
-def searched_by_bits(search: Search, look: Look, bits: int | None, fixed: bool) -> tuple[Search, float, Candidate]:
+def searched_by_bits(
+    search: Search, look: Look, bits: int | None, fixed: bool, *, aimed: bool
+) -> tuple[Search, float, Candidate]:
     """The best candidate whose numbers have so many bits, of a fixed organisation or any.
 
     None: eight bits, or where what these leave tells, sixteen. These are looked at in the blocks of the best, and if
     not much worse there with its organisation; where they are better, or what bytes leave hides which is best, with
-    all. The best with the other bits is then a rival. Sixteen also where memory is scarce, as the ranks that bytes
-    afford take more of it to look at.
+    all. The best with the other bits is then a rival. Sixteen alone where an SNR that is `aimed` at is beyond bytes,
+    and where memory is scarce, as the ranks that bytes afford take more of it to look at.
     """
     if search.goal.memory is not None and is_scarce(search.goal.memory.limit):
         bits = bits or 16
     ceiling = inf if search.goal.ceiling is None else search.goal.ceiling
-    first = bits or (16 if BYTES_FALL_SHORT < ceiling < inf else 8)
+    first = bits or (16 if aimed and BYTES_FALL_SHORT < ceiling < inf else 8)
     enough = BYTES_HARDLY_DO if bits is None and first == 8 else inf
     own = search.anew(replace(search.goal, bits=first))
     found = own, *look(own, fixed, enough)
