@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -132,6 +133,8 @@ def test_comparisons_with_the_original_and_with_a_level(files: Path, tmp_path: P
         assert (pictures[name][:, :19] == pictures["plain"][:, :19]).all()
         assert (pictures[name][:, 21:] != pictures["plain"][:, 21:]).any()
     assert (pictures["heat"] != pictures["levels"]).any()
+    (said,) = report("render", cloth, "-o", tmp_path / "again.png", "--heat", "--split", 1, *SIZE)["notes"]
+    assert re.fullmatch(r"errors are shown \d+ times as large as they are", said)
 
 
 def test_what_is_assumed_is_said(tmp_path: Path) -> None:

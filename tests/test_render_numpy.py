@@ -18,7 +18,7 @@ from hmkcta.errors import HmkctaError
 from hmkcta.render import Camera, Compare, Light, Look, Renderer, Scene, Surface, Tone, Viewpoint, render, svbrdf
 from hmkcta.render.directions import DirectionTable
 from hmkcta.render.gbuffer import GBuffer, Rays
-from hmkcta.render.layout import lay_out
+from hmkcta.render.layout import lay_out, value_range
 from hmkcta.synthetic import hemisphere_directions
 
 F32 = NDArray[np.float32]
@@ -263,6 +263,18 @@ def test_a_file_of_no_kind_shows_a_slice() -> None:
     scene = Scene(width=24, height=16, position={"gas": 2}, tone=Tone(white=1.0))
     expected = np.rint(255 * np.clip(np.asarray(model[2]), 0, 1))
     assert np.abs(render(model, scene, backend="numpy")[..., 0] - expected).max() <= 1
+
+
+def test_a_slice_shows_what_is_negative_and_what_a_window_says() -> None:
+    values = np.linspace(-3, 1, 24 * 16, dtype=np.float32).reshape(16, 24)
+    model = model_of(values, name_axes(values.shape, ["y", "x"]), "generic")
+    low, high = value_range(model, model.shape)
+    for window in (None, (-1.0, 0.5)):
+        scene = Scene(width=24, height=16, volume=Look(window=window))
+        black, white = window or (low, high)
+        expected = np.rint(255 * np.clip((np.asarray(model) - black) / (white - black), 0, 1))
+        assert np.abs(render(model, scene, backend="numpy")[..., 0] - expected).max() <= 1
+    assert low < -2.9
 
 
 @pytest.mark.parametrize(("scene", "reason"), [

@@ -75,7 +75,7 @@ _OPTIONS: tuple[tuple[str, str, Mapping[str, Any]], ...] = (
     ("--zoom", "viewpoint.zoom", {"type": float, "metavar": "Z", "help": "Light field: enlarge."}),
     ("--mode", "volume.mode", {**_choice("emission", "shaded", "iso", "maximum"), "help": "Volume: how to show it."}),
     ("--colours", "volume.colours", {"metavar": "MAP", "help": "Volume: grey, inferno, viridis, ice, coolwarm."}),
-    ("--window", "volume.window", {"type": Numbers("LOW,HIGH"), "metavar": "LOW,HIGH", "help": "Volume: range shown."}),
+    ("--window", "volume.window", {"type": Numbers("LOW,HIGH"), "metavar": "LOW,HIGH", "help": "Volume, slice: ends."}),
     ("--iso", "volume.iso", {"type": float, "metavar": "SHARE", "help": "Volume: surface, as a share of the window."}),
     ("--clip-low", "volume.clip_low", {"type": Numbers("X,Y,Z"), "metavar": "X,Y,Z", "help": "Volume: cut below."}),
     ("--clip-high", "volume.clip_high", {"type": Numbers("X,Y,Z"), "metavar": "X,Y,Z", "help": "Volume: cut above."}),
@@ -125,12 +125,18 @@ def idle_options(given: Mapping[str, Any], kind: str, axes: Sequence[Axis], mode
     ['--at x=2 (all of x is shown)']
     """
     fields = ((option, field) for option, field, _ in _OPTIONS if given.get(_parameter(field)) is not None)
-    idle = [option for option, field in fields if kind not in _LOOKED_AT.get(field.partition(".")[0], (kind,))]
+    idle = [option for option, field in fields if not _looks_at(kind, field)]
     if kind == "volume" and mode != "iso" and given.get("volume__iso") is not None:
         idle.append(f"--iso (the mode is {mode}: --mode iso shows it)")
     if given.get("time") is not None:
         idle += _idle_time(kind, axes)
     return idle + _idle_places(given.get("places") or (), kind, axes)
+
+
+def _looks_at(kind: str, field: str) -> bool:
+    """Whether a field of a scene changes what is shown as this kind."""
+    part, _, name = field.partition(".")
+    return kind in _LOOKED_AT.get(part, (kind,)) or (kind, name) == ("generic", "window")
 
 
 def _idle_time(kind: str, axes: Sequence[Axis]) -> list[str]:

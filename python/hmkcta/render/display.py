@@ -18,7 +18,10 @@ U8 = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class Display:
-    """How radiance ``[h, w, 4]`` is shown; `premultiplied` says whether it has been multiplied by its coverage."""
+    """How radiance ``[h, w, 4]`` is shown; `premultiplied` says whether it has been multiplied by its coverage.
+
+    `black` is what shows as black, which only slices have other than 0; these are never shown on a GPU.
+    """
 
     exposure: float
     curve: str
@@ -28,19 +31,21 @@ class Display:
     mode: str = "none"
     split: float = 0.5
     gain: float = 1.0
+    black: float = 0.0
 
 
-def display_of(tone: Tone, compare: Compare, kind: str, white: float) -> Display:
-    """The display of a scene; `white` is what shows as white where the tone does not say it.
+def display_of(tone: Tone, compare: Compare, kind: str, white: float, black: float = 0.0) -> Display:
+    """The display of a scene; `white` is what shows as white where the tone does not say it, `black` what as black.
 
     >>> display_of(Tone(stops=1), Compare(), "lightfield", 0.5).exposure
     4.0
     """
     volume = kind == "volume"  # its colours come from the transfer function
     white = 1.0 if volume else tone.white or white
+    span = white - black if white > black else 1.0
     srgb = kind == "svbrdf" if tone.srgb is None else tone.srgb
-    return Display(2.0**tone.stops / white, tone.curve, srgb, volume, tone.background, compare.mode, compare.position,
-                   compare.gain or 1.0)
+    return Display(2.0**tone.stops / span, tone.curve, srgb, volume, tone.background, compare.mode, compare.position,
+                   compare.gain or 1.0, black)
 
 
 def show(one: F32, two: F32, display: Display) -> U8:
@@ -69,7 +74,7 @@ def heat_gain(one: F32, two: F32, exposure: float) -> float:
 
 
 def _shown(radiance: F32, display: Display) -> F32:
-    light = tone_map(radiance[..., :3], display.exposure, display.curve, display.srgb)
+    light = tone_map(radiance[..., :3] - np.float32(display.black), display.exposure, display.curve, display.srgb)
     cover = radiance[..., 3:]
     light = light if display.premultiplied else light * cover
     return np.asarray(light + (1 - cover) * np.array(display.background, np.float32), np.float32)

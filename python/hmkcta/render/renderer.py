@@ -70,6 +70,7 @@ class Renderer:
         kind: of `hmkcta.render.scene.KINDS`.
         backend: ``gpu`` or ``numpy``, what is used; ``numpy`` also once software stood in for a GPU and would not have
             finished a picture (`hmkcta.render.software`).
+        gain: how many times as large as they are errors were shown last, None before any were compared.
         adapter: the name of the adapter, empty for NumPy.
 
     Raises:
@@ -89,6 +90,7 @@ class Renderer:
         self._layout = lay_out(model.metadata.axes, self.kind, position)
         self._numpy = NumpyPath(model, model.metadata.axes, self._layout, self.kind, model)
         self._device = None if backend == "numpy" or self.kind == "generic" else _device(backend)
+        self.gain: float | None = None
         self.backend = "numpy" if self._device is None else "gpu"
         self.adapter = "" if self._device is None else str(self._device)
 
@@ -111,6 +113,7 @@ class Renderer:
             two = self._compared(scene)
             if scene.compare.gain is None:
                 display = replace(display, gain=heat_gain(one, two, display.exposure))
+            self.gain = display.gain
         if display.mode == "heat":  # what is no number in the original is as wrong as can be
             two = np.nan_to_num(two, nan=_FAR, posinf=_FAR, neginf=-_FAR)
         if self._device is None:
@@ -145,7 +148,10 @@ class Renderer:
 
     def display(self, scene: Scene) -> Display:
         """How a scene's radiance is shown; white is taken from all levels, so that levels compare."""
-        return display_of(scene.tone, scene.compare, self.kind, self._white)
+        if self.kind != "generic":
+            return display_of(scene.tone, scene.compare, self.kind, self._white)
+        black, white = scene.volume.window or (min(0.0, self._range[0]), self._range[1])
+        return display_of(scene.tone, scene.compare, self.kind, white, black)
 
     def _compared(self, scene: Scene) -> F32:
         """Radiance of the other level, or of the original."""
@@ -157,9 +163,12 @@ class Renderer:
         return self._original_path.radiance(scene, None)
 
     @cached_property
+    def _range(self) -> tuple[float, float]:
+        return value_range(self._model, self._model.shape)
+
+    @property
     def _white(self) -> float:
-        white = value_range(self._model, self._model.shape)[1]
-        return white if white > 0 else 1.0
+        return self._range[1] if self._range[1] > 0 else 1.0
 
     def _radiance(self, scene: Scene, level: int) -> F32:
         if not 1 <= level <= len(self._model.levels):
