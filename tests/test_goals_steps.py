@@ -132,6 +132,16 @@ def test_far_beyond_its_goal_a_plan_is_tried_with_other_blocks(
         assert model.snr > plain.snr + 0.1
 
 
+def test_blocks_of_a_long_axis_are_made_more_to_fill_a_size() -> None:
+    """A second rank of 156 blocks has no room, 41 blocks more of one have; so many more was no step of the trial."""
+    rng = np.random.default_rng(3)
+    walks = rng.standard_normal((5000, 60)).cumsum(0) * np.exp(-np.arange(60) / 6)
+    series = walks @ np.linalg.qr(rng.standard_normal((60, 60)))[0]
+    model = compress(series, axes="sample, channel", size=25_305, quality="fast", threads=1)
+    assert 0.95 * 25_305 < model.nbytes <= 25_305
+    assert model.snr > 29.8
+
+
 def test_a_rival_too_large_for_the_goal_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     chosen = choose_plan(dataset().values, axes=dataset().axes, size=24_000, threads=1)
     large = replace(parse_plan("R=*,*,*,*", (("time",), ("z",), ("y",), ("x",))), size=24_000)

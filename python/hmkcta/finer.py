@@ -50,6 +50,26 @@ def finer(plan: Plan, axes: Sequence[Axis]) -> Plan | None:
     return replace(plan, levels=(level.cut_into(tuple(most.items()), modes, fewest),))
 
 
+def more_blocks(plan: Plan, axes: Sequence[Axis], times: float) -> Plan | None:
+    """The plan of one node in so many times as many blocks, along the axis that is cut most.
+
+    None for plans that `finer` has nothing for, without blocks, and where these are as short as may be.
+
+    >>> from hmkcta import parse_plan
+    >>> axes = [Axis("y", 40), Axis("x", 600)]
+    >>> str(more_blocks(parse_plan("R<=8,8 grid=y:2,x:30", [("y",), ("x",)]), axes, 1.2))
+    'R<=8,8 grid=y:2,x:36'
+    """
+    level = plan.levels[0]
+    if not level.grid or finer(plan, axes) is None:
+        return None
+    name, count = max(level.grid, key=lambda each: each[1])
+    most = next(axis.size for axis in axes if axis.name == name) // SMALLEST_EDGE
+    more = min(int(times * count), most)
+    grid = tuple((axis, more if axis == name else blocks) for axis, blocks in level.grid)
+    return None if more <= count else replace(plan, levels=(level.cut_into(grid, plan.organisation),))
+
+
 def parted(plan: Plan, axes: Sequence[Axis]) -> Iterator[Plan]:
     """The plan of one node with a merged mode parted into its axes, one mode at a time: a rank of one of these is a
     smaller step than a rank of all together.

@@ -17,7 +17,7 @@ from .alternatives import (
 )
 from .axes import mode_sizes
 from .filesize import planned_bytes
-from .finer import LARGE, finer, is_far_beyond, parted
+from .finer import LARGE, finer, is_far_beyond, more_blocks, parted
 from .fit import EFFORTS
 from .follow import Task
 from .followed import Followed, best_of, fitted_with, further, is_verbatim, may_be
@@ -32,6 +32,8 @@ NEARLY, BEYOND, LESS = 64.0, 3.0, 0.9
 #: A model that lies so many dB behind another, or takes so many times its bytes, stays there whatever the number of
 #: clusters; and if so many, also with nodes of them.
 BEHIND, FAR_BEHIND = (1.5, 1.25), (6.0, 3.0)
+#: How often blocks are made more to fill a size: tables of blocks take some of it each time.
+FILLS = 3
 #: Of nodes, those of like rows take no rank: so many at least are taken to have one.
 FILLED = 0.5
 #: Elements up to which numbers of clusters are told apart by fits in all steps, the first from each start.
@@ -175,7 +177,20 @@ def _nearer(task: Task, model: Model, others: Sequence[Plan]) -> Followed:
     plans = [*([] if own is None else [own]), *parted(task.plan, task.source.axes)]
     next_best = others[:1] if task.plan.snr is not None else ()
     plans += [plan for plan in next_best if not is_verbatim(plan) or model.nbytes > _verbatim_bytes(task, plan)]
-    return best_of([(task, model), *further(task, plans, model)])
+    return best_of([_filled(task, model), *further(task, plans, model)])
+
+
+def _filled(task: Task, model: Model) -> Followed:
+    """With as many more blocks as a size has room for, where a rank more of all takes too much."""
+    found, size = (task, model), task.plan.size or 0
+    for _ in range(FILLS):
+        plan = more_blocks(found[0].plan, task.source.axes, size / found[1].nbytes)
+        if plan is None or not is_far_beyond(plan, found[1].snr, found[1].nbytes):
+            break
+        before, found = found, best_of([found, *further(task, [plan])])
+        if found is before:
+            break
+    return found
 
 
 def _with_other_clusters(task: Task, model: Model, steps: Sequence[float], tried: set[Plan]) -> Followed:
