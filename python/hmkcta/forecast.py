@@ -43,8 +43,9 @@ _RESIDUAL, _SAVED = 4, 4
 #: Bytes for each element of a slab that quality is measured on, and of one of a streamed tensor: the slab, what is left
 #: of it, and the parts of that.
 _MEASURING, _MEASURED_OUTSIDE = 36, 12
-#: Bytes of the interpreter with everything loaded; the share of what a stage took that its heaps keep from the next.
-_BASE, _KEPT = 56 * 2**20, 0.3
+#: Bytes of the interpreter with everything loaded, of which some are free again when the work begins; the share of what
+#: a stage took that its heaps keep from the next.
+_LOADED, _BASE, _KEPT = 84 * 2**20, 56 * 2**20, 0.3
 #: Bytes for each element of a slab of a source that is checked, of the next one, and of a sample that plans are judged
 #: on for a size and for an SNR, which takes float64 or many ranks; and what each further thread takes of the latter, as
 #: samples are seldom at their largest together.
@@ -257,7 +258,8 @@ def peak_memory() -> int:
 
 def _peak(*stages: int, beside: int = 0) -> int:
     """Most bytes of a process that needs so many in one stage after another, and some for a moment besides."""
-    return _BASE + beside + int(max(need + _KEPT * sum(stages[:number]) for number, need in enumerate(stages)))
+    most = max(need + _KEPT * sum(stages[:number]) for number, need in enumerate(stages))
+    return max(_LOADED, _BASE + beside + int(most))
 
 
 def _largest(elements: int, level: LevelSpec) -> int:

@@ -43,8 +43,9 @@ _AROUND_ELEMENTS, _AROUND_BLOCKS = 32, 8
 class Model:
     """A compressed array of float32 values with the shape and the axes of its source.
 
-    Indexing follows NumPy and decodes only what is asked for. NumPy functions work on a model by decoding all of it,
-    and ``np.asarray(model, np.uint8)`` rounds its values, and cuts them off, to the nearest of a type of integers.
+    Indexing follows NumPy, but for a lone True or False, and decodes only what is asked for. NumPy functions work on a
+    model by decoding all of it, and ``np.asarray(model, np.uint8)`` rounds its values, and cuts them off, to the
+    nearest of a type of integers.
 
     Args:
         metadata: axes, organisation, value transform, quality.
