@@ -10,10 +10,12 @@ import { Screen } from "./render/screen";
 import { BlobSource, type ByteSource, fileUrl, openUrl } from "./stream";
 import { fixedSize, given } from "./ui/address";
 import { byId } from "./ui/controls";
+import { listenToDivider, placeDivider } from "./ui/divider";
 import { facts, mebibytes } from "./ui/facts";
 import { isMesh, listenForFiles, meshIn } from "./ui/files";
 import type { Player } from "./ui/groups";
 import { Panel } from "./ui/panel";
+import { keepShape } from "./ui/place";
 import { Pointer } from "./ui/pointer";
 import { readout } from "./ui/readout";
 
@@ -176,6 +178,7 @@ class Page {
     signal.throwIfAborted();
     this.shown = 0;
     const size = fixedSize(given(PARAMETERS, "pixels"), this.gpu!.device.limits.maxTextureDimension2D);
+    keepShape(this.canvas, size !== null);
     const unlessAborted = <T>(tell: (told: T) => void) => (told: T): void => {
       if (!signal.aborted) {
         tell(told);
@@ -266,12 +269,9 @@ class Page {
       performance.mark(`shown-level-${statistics.level}`);
     }
     this.canvas.classList.toggle("crisp", this.app?.kind === "generic");
-    const divider = byId("divider");
-    const compare = this.app?.state.compare;
-    divider.hidden = compare?.mode !== "split";
-    divider.style.left = `${100 * (compare?.position ?? 0.5)}%`;
-    byId("left").textContent = `Level ${Math.min(this.app?.state.level ?? 1, this.app?.arrived ?? 1)}`;
-    byId("right").textContent = compare?.level === null ? "Original" : `Level ${compare?.level ?? 1}`;
+    if (this.app !== null) {
+      placeDivider(this.app, this.canvas);
+    }
     this.statistics();
   }
 
@@ -334,16 +334,9 @@ class Page {
       const wide = document.body.classList.toggle("wide");
       byId("toggle").setAttribute("aria-expanded", String(!wide));
     });
-    this.listenToDivider();
-  }
-
-  private listenToDivider(): void {
-    const divider = byId("divider");
-    divider.addEventListener("pointerdown", (event) => divider.setPointerCapture(event.pointerId));
-    divider.addEventListener("pointermove", (event) => {
-      if (divider.hasPointerCapture(event.pointerId) && this.app !== null) {
-        const box = this.canvas.getBoundingClientRect();
-        this.app.state.compare.position = Math.min(1, Math.max(0, (event.clientX - box.left) / box.width));
+    listenToDivider(this.canvas, (position) => {
+      if (this.app !== null) {
+        this.app.state.compare.position = position;
         this.panel?.refresh();
         this.app.redraw();
       }

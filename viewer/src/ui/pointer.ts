@@ -5,6 +5,7 @@ import { findCameras } from "../render/lightfield";
 import { layOut } from "../render/layout";
 import { fitted, sliceSize } from "../render/slices";
 import { type Player, savePicture } from "./groups";
+import { pictureBox, placeIn } from "./place";
 
 const TURN = 0.4; // degrees a pixel
 const KEY_STEP = 24; // pixels that an arrow key counts as
@@ -50,8 +51,7 @@ export class Pointer {
   private move(event: PointerEvent): void {
     const before = this.fingers.get(event.pointerId);
     if (before === undefined) {
-      const box = this.canvas.getBoundingClientRect();
-      this.hover([(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height]);
+      this.hover(placeIn(this.canvas, event));
       return;
     }
     const [x, y] = [event.clientX - before.clientX, event.clientY - before.clientY];
@@ -81,7 +81,7 @@ export class Pointer {
       this.pan(x, y);
     } else if (app.kind === "lightfield") {
       const { last } = findCameras(app.metadata.axes, layOut(app.metadata.axes, "lightfield"));
-      const share = 1 / Math.max(120, this.canvas.clientWidth / 2);
+      const share = 1 / Math.max(120, pictureBox(this.canvas).width / 2);
       state.view.column = clamped(state.view.column - x * share * Math.max(1, last[1]), 0, last[1]);
       state.view.row = clamped(state.view.row - y * share * Math.max(1, last[0]), 0, last[0]);
     } else {
@@ -93,7 +93,8 @@ export class Pointer {
 
   private pan(x: number, y: number): void {
     const { state, metadata } = this.app;
-    const { scale } = fitted(...sliceSize(metadata, state), this.canvas.clientWidth, this.canvas.clientHeight, state);
+    const { width, height } = pictureBox(this.canvas);
+    const { scale } = fitted(...sliceSize(metadata, state), width, height, state);
     state.pan = [state.pan[0] + x * scale, state.pan[1] + y * scale];
   }
 

@@ -1,0 +1,101 @@
+/** The page around the picture: its shape and focus, what is said beside it, and files that are dropped on it. */
+
+import { readFileSync } from "node:fs";
+import { join } from "node:path";
+import type { Page } from "playwright-core";
+import { PNG } from "pngjs";
+import { describe, expect, it } from "vitest";
+import { control, haveBrowser, makeModels, opening, reached, setControls, settled } from "./browser";
+
+const BACKGROUND = [14, 15, 18];
+
+const there = haveBrowser();
+const folder = there ? makeModels() : "";
+const { slices } = there
+  ? JSON.parse(readFileSync(join(folder, "pictures.json"), "utf-8")) as { slices: { rows: number; columns: number } }
+  : { slices: { rows: 0, columns: 0 } };
+
+describe.runIf(there)("the page in Chromium", () => {
+  let page: Page;
+  const open = opening(folder, 64, (opened) => {
+    page = opened;
+  });
+
+  /** What is on the screen, nothing of which lies on the picture; a pixel of it. */
+  async function screen(): Promise<(x: number, y: number) => number[]> {
+    await settled(page);
+    await page.evaluate(() => document.querySelectorAll<HTMLElement>("#statistics, #readout, #toggle, #divider").forEach((element) => {
+      element.style.opacity = "0";
+    }));
+    const { data, width } = PNG.sync.read(await page.screenshot());
+    return (x, y) => [...data.subarray(4 * (y * width + x), 4 * (y * width + x) + 3)];
+  }
+
+  const stage = async (): Promise<{ width: number; height: number }> => (await page.locator("main").boundingBox())!;
+
+  it("keeps the shape of a picture whose size the address fixes", async () => {
+    await open("material.hmk", "&pixels=192x96");
+    await reached(page, "ready");
+    const [at, { width, height }] = [await screen(), await stage()];
+    const places = Array.from({ length: width * height }, (_, i) => [i % width, Math.floor(i / width)] as const)
+      .filter(([x, y]) => at(x, y).some((value, c) => Math.abs(value - BACKGROUND[c]!) > 6));
+    const [across, down] = [0, 1].map((side) => places.map((place) => place[side]!).sort((a, b) => a - b));
+    const extent = (along: number[]): number => along.at(-1)! - along[0]!;
+    expect(extent(down!), "as large as fits").toBeGreaterThan(0.8 * width / 2);
+    expect(extent(across!) / extent(down!), "a sphere is round").toBeCloseTo(1, 1);
+  });
+
+  it("reads and moves a picture of fixed size where it is", async () => {
+    await open("stack.hmk", "&pixels=128x64");
+    await reached(page, "ready");
+    await setControls(page, { Across: "1", Down: "0" });
+    await settled(page);
+    const { width, height } = await stage();
+    const scale = Math.max(slices.rows / 64, slices.columns / 128);
+    const readAt = async (x: number, y: number): Promise<string | null> => {
+      await page.mouse.move(x, y);
+      const readout = page.locator("#readout");
+      return await readout.isVisible() ? (await readout.textContent())!.split(",").slice(0, 2).join() : null;
+    };
+    /** The element at a place from the middle, in pixels of the screen. */
+    const element = (x: number, y: number): string => [slices.rows, slices.columns].map((count, side) =>
+      `${["depth", "across"][side]!} ${Math.round((count - 1) / 2 + (scale * (side === 0 ? y : x) * 128) / width)}`).join(", ");
+    const [x, y] = [width / 2 + 90, height / 2 - 105];
+    expect(await readAt(x, y)).toBe(element(90, -105));
+    await page.mouse.down();
+    await page.mouse.move(x - 150, y + 60);
+    await page.mouse.up();
+    await settled(page);
+    expect(await readAt(x - 150, y + 60), "what was taken hold of is below the pointer").toBe(element(90, -105));
+    await page.locator("canvas").press("r");
+    await page.locator("canvas").press("+");
+    await page.locator("canvas").press("+");
+    expect(await readAt(width / 2, height / 2 - width / 4 + 5)).toMatch(/^depth/);
+    expect(await readAt(width / 2, height / 2 - width / 4 - 5), "above the picture").toBe(null);
+  });
+
+  it("has the divider of a picture of fixed size where its sides meet", async () => {
+    await open("material.hmk", "&pixels=96x192");
+    await reached(page, "ready");
+    await setControls(page, { Show: "split", Divider: "0.25" });
+    const { width, height } = await stage();
+    const shown = height / 2; // how wide the picture is
+    const middle = async (): Promise<number> => {
+      const box = (await page.locator("#divider").boundingBox())!;
+      return box.x + box.width / 2;
+    };
+    const at = await screen();
+    const row = Array.from({ length: width }, (_, x) => at(x, 4)[0]!);
+    const line = row.indexOf(Math.max(...row));
+    expect(Math.max(...row), "a line between the sides").toBeGreaterThan(100);
+    expect(Math.abs(await middle() - (width / 2 - shown / 4))).toBeLessThan(1);
+    expect(Math.abs(await middle() - line)).toBeLessThan(1 + shown / 96);
+    await page.mouse.move(await middle(), height / 2);
+    await page.mouse.down();
+    await page.mouse.move(width / 2 + shown / 4, height / 2, { steps: 3 });
+    await page.mouse.up();
+    await settled(page);
+    expect(Number(await control(page, "Divider").inputValue())).toBeCloseTo(0.75, 2);
+    expect(Math.abs(await middle() - (width / 2 + shown / 4))).toBeLessThan(1);
+  });
+});
