@@ -8,6 +8,7 @@ import { describe, expect, it } from "vitest";
 import { control, haveBrowser, makeModels, opening, reached, setControls, settled } from "./browser";
 
 const BACKGROUND = [14, 15, 18];
+const FOCUS = [108, 195, 187];
 
 const there = haveBrowser();
 const folder = there ? makeModels() : "";
@@ -97,5 +98,21 @@ describe.runIf(there)("the page in Chromium", () => {
     await settled(page);
     expect(Number(await control(page, "Divider").inputValue())).toBeCloseTo(0.75, 2);
     expect(Math.abs(await middle() - (width / 2 + shown / 4))).toBeLessThan(1);
+  });
+
+  it("shows that the picture has the keyboard's focus, and not the mouse's", async () => {
+    await open("stack.hmk", "&never");
+    await reached(page, "ready");
+    const { width, height } = await stage();
+    const border = async (): Promise<number[][]> => {
+      const at = await screen();
+      return [at(1, height / 2), at(width - 2, height / 2), at(width / 2, 1), at(width / 2, height - 2)];
+    };
+    await page.mouse.click(width / 2, height / 2);
+    expect(await page.evaluate(() => document.activeElement?.id)).toBe("canvas");
+    expect(await border()).not.toContainEqual(FOCUS);
+    await page.keyboard.press("Tab");
+    await page.keyboard.press("Shift+Tab");
+    expect(await border()).toEqual([FOCUS, FOCUS, FOCUS, FOCUS]);
   });
 });

@@ -44,7 +44,6 @@ export class Pointer {
 
   private down(event: PointerEvent): void {
     this.canvas.setPointerCapture(event.pointerId);
-    this.canvas.focus({ preventScroll: true });
     this.fingers.set(event.pointerId, event);
   }
 
