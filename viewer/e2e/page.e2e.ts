@@ -5,7 +5,7 @@ import { join } from "node:path";
 import type { Page } from "playwright-core";
 import { PNG } from "pngjs";
 import { describe, expect, it } from "vitest";
-import { control, haveBrowser, makeModels, opening, reached, setControls, settled } from "./browser";
+import { control, dropFile, haveBrowser, makeModels, opening, reached, setControls, settled } from "./browser";
 
 const BACKGROUND = [14, 15, 18];
 const FOCUS = [108, 195, 187];
@@ -114,5 +114,38 @@ describe.runIf(there)("the page in Chromium", () => {
     await page.keyboard.press("Tab");
     await page.keyboard.press("Shift+Tab");
     expect(await border()).toEqual([FOCUS, FOCUS, FOCUS, FOCUS]);
+  });
+
+  /** A file with a wrong byte so far from its end. */
+  function damaged(name: string, fromEnd: number): Buffer {
+    const bytes = readFileSync(join(folder, name));
+    bytes[bytes.length - fromEnd]! ^= 4;
+    return bytes;
+  }
+
+  it("closes what is said beside a picture by a button and by Escape, and nothing else that is said", async () => {
+    await open("stack.hmk");
+    await reached(page, "ready");
+    const told = page.getByRole("alert");
+    const close = page.getByRole("button", { name: "Close the message" });
+    const fail = async (): Promise<void> => {
+      await dropFile(page, "damaged.hmk", damaged("volume.hmk", 9));
+      await told.getByText("The first 1 of 2 levels are whole").waitFor();
+    };
+    await fail();
+    await close.focus();
+    await page.keyboard.press("Enter");
+    expect(await told.isVisible()).toBe(false);
+    expect(await page.evaluate(() => document.activeElement?.id)).toBe("canvas");
+    await fail();
+    await control(page, "Exposure").focus();
+    await page.keyboard.press("Escape");
+    expect(await told.isVisible()).toBe(false);
+    expect(await page.evaluate(() => document.documentElement.dataset["state"])).toBe("failed");
+    await page.goto(`${page.url().split("?")[0]!}?file=files/other.hmk`);
+    await reached(page, "failed");
+    expect(await close.isVisible()).toBe(false);
+    await page.keyboard.press("Escape");
+    expect(await told.isVisible()).toBe(true);
   });
 });

@@ -14,6 +14,7 @@ import { listenToDivider, placeDivider } from "./ui/divider";
 import { facts, mebibytes } from "./ui/facts";
 import { isMesh, listenForFiles, meshIn } from "./ui/files";
 import type { Player } from "./ui/groups";
+import { listenToMessage, say } from "./ui/message";
 import { Panel } from "./ui/panel";
 import { keepShape } from "./ui/place";
 import { Pointer } from "./ui/pointer";
@@ -43,6 +44,7 @@ class Page {
   private shown = 0; // the deepest level that was on screen
   private fileBytes: [number, number] = [0, 0];
   private source: ByteSource | null = null;
+  private broken = false; // levels of it are missing that could not be read
   private notes = ""; // on how the model is shown
   private quiet = true;
   private hush = 0; // the timer that ends it
@@ -97,27 +99,26 @@ class Page {
     }
     const original = given(PARAMETERS, "original");
     await this.show(source, original === null ? "ready" : "model-ready");
-    if (original !== null && this.app !== null && this.source === source) {
-      await this.addOriginal(this.app, original, this.session.signal);
+    if (original !== null && this.showing && this.source === source) {
+      await this.addOriginal(this.app!, original, this.session.signal);
     }
   }
 
   /** Load what to compare the model with; where that fails, the model stays on screen. */
   private async addOriginal(app: App, address: string, signal: AbortSignal): Promise<void> {
     byId("loading").textContent = "Loading the original ...";
-    const whole = byId("message").hidden; // else the model broke off, and what is there stays failed
     try {
       const source = await openUrl(fileUrl(address, location.href));
       await app.setOriginal(await load(source, { onTables: () => undefined, onLevel: () => undefined }));
     } catch (error) {
-      if (!signal.aborted && byId("message").hidden) { // what is said of the model matters more
-        this.tell(originalProblem(error), true);
+      if (!signal.aborted && (!this.broken || byId("message").hidden)) { // what is said of the model matters more
+        this.tell(originalProblem(error));
       }
     }
     if (!signal.aborted && !app.closed) {
       byId("loading").textContent = this.notes;
       this.panel?.build();
-      if (whole) {
+      if (!this.broken) { // else it stays failed
         mark("ready");
       }
     }
@@ -156,13 +157,15 @@ class Page {
       if (signal.aborted) { // another file was opened, and what became of this one is nobody's business
         return;
       }
-      const problem = asProblem(error);
-      if (this.app !== null && this.app.arrived > 0) {
-        this.fail(new Problem(problem.sentence, problem.detail,
-          `${problem.next} The first ${this.app.arrived} of ${this.app.metadata.levels.length} levels are whole, and are shown.`), true);
-        return;
+      if (!this.showing) {
+        throw error;
       }
-      throw error;
+      source.onBytes = () => undefined; // what else arrives is not shown
+      this.broken = true;
+      const [{ sentence, detail, next }, { arrived, metadata }] = [asProblem(error), this.app!];
+      this.fail(new Problem(sentence, detail,
+        `${next} The first ${arrived} of ${metadata.levels.length} levels are whole, and are shown.`));
+      return;
     }
     if (signal.aborted) {
       return;
@@ -239,6 +242,7 @@ class Page {
     this.app?.close();
     this.app = null;
     this.panel = null;
+    this.broken = false;
     clearInterval(this.timer);
     for (const id of ["message", "welcome", "readout", "divider"]) {
       byId(id).hidden = true;
@@ -247,6 +251,11 @@ class Page {
     byId("facts").textContent = "";
     byId("loading").textContent = this.notes = "";
     byId("statistics").textContent = "";
+  }
+
+  /** Whether there is a picture that changes with the controls. */
+  private get showing(): boolean {
+    return this.app !== null && !this.app.closed && this.app.arrived > 0;
   }
 
   private progress(have: number, size: number): void {
@@ -311,25 +320,22 @@ class Page {
     this.panel?.refresh();
   }
 
-  /** Say what went wrong; beside the picture where one is still shown. */
-  private fail(problem: Problem, aside = false): void {
-    this.tell(problem, aside);
+  private fail(problem: Problem): void {
+    this.tell(problem);
     mark("failed");
   }
 
-  private tell(problem: Problem, aside: boolean): void {
+  /** Say what went wrong; beside the picture where one is still shown. */
+  private tell(problem: Problem): void {
     this.speak();
-    byId("message").classList.toggle("aside", aside);
-    byId("message-sentence").textContent = problem.sentence;
-    byId("message-next").textContent = problem.next;
-    byId("message-detail").textContent = problem.detail;
-    byId("message").hidden = false;
+    say(problem, this.showing);
     byId("welcome").hidden = true;
     byId("progress").hidden = true;
   }
 
   private listen(): void {
     listenForFiles((file) => void this.take(file));
+    listenToMessage();
     byId("toggle").addEventListener("click", () => {
       const wide = document.body.classList.toggle("wide");
       byId("toggle").setAttribute("aria-expanded", String(!wide));

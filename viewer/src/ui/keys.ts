@@ -10,6 +10,7 @@ export const KEYS: Record<string, string> = {
   "E Shift+E": "exposure up, down",
   R: "reset the view",
   S: "save the picture",
+  Escape: "close the message beside the picture",
   "?": "this list",
 };
 
