@@ -5,7 +5,7 @@ import { join } from "node:path";
 import type { Page } from "playwright-core";
 import { PNG } from "pngjs";
 import { describe, expect, it } from "vitest";
-import { control, dropFile, haveBrowser, makeModels, opening, reached, setControls, settled } from "./browser";
+import { control, dropFile, haveBrowser, makeModels, opening, pixels, reached, setControls, settled } from "./browser";
 
 const BACKGROUND = [14, 15, 18];
 const FOCUS = [108, 195, 187];
@@ -147,5 +147,60 @@ describe.runIf(there)("the page in Chromium", () => {
     expect(await close.isVisible()).toBe(false);
     await page.keyboard.press("Escape");
     expect(await told.isVisible()).toBe(true);
+  });
+
+  /** A file whose first level has a wrong byte. */
+  function brokenStart(name: string): Buffer {
+    const bytes = readFileSync(join(folder, name));
+    const length = Number(bytes.readBigUInt64LE());
+    const header = JSON.parse(bytes.toString("utf-8", 8, 8 + length)) as Record<string, { data_offsets: [number, number] }>;
+    bytes[8 + length + header["level/1/core"]!.data_offsets[0]]! ^= 4;
+    return bytes;
+  }
+
+  it("keeps the model where a file that is dropped on it cannot be shown", async () => {
+    await open("stack.hmk");
+    await reached(page, "ready");
+    await page.evaluate(() => {
+      const states: string[] = [];
+      new MutationObserver(() => states.push(document.documentElement.dataset["state"]!)).observe(document.documentElement, { attributes: true });
+      Object.assign(window, { states });
+    });
+    const states = (): Promise<string[]> => page.evaluate(() => (window as unknown as { states: string[] }).states.splice(0));
+    const told = page.getByRole("alert");
+    const before = await pixels(page, 64);
+    const files: [string, Buffer, string][] = [
+      ["picture.png", Buffer.from("89504e470d0a1a0a0000000d49484452", "hex"), "This is no .hmk file."],
+      ["short.hmk", readFileSync(join(folder, "volume.hmk")).subarray(0, 900), "The file is not complete."],
+      ["start.hmk", brokenStart("volume.hmk"), "The file is damaged."],
+    ];
+    for (const [name, bytes, sentence] of files) {
+      await dropFile(page, name, bytes);
+      await told.getByText(`${name} cannot be shown. ${sentence}`).waitFor();
+      expect(await states()).toEqual(["loading", "ready"]);
+      await page.getByRole("button", { name: "Close the message" }).click();
+    }
+    await dropFile(page, "mesh.obj", Buffer.from("f 1 2 3"));
+    await told.getByText("mesh.obj cannot be shown. A mesh can be shown with a material only.").waitFor();
+    expect([await page.title(), await page.locator("#file").textContent()]).toEqual(["stack.hmk: hmkcta", "stack.hmk"]);
+    expect(await pixels(page, 64)).toEqual(before);
+    await setControls(page, { Level: "1" });
+    expect(await pixels(page, 64), "the model can still be drawn").not.toEqual(before);
+    expect(await states()).toEqual([]);
+    await dropFile(page, "good.hmk", readFileSync(join(folder, "volume.hmk")));
+    await reached(page, "ready");
+    expect((await states())[0]).toBe("loading");
+    expect([await told.isVisible(), await page.title()]).toEqual([false, "good.hmk: hmkcta"]);
+  });
+
+  it("has nothing beside a file that cannot be shown where none was", async () => {
+    await open("stack.hmk");
+    await reached(page, "ready");
+    await page.goto(`${page.url().split("?")[0]!}?file=`);
+    await reached(page, "empty");
+    await dropFile(page, "start.hmk", brokenStart("volume.hmk"));
+    await page.getByRole("alert").getByText("The file is damaged.").waitFor();
+    expect(await page.evaluate(() => document.documentElement.dataset["state"])).toBe("failed");
+    expect(await page.getByRole("button", { name: "Close the message" }).isVisible()).toBe(false);
   });
 });

@@ -18,11 +18,16 @@ export interface Listener {
   onLevel(reading: Reading, level: number): Promise<void> | void;
 }
 
+/** Check a file up to its first level; throws as `load` does. */
+export async function checkStart(source: ByteSource): Promise<void> {
+  const reading = await readTables(source);
+  await source.upTo(reading.levelEnd(1));
+  reading.readLevel(1, source.bytes);
+}
+
 /** Read a file; throws `HmkError` or `Problem`. */
 export async function load(source: ByteSource, listener: Listener): Promise<Reading> {
-  const reading = await begin(source);
-  await source.upTo(reading.tablesEnd);
-  reading.readTables(source.bytes);
+  const reading = await readTables(source);
   const levels = reading.metadata.levels.map((_, l) => l + 1);
   const fetched = (those: number[]): Promise<void>[] => fetchAhead(source, those.map((level) => reading.levelEnd(level)));
   const arrivals = fetched(levels.slice(0, 1));
@@ -35,6 +40,13 @@ export async function load(source: ByteSource, listener: Listener): Promise<Read
       arrivals.push(...fetched(levels.slice(1)));
     }
   }
+  return reading;
+}
+
+async function readTables(source: ByteSource): Promise<Reading> {
+  const reading = await begin(source);
+  await source.upTo(reading.tablesEnd);
+  reading.readTables(source.bytes);
   return reading;
 }
 

@@ -2,9 +2,9 @@
 
 import { App, type Statistics } from "./app";
 import { type Gpu, openGpu } from "./gpu/device";
-import { load } from "./load";
+import { checkStart, load } from "./load";
 import { originalProblem } from "./original";
-import { Problem, asProblem } from "./problem";
+import { Problem, asProblem, refusal } from "./problem";
 import type { Reading } from "./reader/read";
 import { Screen } from "./render/screen";
 import { BlobSource, type ByteSource, fileUrl, openUrl } from "./stream";
@@ -27,9 +27,8 @@ const QUIET = 1000; // milliseconds without progress on the page: each change of
 const PARAMETERS = new URLSearchParams(location.search);
 
 /** For tests and for programs that embed the page: what has happened so far. */
-function mark(state: string): void {
+function publish(state: string): void {
   document.documentElement.dataset["state"] = state;
-  performance.mark(state);
 }
 
 class Page {
@@ -44,6 +43,8 @@ class Page {
   private shown = 0; // the deepest level that was on screen
   private fileBytes: [number, number] = [0, 0];
   private source: ByteSource | null = null;
+  private state = ""; // what has become of it
+  private trial: ByteSource | null = null; // another file, which is looked at before it takes its place
   private broken = false; // levels of it are missing that could not be read
   private notes = ""; // on how the model is shown
   private quiet = true;
@@ -52,13 +53,21 @@ class Page {
 
   async start(): Promise<void> {
     this.listen();
-    mark("starting");
+    this.mark("starting");
     try {
       this.opening = this.openGpu();
       this.opening.catch(() => undefined); // whoever waits for it hears of the failure
       await this.openFile(given(PARAMETERS, "file"));
     } catch (error) {
       this.fail(asProblem(error));
+    }
+  }
+
+  private mark(state: string): void {
+    this.state = state;
+    performance.mark(state);
+    if (this.trial === null) {
+      publish(state);
     }
   }
 
@@ -94,7 +103,7 @@ class Page {
     }
     if (source === null) {
       byId("welcome").hidden = false;
-      mark("empty");
+      this.mark("empty");
       return;
     }
     const original = given(PARAMETERS, "original");
@@ -119,7 +128,7 @@ class Page {
       byId("loading").textContent = this.notes;
       this.panel?.build();
       if (!this.broken) { // else it stays failed
-        mark("ready");
+        this.mark("ready");
       }
     }
   }
@@ -128,7 +137,7 @@ class Page {
   private async show(source: ByteSource, end = "ready"): Promise<void> {
     this.close();
     this.source = source;
-    mark("loading");
+    this.mark("loading");
     this.quiet = true;
     clearTimeout(this.hush);
     this.hush = window.setTimeout(() => this.speak(), QUIET);
@@ -146,7 +155,7 @@ class Page {
           signal.throwIfAborted();
           this.app!.addLevel();
           this.panel?.refresh();
-          mark(`level-${level}`);
+          this.mark(`level-${level}`);
           // Let it be drawn before the next one is checked; a page that nobody sees is not drawn.
           await Promise.race([this.app!.drawn, new Promise((resolve) => setTimeout(resolve, FIRST_FRAME))]);
           await new Promise((resolve) => setTimeout(resolve));
@@ -171,7 +180,7 @@ class Page {
       return;
     }
     this.progress(source.size, source.size);
-    mark(end);
+    this.mark(end);
   }
 
   /** Compile what the file needs; nothing of it is seen once another file was opened. */
@@ -242,6 +251,7 @@ class Page {
     this.app?.close();
     this.app = null;
     this.panel = null;
+    this.trial = null;
     this.broken = false;
     clearInterval(this.timer);
     for (const id of ["message", "welcome", "readout", "divider"]) {
@@ -322,7 +332,7 @@ class Page {
 
   private fail(problem: Problem): void {
     this.tell(problem);
-    mark("failed");
+    this.mark("failed");
   }
 
   /** Say what went wrong; beside the picture where one is still shown. */
@@ -352,18 +362,41 @@ class Page {
   /** A file that was dropped or chosen: a model, or a mesh to put the material on. */
   private async take(file: File): Promise<void> {
     try {
-      if (isMesh(file)) {
-        await this.takeMesh(file);
-      } else {
-        if (this.gpu === null) {
-          this.opening = this.openGpu();
-          await this.opening;
-        }
-        await this.show(new BlobSource(file));
-      }
+      await (isMesh(file) ? this.takeMesh(file) : this.takeModel(new BlobSource(file)));
     } catch (error) {
-      this.fail(asProblem(error));
+      if (this.showing) {
+        this.tell(refusal(file.name, error));
+      } else {
+        this.fail(asProblem(error));
+      }
     }
+  }
+
+  private async takeModel(source: ByteSource): Promise<void> {
+    if (this.showing && !await this.mayReplace(source)) {
+      return;
+    }
+    if (this.gpu === null) {
+      this.opening = this.openGpu();
+      await this.opening;
+    }
+    await this.show(source);
+  }
+
+  /** Whether a file may take the place of the model that is shown, which no other one did meanwhile; throws what is wrong with it. */
+  private async mayReplace(source: ByteSource): Promise<boolean> {
+    this.trial = source;
+    publish("loading");
+    const problem = await checkStart(source).then(() => null, asProblem);
+    if (this.trial !== source) {
+      return false;
+    }
+    this.trial = null;
+    if (problem !== null) {
+      publish(this.state);
+      throw problem;
+    }
+    return true;
   }
 
   private async takeMesh(file: File): Promise<void> {

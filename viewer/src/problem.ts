@@ -36,6 +36,12 @@ function headline(error: HmkError): string {
   return other ? `${NO_HMK}, or its header is damaged.` : leads[reason] ?? `${LEADS[kind]} ${sentence}`;
 }
 
+/** What to say of a file that does not take the place of the model that is shown. */
+export function refusal(name: string, error: unknown): Problem {
+  const { sentence, detail, next } = asProblem(error);
+  return new Problem(`${name} cannot be shown. ${sentence}`, detail, next);
+}
+
 /** The problem behind anything thrown. */
 export function asProblem(error: unknown): Problem {
   if (error instanceof Problem) {
