@@ -198,9 +198,46 @@ describe.runIf(there)("the page in Chromium", () => {
     await reached(page, "ready");
     await page.goto(`${page.url().split("?")[0]!}?file=`);
     await reached(page, "empty");
+    await dropFile(page, "mesh.obj", Buffer.from("f 1 2 3"));
+    await page.getByRole("alert").getByText("mesh.obj cannot be shown.").waitFor();
+    expect(await page.locator("#welcome").isVisible()).toBe(true);
+    expect(await page.locator("#statistics").textContent()).toBe("");
     await dropFile(page, "start.hmk", brokenStart("volume.hmk"));
     await page.getByRole("alert").getByText("The file is damaged.").waitFor();
     expect(await page.evaluate(() => document.documentElement.dataset["state"])).toBe("failed");
     expect(await page.getByRole("button", { name: "Close the message" }).isVisible()).toBe(false);
+  });
+
+  it("says nothing of progress where there is none: without an adapter, and without a file", async () => {
+    await open("volume.hmk", "&never");
+    await reached(page, "ready");
+    const status = (): Promise<[boolean, string | null]> => Promise.all([
+      page.getByRole("progressbar").isVisible(), page.locator("#statistics").textContent()]);
+    expect((await status())[1], "a model has numbers").toContain("KiB");
+    await page.route("**/files/other.hmk", (route) => route.fulfill({ status: 404 }));
+    await page.goto(`${page.url().split("?")[0]!}?file=files/other.hmk`);
+    await reached(page, "failed");
+    expect(await status()).toEqual([false, ""]);
+    const whole = readFileSync(join(folder, "volume.hmk"));
+    const ends: number[] = [];
+    await page.route("**/files/slow.hmk", async (route) => {
+      const [, begin, end] = /(\d+)-(\d+)/.exec(route.request().headers()["range"]!)!.map(Number) as [number, number, number];
+      const last = Math.min(end, begin + 3999, whole.length - 1);
+      await new Promise((resolve) => setTimeout(resolve, begin > 0 ? 300 : 0));
+      await route.fulfill({
+        status: 206, body: whole.subarray(begin, last + 1), headers: { "Content-Range": `bytes ${begin}-${last}/${whole.length}` },
+      });
+      ends.push(last);
+    });
+    await page.addInitScript("navigator.gpu.requestAdapter = () => Promise.resolve(null)");
+    await page.goto(`${page.url().split("?")[0]!}?file=files/slow.hmk`);
+    await reached(page, "failed");
+    expect(await page.getByRole("alert").textContent()).toContain("found no graphics adapter");
+    const before = ends.length;
+    expect(await status()).toEqual([false, ""]);
+    await expect.poll(() => ends.length, { timeout: 10_000 }).toBeGreaterThan(before);
+    await page.waitForTimeout(200);
+    expect(ends.at(-1)).toBeLessThan(whole.length - 1);
+    expect(await status(), "when more of the file has come").toEqual([false, ""]);
   });
 });

@@ -11,7 +11,7 @@ import { BlobSource, type ByteSource, fileUrl, openUrl } from "./stream";
 import { fixedSize, given } from "./ui/address";
 import { byId } from "./ui/controls";
 import { listenToDivider, placeDivider } from "./ui/divider";
-import { facts, mebibytes } from "./ui/facts";
+import { facts } from "./ui/facts";
 import { isMesh, listenForFiles, meshIn } from "./ui/files";
 import type { Player } from "./ui/groups";
 import { listenToMessage, say } from "./ui/message";
@@ -19,11 +19,11 @@ import { Panel } from "./ui/panel";
 import { keepShape } from "./ui/place";
 import { Pointer } from "./ui/pointer";
 import { readout } from "./ui/readout";
+import { Status } from "./ui/status";
 
 const DEFAULT_FILE = "model.hmk";
 const FRAMES_A_SECOND = 8;
 const FIRST_FRAME = 600; // milliseconds that reading waits for it
-const QUIET = 1000; // milliseconds without progress on the page: each change of it is painted, by the adapter that decodes
 const PARAMETERS = new URLSearchParams(location.search);
 
 /** For tests and for programs that embed the page: what has happened so far. */
@@ -39,16 +39,13 @@ class Page {
   private screen: Promise<Screen> | null = null;
   private session = new AbortController();
   private timer = 0;
-  private last: Statistics | null = null;
   private shown = 0; // the deepest level that was on screen
-  private fileBytes: [number, number] = [0, 0];
   private source: ByteSource | null = null;
   private state = ""; // what has become of it
   private trial: ByteSource | null = null; // another file, which is looked at before it takes its place
   private broken = false; // levels of it are missing that could not be read
   private notes = ""; // on how the model is shown
-  private quiet = true;
-  private hush = 0; // the timer that ends it
+  private readonly status = new Status(() => this.gpu?.name ?? "");
   private readonly canvas = byId<HTMLCanvasElement>("canvas");
 
   async start(): Promise<void> {
@@ -138,16 +135,14 @@ class Page {
     this.close();
     this.source = source;
     this.mark("loading");
-    this.quiet = true;
-    clearTimeout(this.hush);
-    this.hush = window.setTimeout(() => this.speak(), QUIET);
+    this.status.begin(() => this.speak());
     const { signal } = this.session;
     source.onBytes = () => {
       if (!signal.aborted) {
-        this.progress(source.have, source.size);
+        this.status.progress(source.have, source.size);
       }
     };
-    this.progress(source.have, source.size);
+    this.status.progress(source.have, source.size);
     try {
       await load(source, {
         onTables: (reading) => this.begin(reading, signal),
@@ -159,28 +154,32 @@ class Page {
           // Let it be drawn before the next one is checked; a page that nobody sees is not drawn.
           await Promise.race([this.app!.drawn, new Promise((resolve) => setTimeout(resolve, FIRST_FRAME))]);
           await new Promise((resolve) => setTimeout(resolve));
+          signal.throwIfAborted();
           this.addPanel();
         },
       });
     } catch (error) {
-      if (signal.aborted) { // another file was opened, and what became of this one is nobody's business
-        return;
+      if (!signal.aborted) { // else another file was opened, and what became of this one is nobody's business
+        this.breakOff(source, error);
       }
-      if (!this.showing) {
-        throw error;
-      }
-      source.onBytes = () => undefined; // what else arrives is not shown
-      this.broken = true;
-      const [{ sentence, detail, next }, { arrived, metadata }] = [asProblem(error), this.app!];
-      this.fail(new Problem(sentence, detail,
-        `${next} The first ${arrived} of ${metadata.levels.length} levels are whole, and are shown.`));
       return;
     }
-    if (signal.aborted) {
-      return;
+    if (!signal.aborted) {
+      this.status.progress(source.size, source.size);
+      this.mark(end);
     }
-    this.progress(source.size, source.size);
-    this.mark(end);
+  }
+
+  /** What is whole of a file that failed stays on screen; without anything, the error is the page's. */
+  private breakOff(source: ByteSource, error: unknown): void {
+    if (!this.showing) {
+      throw error;
+    }
+    source.onBytes = () => undefined; // what else arrives is not shown
+    this.broken = true;
+    const [{ sentence, detail, next }, { arrived, metadata }] = [asProblem(error), this.app!];
+    this.fail(new Problem(sentence, detail,
+      `${next} The first ${arrived} of ${metadata.levels.length} levels are whole, and are shown.`));
   }
 
   /** Compile what the file needs; nothing of it is seen once another file was opened. */
@@ -234,15 +233,14 @@ class Page {
 
   /** Say on the page what is loaded, and how far it has come. */
   private speak(): void {
-    clearTimeout(this.hush);
-    this.quiet = false;
     const { source, app } = this;
-    if (source !== null) {
-      byId("file").textContent = source.name;
-      document.title = `${source.name}: hmkcta`;
+    if (source === null) {
+      return;
     }
+    byId("file").textContent = source.name;
+    document.title = `${source.name}: hmkcta`;
     byId("facts").textContent = app === null ? "" : facts(app.metadata, app.reading.size);
-    this.progress(...this.fileBytes);
+    this.status.speak();
   }
 
   private close(): void {
@@ -260,7 +258,7 @@ class Page {
     byId("controls").replaceChildren();
     byId("facts").textContent = "";
     byId("loading").textContent = this.notes = "";
-    byId("statistics").textContent = "";
+    this.status.clear();
   }
 
   /** Whether there is a picture that changes with the controls. */
@@ -268,21 +266,7 @@ class Page {
     return this.app !== null && !this.app.closed && this.app.arrived > 0;
   }
 
-  private progress(have: number, size: number): void {
-    this.fileBytes = [have, size];
-    if (this.quiet) {
-      return;
-    }
-    const bar = byId("progress");
-    const percent = size === 0 ? 100 : Math.floor((100 * have) / size);
-    bar.hidden = have >= size;
-    bar.setAttribute("aria-valuenow", String(percent));
-    (bar.firstElementChild as HTMLElement).style.width = `${percent}%`;
-    this.statistics();
-  }
-
   private frame(statistics: Statistics): void {
-    this.last = statistics;
     if (!statistics.decoding && this.shown < statistics.level) {
       this.shown = statistics.level;
       performance.mark(`shown-level-${statistics.level}`);
@@ -291,19 +275,7 @@ class Page {
     if (this.app !== null) {
       placeDivider(this.app, this.canvas);
     }
-    this.statistics();
-  }
-
-  private statistics(): void {
-    if (this.quiet) {
-      return;
-    }
-    const [have, size] = this.fileBytes;
-    const bytes = have < size ? `${mebibytes(have)} of ${mebibytes(size)}` : mebibytes(size);
-    const { last } = this;
-    byId("statistics").textContent = last === null || this.app === null ? bytes
-      : [`${last.milliseconds.toFixed(1)} ms`, `${last.width} x ${last.height}`, bytes, ...(last.decoding ? ["decoding"] : []),
-        this.gpu?.name ?? ""].join("  ·  ");
+    this.status.frame(statistics);
   }
 
   /** The value under the pointer. */
@@ -330,17 +302,23 @@ class Page {
     this.panel?.refresh();
   }
 
+  /** The file failed, or what shows it; a picture that there still is stays. */
   private fail(problem: Problem): void {
-    this.tell(problem);
+    this.tell(problem, this.showing);
+    byId("welcome").hidden = true;
+    if (this.showing) {
+      this.status.endProgress();
+    } else {
+      this.session.abort(); // what still arrives of the file is not told of
+      this.status.clear();
+    }
     this.mark("failed");
   }
 
-  /** Say what went wrong; beside the picture where one is still shown. */
-  private tell(problem: Problem): void {
+  /** Say what went wrong, beside what there is or in place of it. */
+  private tell(problem: Problem, beside = true): void {
     this.speak();
-    say(problem, this.showing);
-    byId("welcome").hidden = true;
-    byId("progress").hidden = true;
+    say(problem, beside);
   }
 
   private listen(): void {
@@ -364,7 +342,7 @@ class Page {
     try {
       await (isMesh(file) ? this.takeMesh(file) : this.takeModel(new BlobSource(file)));
     } catch (error) {
-      if (this.showing) {
+      if (this.showing || isMesh(file)) { // which harms nothing that is there, or on its way
         this.tell(refusal(file.name, error));
       } else {
         this.fail(asProblem(error));
