@@ -48,8 +48,10 @@ export function asProblem(error: unknown): Problem {
     return error;
   }
   if (error instanceof HmkError) {
-    const next = error.hint === "" ? "" : `${error.hint[0]?.toUpperCase() ?? ""}${error.hint.slice(1)}.`;
-    const detail = error.message.replace(` Next: ${error.hint}.`, ""); // said in `next`
+    const { hint } = error;
+    const first = hint.startsWith("hmkcta ") ? "h" : hint.charAt(0).toUpperCase(); // a command is written as it is typed
+    const next = hint === "" ? "" : `${first}${hint.slice(1)}.`;
+    const detail = error.message.replace(` Next: ${hint}.`, ""); // said in `next`
     return new Problem(headline(error), detail, next);
   }
   const message = error instanceof Error ? error.message : String(error);
