@@ -175,6 +175,19 @@ export async function openUrl(url: URL): Promise<ByteSource> {
   return wholeFile(name, url, whole);
 }
 
+/** What to say of a host that does not send a file. */
+function refused(name: string, host: string, status: number): Problem {
+  if (status >= 500) {
+    return new Problem(`${host} failed to send ${name}, with status ${status}.`, "", "Try again later.");
+  }
+  if (status === 401 || status === 403) {
+    return new Problem(`${host} does not allow this page to load ${name}: status ${status}.`, "",
+      "Ask whoever runs that server, or log in there first.");
+  }
+  return new Problem(status === 404 ? `There is no file ${name} on ${host}.` : `${host} refused ${name} with status ${status}.`, "",
+    "Check the address.");
+}
+
 /** What a host answers with the whole file, or with a refusal. */
 async function wholeFile(name: string, url: URL, response: Response): Promise<ByteSource> {
   if (response.status === 416) {
@@ -184,8 +197,7 @@ async function wholeFile(name: string, url: URL, response: Response): Promise<By
     throw new Problem(`${url.host} sent a part of ${name} where the whole file was asked for.`, "", "Check the settings of that host.");
   }
   if (!response.ok || response.body === null) {
-    throw new Problem(response.status === 404 ? `There is no file ${name} on ${url.host}.`
-      : `${url.host} refused ${name} with status ${response.status}.`, "", "Check the address.");
+    throw refused(name, url.host, response.status);
   }
   const length = Number(response.headers.get("Content-Length") ?? "0");
   // Of another host it cannot be seen whether the file was packed on the way, and the length is that of the packed file.

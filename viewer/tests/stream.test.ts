@@ -66,9 +66,19 @@ describe("a file from its address", () => {
   it.each<[string, RequestListener]>([
     ["sent a part of a b.hmk where the whole file was asked for", (_, response) => response.writeHead(206).end(whole.subarray(0, 9))],
     ["a b.hmk could not be fetched from 127.0.0.1", (_, response) => response.destroy()],
-    ["There is no file a b.hmk on 127.0.0.1", (_, response) => response.writeHead(404).end()],
   ])("is refused with %j", async (sentence, listener) => {
     await expect(fetched(listener)).rejects.toThrow(Problem);
     await expect(fetched(listener)).rejects.toThrow(sentence);
+  });
+
+  it.each([
+    [401, /^127.0.0.1:\d+ does not allow this page to load a b.hmk: status 401. Ask whoever runs that server/],
+    [403, /^127.0.0.1:\d+ does not allow this page to load a b.hmk: status 403. Ask whoever runs that server/],
+    [404, /^There is no file a b.hmk on 127.0.0.1:\d+. Check the address.$/],
+    [410, /^127.0.0.1:\d+ refused a b.hmk with status 410. Check the address.$/],
+    [500, /^127.0.0.1:\d+ failed to send a b.hmk, with status 500. Try again later.$/],
+    [503, /^127.0.0.1:\d+ failed to send a b.hmk, with status 503. Try again later.$/],
+  ])("is told of by what status %i means", async (status, sentence) => {
+    await expect(fetched((_, response) => response.writeHead(status).end())).rejects.toThrow(sentence);
   });
 });
