@@ -240,4 +240,15 @@ describe.runIf(there)("the page in Chromium", () => {
     expect(ends.at(-1)).toBeLessThan(whole.length - 1);
     expect(await status(), "when more of the file has come").toEqual([false, ""]);
   });
+
+  it("keeps the frame of a volume in slices, and that of slices", async () => {
+    await open("volume.hmk");
+    await reached(page, "ready");
+    await setControls(page, { Frame: "2", "Show as": "generic" });
+    await page.getByLabel("Across", { exact: true }).waitFor();
+    expect(await control(page, "time").inputValue()).toBe("2");
+    await setControls(page, { time: "1", "Show as": "volume" });
+    await page.getByLabel("Mode", { exact: true }).waitFor();
+    expect(await control(page, "Frame").inputValue()).toBe("1");
+  });
 });

@@ -5,6 +5,7 @@ import { SAMPLES, valueRange } from "./decode/element";
 import { Decoder } from "./gpu/decoder";
 import { type Gpu, guarded } from "./gpu/device";
 import { asOriginal } from "./original";
+import { carryPlaces, startPlaces } from "./places";
 import { type Problem, asProblem } from "./problem";
 import type { FileKind, Metadata } from "./reader/metadata";
 import type { Reading } from "./reader/read";
@@ -72,7 +73,7 @@ export class App {
     this.metadata = reading.metadata;
     this.decoder = new Decoder(gpu.device, reading.metadata, reading.levels);
     this.state = newState(reading.metadata.axes.length);
-    this.state.position = reading.metadata.axes.map(({ role, size }) => (role === "channel" && size === 2 ? 0 : Math.floor(size / 2)));
+    startPlaces(this.state, reading.metadata.axes);
   }
 
   /** Prepare to show a model whose tables are there; frames have the given size, or the page's. */
@@ -81,7 +82,6 @@ export class App {
   ): Promise<App> {
     return guarded(gpu.device, "preparing the model", async () => {
       const app = new App(gpu, canvas, reading, watcher, size);
-      app.startAxes();
       [app.screen] = await Promise.all([screen, app.showAs(reading.metadata.kind)]);
       return app;
     });
@@ -176,7 +176,7 @@ export class App {
       renderer.destroy();
       return;
     }
-    const another = this.renderer === null || kind !== this.kind;
+    const before = this.renderer === null ? null : this.kind;
     this.kind = this.wanted = kind;
     this.renderer?.destroy();
     this.renderer = renderer;
@@ -185,8 +185,9 @@ export class App {
     this.warm = false;
     this.whole = false;
     this.watcher.onNotes([...notes, ...renderer.notes]);
-    if (another) { // else an original came, and the view stays
+    if (kind !== before) { // else an original came, and the view stays
       this.resetView();
+      carryPlaces(this.state, this.metadata.axes, before ?? kind, kind);
     }
     this.redraw();
   }
@@ -253,17 +254,6 @@ export class App {
     this.renderer?.destroy();
     this.decoder.destroy();
     this.originalDecoder?.destroy();
-  }
-
-  private startAxes(): void {
-    const { axes } = this.metadata;
-    const { slice } = this.state;
-    const size = (n: number): number => axes[n]?.size ?? 1;
-    const space = axes.flatMap((axis, n) => (axis.role === "space" ? [n] : []));
-    const rest = axes.map((_, n) => n).sort((a, b) => size(b) - size(a));
-    const chosen = space.length >= 2 ? space.slice(-2) : [...new Set([...space, ...rest])].slice(0, 2).sort((a, b) => a - b);
-    [slice.y, slice.x] = [chosen[0] ?? 0, chosen[1] ?? chosen[0] ?? 0];
-    slice.colour = axes.some((axis) => axis.role === "channel" && axis.size > 2);
   }
 
   /** White and windows from a sample of the values. */

@@ -1,0 +1,50 @@
+/** Where a model is on its axes: at first, and when it is shown as something else. */
+
+import type { Axis, FileKind } from "./reader/metadata";
+import { findCameras } from "./render/lightfield";
+import { layOut } from "./render/layout";
+import type { State } from "./state";
+
+/** Begin in the middle of all axes, with two of them as a picture. */
+export function startPlaces(state: State, axes: Axis[]): void {
+  const { slice } = state;
+  state.position = axes.map(({ role, size }) => (role === "channel" && size === 2 ? 0 : Math.floor(size / 2)));
+  const size = (n: number): number => axes[n]?.size ?? 1;
+  const space = axes.flatMap((axis, n) => (axis.role === "space" ? [n] : []));
+  const rest = axes.map((_, n) => n).sort((a, b) => size(b) - size(a));
+  const chosen = space.length >= 2 ? space.slice(-2) : [...new Set([...space, ...rest])].slice(0, 2).sort((a, b) => a - b);
+  [slice.y, slice.x] = [chosen[0] ?? 0, chosen[1] ?? chosen[0] ?? 0];
+  slice.colour = axes.some((axis) => axis.role === "channel" && axis.size > 2);
+}
+
+/** Have slices stand at the frame and the camera that were shown, and what they become at those of the slices. */
+export function carryPlaces(state: State, axes: Axis[], from: FileKind, to: FileKind): void {
+  if (from !== "generic" && to === "generic") {
+    for (const [n, index] of standing(state, axes, from)) {
+      state.position[n] = index;
+    }
+  } else if (from === "generic" && to !== "generic") {
+    const { time, views } = layOut(axes, to);
+    if (time !== null && Math.round(state.time) !== state.position[time]) { // else it stays between two frames
+      state.time = state.position[time]!;
+    }
+    if (to === "lightfield") {
+      const { place, index } = findCameras(axes, layOut(axes, to));
+      const camera = index.findIndex((each) => each.every((at, i) => at === state.position[views[i]!]));
+      [state.view.row, state.view.column] = place[camera]!;
+    }
+  }
+}
+
+/** The nearest index on each axis that a kind moves along by something else than `position`. */
+function standing(state: State, axes: Axis[], kind: Exclude<FileKind, "generic">): [axis: number, index: number][] {
+  const layout = layOut(axes, kind);
+  const frame: [number, number][] = layout.time === null ? [] : [[layout.time, Math.round(state.time)]];
+  if (kind !== "lightfield") {
+    return frame;
+  }
+  const { place, index } = findCameras(axes, layout);
+  const distances = place.map(([row, column]) => Math.hypot(row - state.view.row, column - state.view.column));
+  const nearest = index[distances.indexOf(Math.min(...distances))]!;
+  return [...frame, ...layout.views.map((n, i): [number, number] => [n, nearest[i]!])];
+}
