@@ -139,7 +139,7 @@ describe.runIf(there)("viewer in Chromium", () => {
     expect(await keys.isVisible()).toBe(false);
     await settled(page);
     const [download] = await Promise.all([page.waitForEvent("download"), page.keyboard.press("s")]);
-    expect(download.suggestedFilename()).toBe("hmkcta.png");
+    expect(download.suggestedFilename()).toBe("material.png");
     const saved = PNG.sync.read(readFileSync(await download.path()));
     expect([saved.width, saved.height]).toEqual([size, size]);
     expect(new Set(saved.data).size).toBeGreaterThan(20);

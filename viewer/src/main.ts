@@ -13,12 +13,13 @@ import { byId } from "./ui/controls";
 import { listenToDivider, placeDivider } from "./ui/divider";
 import { facts } from "./ui/facts";
 import { isMesh, listenForFiles, meshIn } from "./ui/files";
-import type { Player } from "./ui/groups";
+import type { Services } from "./ui/groups";
 import { listenToMessage, say } from "./ui/message";
 import { Panel } from "./ui/panel";
 import { keepShape } from "./ui/place";
 import { Pointer } from "./ui/pointer";
 import { readout } from "./ui/readout";
+import { savePicture } from "./ui/save";
 import { Status } from "./ui/status";
 
 const DEFAULT_FILE = "model.hmk";
@@ -218,10 +219,11 @@ class Page {
       return;
     }
     this.speak();
-    const player: Player = { playing: false, toggle: () => this.play(player) };
-    const panel = new Panel(app, byId("controls"), player);
+    const { name } = this.source!;
+    const services: Services = { playing: false, play: () => this.play(services), save: () => savePicture(this.canvas, name) };
+    const panel = new Panel(app, byId("controls"), services);
     this.panel = panel;
-    new Pointer(app, this.canvas, player, () => panel.refresh(), (place) => this.read(place), this.session.signal);
+    new Pointer(app, this.canvas, services, () => panel.refresh(), (place) => this.read(place), this.session.signal);
     let drawn = true; // an observer begins with the size that is there
     new ResizeObserver(() => {
       if (!drawn) {
@@ -285,11 +287,11 @@ class Page {
     byId("readout").hidden = text === null;
   }
 
-  private play(player: Player): void {
-    player.playing = !player.playing;
+  private play(services: Services): void {
+    services.playing = !services.playing;
     clearInterval(this.timer);
     const frames = this.app?.metadata.axes.find((axis) => axis.role === "time")?.size ?? 1;
-    if (player.playing && frames > 1) {
+    if (services.playing && frames > 1) {
       this.timer = window.setInterval(() => {
         const { app } = this;
         if (app !== null && !app.decoding) { // a step that is not decoded yet would never be seen

@@ -11,13 +11,15 @@ const KINDS: Record<FileKind, string> = {
   svbrdf: "Material", lightfield: "Light field", volume: "Volume", generic: "Slices",
 };
 
-export interface Player {
+/** What the page around does for the controls. */
+export interface Services {
   playing: boolean;
-  toggle(): void;
+  play(): void; // or stop
+  save(): void;
 }
 
 export abstract class Groups {
-  constructor(protected readonly app: App, protected readonly player: Player) {}
+  constructor(protected readonly app: App, protected readonly services: Services) {}
 
   /** Make all controls anew. */
   abstract build(): void;
@@ -80,7 +82,7 @@ export abstract class Groups {
           this.state.time = value;
         }),
       }),
-      buttons({ label: "Play", pressed: () => this.player.playing, act: () => this.player.toggle() }),
+      buttons({ label: "Play", pressed: () => this.services.playing, act: () => this.services.play() }),
     ], () => (axes[n]?.size ?? 1) > 1);
   }
 
@@ -109,7 +111,7 @@ export abstract class Groups {
           this.app.resetView();
           this.changed();
         },
-      }, { label: "Save picture", act: () => savePicture() }),
+      }, { label: "Save picture", act: () => this.services.save() }),
     ]);
   }
 
@@ -122,16 +124,4 @@ export abstract class Groups {
       make("table", {}, make("tbody", {}, ...rows)));
     return { element: make("section", {}, details), refresh: () => undefined };
   }
-}
-
-/** Save what the canvas shows as a PNG file. */
-export function savePicture(): void {
-  const canvas = document.querySelector("canvas")!;
-  canvas.toBlob((blob) => {
-    if (blob !== null) {
-      const link = make("a", { href: URL.createObjectURL(blob), download: "hmkcta.png" });
-      link.click();
-      setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
-    }
-  });
 }

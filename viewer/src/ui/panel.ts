@@ -6,7 +6,7 @@ import { layOut } from "../render/layout";
 import { colourAxis } from "../render/slices";
 import { type State, VOLUME_MODES, newLight } from "../state";
 import { type Control, buttons, check, choice, colour, group, make, only, plain, slider } from "./controls";
-import { Groups, type Player } from "./groups";
+import { Groups, type Services } from "./groups";
 import { transferEditor } from "./transfer";
 
 const MOST_LIGHTS = 8;
@@ -16,8 +16,8 @@ export class Panel extends Groups {
   private controls: Control[] = [];
   private light = 0;
 
-  constructor(app: App, private readonly element: HTMLElement, player: Player) {
-    super(app, player);
+  constructor(app: App, private readonly element: HTMLElement, services: Services) {
+    super(app, services);
     this.build();
   }
 

@@ -4,7 +4,7 @@ import type { App } from "../app";
 import { findCameras } from "../render/lightfield";
 import { layOut } from "../render/layout";
 import { fitted, sliceSize } from "../render/slices";
-import { type Player, savePicture } from "./groups";
+import type { Services } from "./groups";
 import { pictureBox, placeIn } from "./place";
 
 const TURN = 0.4; // degrees a pixel
@@ -18,7 +18,7 @@ export class Pointer {
   private readonly fingers = new Map<number, PointerEvent>();
 
   constructor(
-    private readonly app: App, private readonly canvas: HTMLCanvasElement, private readonly player: Player,
+    private readonly app: App, private readonly canvas: HTMLCanvasElement, private readonly services: Services,
     private readonly refresh: () => void, private readonly hover: (place: [number, number] | null) => void,
     signal: AbortSignal,
   ) {
@@ -163,8 +163,8 @@ export class Pointer {
     const reset = set(() => app.resetView());
     return {
       "+": () => this.zoom(1.2), "=": () => this.zoom(1.2), "-": () => this.zoom(1 / 1.2), "[": level(-1), "]": level(1),
-      ",": frame(-1), ".": frame(1), " ": () => this.player.toggle(), c: compare, C: compare, e: exposure(0.5),
-      E: exposure(-0.5), r: reset, R: reset, s: savePicture, S: savePicture,
+      ",": frame(-1), ".": frame(1), " ": () => this.services.play(), c: compare, C: compare, e: exposure(0.5),
+      E: exposure(-0.5), r: reset, R: reset, s: () => this.services.save(), S: () => this.services.save(),
       "?": () => {
         const keys = document.getElementById("keys");
         if (keys?.toggleAttribute("open") === true) {
