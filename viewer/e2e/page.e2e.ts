@@ -193,6 +193,27 @@ describe.runIf(there)("the page in Chromium", () => {
     expect([await told.isVisible(), await page.title()]).toEqual([false, "good.hmk: hmkcta"]);
   });
 
+  it("shows the last of two files that are dropped, whatever becomes of the first", async () => {
+    await open("stack.hmk");
+    await reached(page, "ready");
+    await page.evaluate(() => {
+      const read = Blob.prototype.arrayBuffer;
+      Blob.prototype.arrayBuffer = async function slow(this: Blob) {
+        Blob.prototype.arrayBuffer = read; // of the first file only
+        await new Promise((resolve) => setTimeout(resolve, 1500));
+        return read.call(this);
+      };
+    });
+    await dropFile(page, "picture.png", Buffer.from("89504e470d0a1a0a0000000d49484452", "hex"));
+    expect(await page.evaluate(() => document.documentElement.dataset["state"])).toBe("loading");
+    await dropFile(page, "good.hmk", readFileSync(join(folder, "volume.hmk")));
+    await reached(page, "ready");
+    await page.waitForTimeout(1800);
+    expect(await page.getByRole("alert").isVisible()).toBe(false);
+    expect(await page.title()).toBe("good.hmk: hmkcta");
+    expect(await page.evaluate(() => document.documentElement.dataset["state"])).toBe("ready");
+  });
+
   it("has nothing beside a file that cannot be shown where none was", async () => {
     await open("stack.hmk");
     await reached(page, "ready");
