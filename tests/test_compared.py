@@ -71,7 +71,7 @@ def test_what_takes_more_bytes_than_another_plan_is_not_fitted() -> None:
     assert own[1].nbytes < others[0][1].nbytes < 2.4 * own[1].nbytes
     assert others[1][1].snr < 40
     told.clear()
-    assert not list(further(task, [plan, large], own[1]))
+    assert not list(further(task, [plan, large], own))
     assert "level 1" not in {stage.partition(OF_PLAN)[0] for stage in told}
     assert [of.plan for of, _ in further(task, [plan, large])] == [plan, large]
 

@@ -124,11 +124,11 @@ def _begun(task: Task) -> tuple[Hierarchy, Goal]:
     def snr_now(tree: Hierarchy) -> float:
         return _snr(task, tree, energy)
 
-    told = task.plan.snr is not None and task.source.value_transform.name == "identity"
-    untold = UNTOLD * noise_at(task.plan.snr or 0.0, energy) if told else 0.0
-    # What ranks promise is the SNR of transformed values, which says little of that of the values.
-    most = task.most if source.value_transform.name == "identity" else inf
-    return tree, Goal(task.plan.size, task.plan.snr, energy, file_bytes, snr_now, task.memory, untold, most)
+    snr = task.plan.snr
+    plain = source.value_transform.name == "identity"  # else the SNR that ranks promise says little of the values'
+    untold = UNTOLD * noise_at(snr, energy) if plain and snr is not None else 0.0
+    most = task.most if plain else inf
+    return tree, Goal(task.plan.size, snr, energy, file_bytes, snr_now, task.memory, untold, most)
 
 
 def _descend(task: Task, tree: Hierarchy, above: LevelSpec, below: LevelSpec) -> None:

@@ -20,10 +20,10 @@ def fitted_with(task: Task, plans: Iterable[Plan], far: float) -> list[Followed]
     plans = _suiting(task, plans)
     task.compared.expect(1 + len(plans))
     own = _fitted(task)
-    return [own, *_each(task, plans, own[1], far)]
+    return [own, *_each(task, plans, own, far)]
 
 
-def further(task: Task, plans: Iterable[Plan], best: Model | None = None) -> Iterator[Followed]:
+def further(task: Task, plans: Iterable[Plan], best: Followed | None = None) -> Iterator[Followed]:
     """Models of further plans, except those that cannot be followed: there is a model already.
 
     The least file of such a plan is larger than the goal, or memory does not do; it is of another organisation than
@@ -45,19 +45,17 @@ def _fitted(task: Task) -> Followed:
     return task, follow(replace(task, run=replace(task.run, progress=told)))
 
 
-def _each(task: Task, plans: Iterable[Plan], best: Model | None, far: float = 1.0) -> Iterator[Followed]:
-    """Models of the plans that can be followed, and are not `far` behind the best."""
-    most = inf
+def _each(task: Task, plans: Iterable[Plan], best: Followed | None, far: float = 1.0) -> Iterator[Followed]:
+    """Models of the plans that can be followed, and do not take `far` more times the bytes of the best by then."""
     for plan in plans:
-        if best is not None and best.snr >= (task.plan.snr or inf):
-            most = min(most, far * best.nbytes)
+        most = inf if best is None or best[1].snr < (task.plan.snr or inf) else far * best[1].nbytes
         try:
             found = _fitted(replace(task, plan=plan, most=most))
         except HmkctaError as error:
             if error.reason not in ("size-too-small", "memory"):
                 raise
             continue
-        best = None if best is None else found[1]
+        best = None if best is None else best_of([best, found])
         yield found
 
 

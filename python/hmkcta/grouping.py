@@ -8,13 +8,14 @@ from numpy.typing import NDArray
 Rows = NDArray[np.intp]
 
 
-def rows_of_parts(part: NDArray[np.integer], count: int) -> list[Rows]:
-    """For each of so many parts the rows that belong to it, ascending.
+def rows_of_parts(part: NDArray[np.integer], count: int = 0) -> list[Rows]:
+    """For each of so many parts, or of all up to the last that occurs, the rows that belong to it, ascending.
 
     >>> [rows.tolist() for rows in rows_of_parts(np.array([1, 0, 1, 3]), 4)]
     [[1], [0, 2], [], [3]]
     """
-    return np.split(sorted_by(part, count), np.cumsum(np.bincount(part, minlength=count)[: count - 1]))
+    sizes = np.bincount(part, minlength=count)
+    return np.split(sorted_by(part, len(sizes)), np.cumsum(sizes)[:-1])
 
 
 def sorted_by(part: NDArray[np.integer], count: int) -> Rows:

@@ -48,7 +48,7 @@ def places_of(part: NDArray[np.intp]) -> NDArray[np.intp]:
     [0, 0, 1, 2]
     """
     place = np.empty(len(part), np.intp)
-    for rows in rows_of_parts(part, int(part.max(initial=0)) + 1):
+    for rows in rows_of_parts(part):
         place[rows] = np.arange(len(rows))
     return place
 
@@ -61,7 +61,7 @@ def split(
         yield done, tensor, rows
         return
     labels = parts[n][rows[n]]
-    for c, at in enumerate(rows_of_parts(labels, int(labels.max(initial=0)) + 1)):
+    for c, at in enumerate(rows_of_parts(labels)):
         if len(at):
             chosen = (*rows[:n], rows[n][at], *rows[n + 1 :])
             sub = tensor if len(at) == len(labels) else tensor.take(at, axis=n)

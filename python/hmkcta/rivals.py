@@ -77,13 +77,13 @@ def _compared(given: Task, followed: list[Followed], others: Sequence[Plan]) -> 
     """The best of what was followed and of plans that only fits tell from it; and all that was followed before that."""
     own = task, model = best_of(followed)
     if _is_worth(task):
-        followed = [*followed, *further(task, _near(followed), model)]
+        followed = [*followed, *further(task, _near(followed), own)]
         return _in_other_ways(given, own, followed, others), followed
     if not _is_held(task):
         return own, followed
     near = (plan for plan in narrower(task.plan, model.snr) if may_be(task, plan))
     two = below_rounding(given, []) if task.plan.snr is None and model.snr > NEARLY else ()
-    return best_of([own, *further(task, near, model), *further(given, two, model)]), followed
+    return best_of([own, *further(task, near, own), *further(given, two, own)]), followed
 
 
 def _in_other_ways(given: Task, own: Followed, followed: Sequence[Followed], others: Sequence[Plan]) -> Followed:
@@ -91,10 +91,11 @@ def _in_other_ways(given: Task, own: Followed, followed: Sequence[Followed], oth
     from there and from the best of the trial's `own` on."""
     task, model = best_of(followed)
     if task.plan.levels[-1].bits == max(BITS) and model.snr > (task.plan.snr or model.snr) + BEYOND:
-        most, two = LESS * model.nbytes, further(task, below_bytes(task, followed), model)
+        most, two = LESS * model.nbytes, further(task, below_bytes(task, followed), (task, model))
         task, model = best_of([(task, model), *(each for each in two if each[1].nbytes < most)])
     if (task.plan.snr or model.snr) > NEARLY:
-        task, model = best_of([(task, model), *further(given, dict.fromkeys(below_rounding(given, others)), model)])
+        plans = dict.fromkeys(below_rounding(given, others))
+        task, model = best_of([(task, model), *further(given, plans, (task, model))])
     behind = model is own[1] or _is_behind(own[1], model, task.plan.snr, BEHIND)
     starts = [(task, model)] if behind else [own, (task, model)]
     first, *finer_steps = STEPS if prod(task.source.shape) <= IN_ALL_STEPS else STEPS[-1:]
@@ -177,18 +178,19 @@ def _nearer(task: Task, model: Model, others: Sequence[Plan]) -> Followed:
     plans = [*([] if own is None else [own]), *parted(task.plan, task.source.axes)]
     next_best = others[:1] if task.plan.snr is not None else ()
     plans += [plan for plan in next_best if not is_verbatim(plan) or model.nbytes > _verbatim_bytes(task, plan)]
-    return best_of([_filled(task, model), *further(task, plans, model)])
+    return best_of([_filled(task, model), *further(task, plans, (task, model))])
 
 
 def _filled(task: Task, model: Model) -> Followed:
     """With as many more blocks as a size has room for, where a rank more of all takes too much."""
     found, size = (task, model), task.plan.size or 0
     for _ in range(FILLS):
-        plan = more_blocks(found[0].plan, task.source.axes, size / found[1].nbytes)
-        if plan is None or not is_far_beyond(plan, found[1].snr, found[1].nbytes):
+        task, model = found
+        plan = more_blocks(task.plan, task.source.axes, size / model.nbytes)
+        if plan is None or not is_far_beyond(task.plan, model.snr, model.nbytes):
             break
-        before, found = found, best_of([found, *further(task, [plan])])
-        if found is before:
+        found = best_of([found, *further(task, [plan])])
+        if found[1] is model:
             break
     return found
 
@@ -203,7 +205,7 @@ def _with_other_clusters(task: Task, model: Model, steps: Sequence[float], tried
             before, near = found, (with_clusters_times(found[0].plan, factor) for factor in (step, 1 / step))
             plans = [plan for plan in near if plan is not None and plan not in tried and _fits(task, plan, found[1])]
             tried.update(plans)
-            found = best_of([found, *further(task, plans, found[1])])
+            found = best_of([found, *further(task, plans, found)])
     return found
 
 

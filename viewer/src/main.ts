@@ -44,7 +44,6 @@ class Page {
   private source: ByteSource | null = null;
   private state = ""; // what has become of it
   private trial: ByteSource | null = null; // another file, which is looked at before it takes its place
-  private broken = false; // levels of it are missing that could not be read
   private notes = ""; // on how the model is shown
   private readonly status = new Status(() => this.gpu?.name ?? "");
   private readonly canvas = byId<HTMLCanvasElement>("canvas");
@@ -118,14 +117,14 @@ class Page {
       const source = await openUrl(fileUrl(address, location.href));
       await app.setOriginal(await load(source, { onTables: () => undefined, onLevel: () => undefined }));
     } catch (error) {
-      if (!signal.aborted && (!this.broken || byId("message").hidden)) { // what is said of the model matters more
+      if (!signal.aborted && (this.state !== "failed" || byId("message").hidden)) { // what is said of the model matters more
         this.tell(originalProblem(error));
       }
     }
     if (!signal.aborted && !app.closed) {
       byId("loading").textContent = this.notes;
       this.panel?.build();
-      if (!this.broken) { // else it stays failed
+      if (this.state !== "failed") { // else levels are missing that could not be read
         this.mark("ready");
       }
     }
@@ -177,7 +176,6 @@ class Page {
       throw error;
     }
     source.onBytes = () => undefined; // what else arrives is not shown
-    this.broken = true;
     const [{ sentence, detail, next }, { arrived, metadata }] = [asProblem(error), this.app!];
     this.fail(new Problem(sentence, detail,
       `${next} The first ${arrived} of ${metadata.levels.length} levels are whole, and are shown.`));
@@ -252,7 +250,6 @@ class Page {
     this.app = null;
     this.panel = null;
     this.trial = null;
-    this.broken = false;
     clearInterval(this.timer);
     for (const id of ["message", "welcome", "readout", "divider"]) {
       byId(id).hidden = true;

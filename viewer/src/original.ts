@@ -1,6 +1,6 @@
 /** What a model is compared with: any file of its shape, whose axes are then the model's. */
 
-import { Problem, asProblem } from "./problem";
+import { Problem, asProblem, refusal } from "./problem";
 import type { Axis, Metadata } from "./reader/metadata";
 
 /**
@@ -20,7 +20,7 @@ export function asOriginal(original: Metadata, axes: Axis[]): Metadata {
 
 /** What to say of an original that failed; the model is there all the same. */
 export function originalProblem(error: unknown): Problem {
-  const { sentence, detail, next } = asProblem(error);
-  return new Problem(sentence.startsWith("The original") ? sentence : `The original cannot be shown. ${sentence}`, detail,
-    `${next} The model is shown without it.`.trimStart());
+  const problem = asProblem(error);
+  const { sentence, detail, next } = problem.sentence.startsWith("The original") ? problem : refusal("The original", problem);
+  return new Problem(sentence, detail, `${next} The model is shown without it.`.trimStart());
 }

@@ -36,7 +36,7 @@ function headline(error: HmkError): string {
   return other ? `${NO_HMK}, or its header is damaged.` : leads[reason] ?? `${LEADS[kind]} ${sentence}`;
 }
 
-/** What to say of a file that does not take the place of the model that is shown. */
+/** What to say of a file that is not shown beside the model, or in its place. */
 export function refusal(name: string, error: unknown): Problem {
   const { sentence, detail, next } = asProblem(error);
   return new Problem(`${name} cannot be shown. ${sentence}`, detail, next);

@@ -22,7 +22,7 @@ from ..slabs import thinning
 from ..subspaces import subspace_clusters
 from .blocks import organised
 from .candidates import Candidate
-from .judging import Search, worth_of
+from .judging import Ranked, Search, worth_of
 from .trial import OUT_OF_REACH, Trial
 
 F32 = NDArray[np.float32]
@@ -58,7 +58,8 @@ def with_clusters(search: Search, found: tuple[float, Candidate]) -> tuple[float
             same = map(worth_of, ranked) if size == search.goal.size else ()
             worth[modes] = max([worth.get(modes, 0.0), *same])
     best = sorted((modes for modes in worth if worth[modes] > found[0] - SURPASSED), key=lambda modes: -worth[modes])
-    judged, likely = list[tuple[float, Candidate]](), _likely(search, list(worth), found[0] - LACKING)
+    judged: Ranked = []
+    likely = _likely(search, list(worth), found[0] - LACKING)
     for modes in dict.fromkeys([*best[: search.clustered], *likely]):
         for item in clustered(search.goal, modes, threads=search.threads):
             judged.append(item)
@@ -151,7 +152,8 @@ def _judged(
                   else balanced_clusters(features, count, LIKELIEST[1], rng))  # fmt: skip
         return _left(rows, labels, limit, trial.seed)
 
-    dimensions = list(dict.fromkeys((0, 1) if few else (0, 1, *some_dimensions(rows.shape[1]))))
+    more = () if few else some_dimensions(rows.shape[1])
+    dimensions = list(dict.fromkeys((0, 1, *more)))
     reached = np.minimum.reduce(list(in_order(left_by, dimensions, threads)))
     left = np.concatenate([[energy], reached[choices.entry]])
     kept = pareto(choices.nbytes, left)

@@ -87,9 +87,8 @@ def render_command(file: str, output: str, scene: str | None, against: str | Non
         count = _save_still(output, renderer, described, overwrite)
     size = film_size(output, described.width, described.height)
     idle = idle_options(given, renderer.kind, model.metadata.axes, described.volume.mode)
-    heat = renderer.gain if described.compare.mode == "heat" else None
     notes = [*renderer.notes, *_resized(described, size),
-             *([] if heat is None else [f"errors are shown {heat:g} times as large as they are"]),
+             *([] if renderer.gain is None else [f"errors are shown {renderer.gain:g} times as large as they are"]),
              *([f"for a {renderer.kind} these do nothing: {', '.join(idle)}"] if idle else [])]
     _report(output, renderer, size, count, time.monotonic() - started, notes, as_json, quiet)
 

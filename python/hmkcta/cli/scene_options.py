@@ -96,9 +96,10 @@ _LIGHTS = together(
 )
 
 
-#: The kinds that look at some parts of a scene; all look at the others.
+#: The kinds that look at some fields of a scene, or at the other fields of some parts; all look at the rest.
 _LOOKED_AT: Mapping[str, Sequence[str]] = {
     "camera": ["svbrdf", "volume"], "surface": ["svbrdf"], "viewpoint": ["lightfield"], "volume": ["volume"],
+    "volume.window": ["volume", "generic"],
 }
 #: What moves along an axis of a role, in place of `--at`.
 _MOVERS: Mapping[str, Mapping[str, str]] = {
@@ -125,18 +126,13 @@ def idle_options(given: Mapping[str, Any], kind: str, axes: Sequence[Axis], mode
     ['--at x=2 (all of x is shown)']
     """
     fields = ((option, field) for option, field, _ in _OPTIONS if given.get(_parameter(field)) is not None)
-    idle = [option for option, field in fields if not _looks_at(kind, field)]
+    idle = [option for option, field in fields
+            if kind not in _LOOKED_AT.get(field, _LOOKED_AT.get(field.partition(".")[0], (kind,)))]
     if kind == "volume" and mode != "iso" and given.get("volume__iso") is not None:
         idle.append(f"--iso (the mode is {mode}: --mode iso shows it)")
     if given.get("time") is not None:
         idle += _idle_time(kind, axes)
     return idle + _idle_places(given.get("places") or (), kind, axes)
-
-
-def _looks_at(kind: str, field: str) -> bool:
-    """Whether a field of a scene changes what is shown as this kind."""
-    part, _, name = field.partition(".")
-    return kind in _LOOKED_AT.get(part, (kind,)) or (kind, name) == ("generic", "window")
 
 
 def _idle_time(kind: str, axes: Sequence[Axis]) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import isclose
 from typing import Any
 
@@ -49,14 +50,14 @@ def verify_command(file: str, against: str | None, nan: float | None, as_json: b
     del verbose
     model = open_model(file)
     report: dict[str, Any] = {"file": file, "digests": "ok", "structure": "ok"}
-    measured = transformed = tuple[LevelQuality, ...]()
+    measured = tuple[LevelQuality, ...]()
     array = opened("--against", against, source, quiet or as_json)
     if array is not None:
         with Progress(quiet or as_json) as progress:
             measured, transformed = measure_both(model, array, nan=nan, progress=progress)
         report["levels"] = _report(model, measured, transformed)
     if not as_json and not quiet:
-        _show(file, model, measured, transformed)
+        _show(file, model, report.get("levels", []))
     for number, (said, found) in enumerate(zip(model.quality, measured, strict=False), start=1):
         _compare(file, number, said, found)
     if as_json:
@@ -73,17 +74,14 @@ def _report(
             for number, (said, found, inner) in enumerate(zip(model.quality, measured, transformed, strict=True), 1)]
 
 
-def _show(
-    file: str, model: Model, measured: tuple[LevelQuality, ...], transformed: tuple[LevelQuality, ...]
-) -> None:
+def _show(file: str, model: Model, levels: Sequence[dict[str, Any]]) -> None:
     click.echo(f"{file}: digests, indices and numbers are as they should be.")
-    if not measured:
+    if not levels:
         return
-    name = model.metadata.transform["name"]
-    domain = [] if name == "identity" else [name]
-    rows = [[str(number), decibels(found.snr_db), decibels(said.snr_db), *(decibels(inner.snr_db) for _ in domain),
-             f"{found.rmse:.4g}", f"{found.max_abs_error:.4g}"]
-            for number, (said, found, inner) in enumerate(zip(model.quality, measured, transformed, strict=True), 1)]
+    domain = [model.metadata.transform["name"]] if any(level["transformed_snr_db"] for level in levels) else []
+    rows = [[str(level["level"]), decibels(level["snr_db"]), decibels(level["snr_db_in_file"]),
+             *(decibels(level["transformed_snr_db"]) for _ in domain), f"{level['rmse']:.4g}",
+             f"{level['max_abs_error']:.4g}"] for level in levels]
     header = ["level", "SNR dB", "in the file", *(f"SNR of {name}" for name in domain), "RMSE", "max error"]
     click.echo(table(header, rows))
 

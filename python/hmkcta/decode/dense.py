@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ..grouping import sorted_by
+from ..grouping import rows_of_parts, sorted_by
 from ..packed import PackedLevel
 from .cells import add_clustered_node, add_outer, tiles
 from .scattered import BATCH, NO_TABLE, Index, Real, count, level_values, undecomposed_modes
@@ -111,8 +111,7 @@ def _by_cost(
     if len(candidates):
         kinds = np.concatenate([shape[candidates, 2], lengths[candidates]], axis=1)
         _, inverse = np.unique(kinds, axis=0, return_inverse=True)
-        by_kind = np.argsort(inverse.reshape(-1), kind="stable")
-        for group in np.split(candidates[by_kind], np.cumsum(np.bincount(inverse.reshape(-1)))[:-1]):
+        for group in (candidates[at] for at in rows_of_parts(inverse.reshape(-1))):
             (plain if scattered[group].sum() > _PLAIN_NS else small).append(group)
     batches = [alive[part] for group in plain for part in _batches(group, elements)]
     return batches, alive[np.flatnonzero(large)].tolist(), alive[np.sort(np.concatenate(small))]

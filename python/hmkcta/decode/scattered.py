@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..grouping import rows_of_parts
 from ..packed import PackedLevel
 
 Index = NDArray[np.intp]
@@ -111,8 +112,7 @@ def _same_contraction(level: PackedLevel, node: Index) -> Iterator[tuple[Contrac
     else:
         kinds, inverse = np.unique(shapes, axis=0, return_inverse=True)
         kind = np.repeat(inverse.reshape(-1), np.diff(first, append=len(node)))
-    members = np.split(np.argsort(kind, kind="stable"), np.cumsum(np.bincount(kind, minlength=len(kinds)))[:-1])
-    for row, group in zip(kinds.tolist(), members, strict=True):
+    for row, group in zip(kinds.tolist(), rows_of_parts(kind, len(kinds)), strict=True):
         if any(row) and len(group):
             yield (tuple(row[:order]), tuple(row[order:])), group
 

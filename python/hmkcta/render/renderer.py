@@ -70,7 +70,7 @@ class Renderer:
         kind: of `hmkcta.render.scene.KINDS`.
         backend: ``gpu`` or ``numpy``, what is used; ``numpy`` also once software stood in for a GPU and would not have
             finished a picture (`hmkcta.render.software`).
-        gain: how many times as large as they are errors were shown last, None before any were compared.
+        gain: how many times as large as they are errors were shown last, None before any were.
         adapter: the name of the adapter, empty for NumPy.
 
     Raises:
@@ -108,13 +108,12 @@ class Renderer:
         """
         display = self.display(scene)
         one = self.radiance(scene)
-        two = one
-        if display.mode != "none":
-            two = self._compared(scene)
+        two = one if display.mode == "none" else self._compared(scene)
+        if display.mode == "heat":
             if scene.compare.gain is None:
                 display = replace(display, gain=heat_gain(one, two, display.exposure))
             self.gain = display.gain
-        if display.mode == "heat":  # what is no number in the original is as wrong as can be
+            # What is no number in the original is as wrong as can be.
             two = np.nan_to_num(two, nan=_FAR, posinf=_FAR, neginf=-_FAR)
         if self._device is None:
             return show(one, two, display)
@@ -148,9 +147,9 @@ class Renderer:
 
     def display(self, scene: Scene) -> Display:
         """How a scene's radiance is shown; white is taken from all levels, so that levels compare."""
-        if self.kind != "generic":
-            return display_of(scene.tone, scene.compare, self.kind, self._white)
-        black, white = scene.volume.window or (min(0.0, self._range[0]), self._range[1])
+        black, white = 0.0, self._range[1]
+        if self.kind == "generic":
+            black, white = scene.volume.window or (min(black, self._range[0]), white)
         return display_of(scene.tone, scene.compare, self.kind, white, black)
 
     def _compared(self, scene: Scene) -> F32:
@@ -165,10 +164,6 @@ class Renderer:
     @cached_property
     def _range(self) -> tuple[float, float]:
         return value_range(self._model, self._model.shape)
-
-    @property
-    def _white(self) -> float:
-        return self._range[1] if self._range[1] > 0 else 1.0
 
     def _radiance(self, scene: Scene, level: int) -> F32:
         if not 1 <= level <= len(self._model.levels):
