@@ -40,11 +40,18 @@ def rows(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_scratch_space_is_that_of_the_tensor_where_it_is_subdivided() -> None:
-    sizes = (174, 58, 400, 380)
-    for text, scratch in [("R=4", 0), ("R=2 C=2", 0), ("R=4 / R=2 C=2 / R=1", 4 * int(np.prod(sizes)))]:
-        cost = forecast(parse_plan(text, MODES), sizes, EFFORTS["fast"], 2, 1_400_000_000)
-        assert cost.scratch == scratch
+@pytest.mark.parametrize(("text", "copies"), [
+    ("R=4", (0, 0, 0)), ("R=2 C=2 K=2", (0, 0, 0)), ("R=2 grid=axis2:2,axis3:2", (1, 1, 1)),
+    ("R=4 / R=2 C=2 / R=1", (0, 1, 1)), ("R=4 C=3 / R=2 C=2 / R=1", (1, 1, 1)), ("R=2 C=2 / R<=4", (2, 2, 2)),
+])  # fmt: skip
+def test_scratch_space_is_for_pieces_that_are_read_again(text: str, copies: tuple[int, int, int]) -> None:
+    """Or that cannot be collected from a source that the system does not keep in its cache."""
+    sizes, plan = (174, 58, 400, 380), replace(parse_plan(text, MODES), size=10**6 if "<=" in text else None)
+    found = [
+        forecast(plan, sizes, EFFORTS[quality], 2, 1_400_000_000, stored=stored).scratch
+        for quality, stored in [("fast", 1 << 20), ("medium", 1 << 20), ("fast", 1 << 50)]
+    ]
+    assert found == [4 * int(np.prod(sizes)) * count for count in copies]
 
 
 def test_a_plan_costs_more_time_the_more_it_does() -> None:

@@ -89,11 +89,11 @@ def test_memory_of_other_plans_is_what_was_said(
     modes = source.organisation(organisation)
     parsed = replace(parse_plan(plan, modes), **goal)  # pyright: ignore[reportArgumentType] (size is whole)
     said = forecast(parsed, mode_sizes(source.axes, modes), EFFORTS["fast"], 2, memory).memory
-    took = taken("compress", waves, plan=plan, quality="fast", scheme="most", organisation=organisation,
-                 max_memory=memory, **goal)
-    assert took["snr"] > 11
-    assert took["peak"] < memory
-    assert said / 1.25 < took["peak"] < 1.25 * said
+    runs = [taken("compress", waves, plan=plan, quality="fast", scheme="most", organisation=organisation,
+                  max_memory=memory, **goal) for _ in range(3)]  # fmt: skip
+    assert min(took["snr"] for took in runs) > 11
+    assert max(took["peak"] for took in runs) < memory
+    assert said / 1.25 < median(took["peak"] for took in runs) < 1.25 * said
 
 
 @pytest.mark.parametrize(
@@ -299,7 +299,7 @@ def test_a_look_at_a_mapped_file_keeps_little_of_it(waves: Path, turn: str, step
 def test_what_is_read_piece_by_piece_is_what_is_there(
     turn: tuple[int, ...], most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hmkcta.memory._LOOKED_AT", most)
+    monkeypatch.setattr("hmkcta.memory.LOOKED_AT", most)
     np.save(tmp_path / "a.npy", np.random.default_rng(0).random((40, 50, 300)))
     array = np.load(tmp_path / "a.npy", mmap_mode="r").transpose(turn)
     parts = [(), (slice(3, 30),), (slice(None, None, 7), slice(2, None, 3)), (slice(None), slice(0, 1)), (slice(9, 9),)]

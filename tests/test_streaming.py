@@ -12,19 +12,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from hmkcta import backends as kernels
-from hmkcta import compress, predict, workset
+from hmkcta import compress, predict, streamed, workset
 from hmkcta.errors import HmkctaError
 from hmkcta.fit import EFFORTS
 from hmkcta.forecast import forecast
 from hmkcta.hierarchy import Run, backfit, descend, fit_nodes, whole
 from hmkcta.measure import measure
 from hmkcta.metrics import squared_norm
-from hmkcta.pieces import Piece, put
 from hmkcta.plan import LevelSpec, parse_plan
 from hmkcta.projection import project_one
 from hmkcta.readers import open_array
@@ -42,6 +39,20 @@ F32 = NDArray[np.float32]
 pytestmark = pytest.mark.usefixtures("small_slabs")
 
 
+def set_cached(monkeypatch: pytest.MonkeyPatch, *, cached: bool) -> None:
+    """Whether the source is taken to stay in the system's cache."""
+    most = 1 << 62 if cached else -1
+    monkeypatch.setattr(streamed, "stays_cached", most.__ge__)
+
+
+@pytest.fixture(params=["collected", "reordered"])
+def pieces(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Pieces come from the source one by one where that stays in the system's cache, or are written in one pass."""
+    set_cached(monkeypatch, cached=request.param == "collected")
+    return request.param
+
+
+@pytest.mark.usefixtures("pieces")
 def test_streaming_is_as_good_as_memory(cloth: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """The levels of the whole tensor are fitted otherwise, so bytes differ; nothing may be lost."""
     inside = fitted(cloth, monkeypatch, cloth.values.size)
@@ -50,6 +61,7 @@ def test_streaming_is_as_good_as_memory(cloth: Any, monkeypatch: pytest.MonkeyPa
     assert outside.nbytes < 1.01 * inside.nbytes
 
 
+@pytest.mark.usefixtures("pieces")
 @pytest.mark.parametrize("share", [3, 40])
 def test_threads_change_nothing(cloth: Any, monkeypatch: pytest.MonkeyPatch, share: int, tmp_path: Path) -> None:
     """Also where pieces themselves are too large for memory (a fortieth is less than the largest of 36)."""
@@ -61,10 +73,15 @@ def test_threads_change_nothing(cloth: Any, monkeypatch: pytest.MonkeyPatch, sha
     assert files[0] == files[1]
 
 
+@pytest.mark.usefixtures("pieces")
+@pytest.mark.parametrize("plan", [WH4_LIKE, "R=2 C=2 K=2 / R=2 C=2 K=1 / R=1 C=1,1,2,2"])
+@pytest.mark.parametrize("quality", ["fast", "medium"])
 @pytest.mark.parametrize("transform", ["identity", "log1p"])
-def test_what_is_stated_is_what_is_stored(cloth: Any, monkeypatch: pytest.MonkeyPatch, transform: str) -> None:
-    """The streamed measurement against the one that decodes."""
-    model = fitted(cloth, monkeypatch, cloth.values.size // 3, transform=transform, quality="medium")
+def test_what_is_stated_is_what_is_stored(
+    cloth: Any, monkeypatch: pytest.MonkeyPatch, transform: str, quality: str, plan: str
+) -> None:
+    """What levels were seen to leave, and the streamed measurement after back-fitting, against the one that decodes."""
+    model = fitted(cloth, monkeypatch, cloth.values.size // 3, plan=plan, transform=transform, quality=quality)
     decoded = measure(model, cloth.values)
     for stated, found in zip(model.quality, decoded, strict=True):
         assert stated.snr_db == pytest.approx(found.snr_db, abs=1e-3)
@@ -72,6 +89,31 @@ def test_what_is_stated_is_what_is_stored(cloth: Any, monkeypatch: pytest.Monkey
         assert stated.max_abs_error == pytest.approx(found.max_abs_error, rel=1e-3)
 
 
+@pytest.mark.parametrize("plan", [WH4_LIKE, "R=2 C=2 K=1 / R=2 C=2 K=2 / R=1 C=1,1,2,2"])
+@pytest.mark.parametrize("quality", ["fast", "medium"])
+def test_pieces_are_written_only_if_somebody_reads_them(
+    cloth: Any, monkeypatch: pytest.MonkeyPatch, pieces: str, quality: str, plan: str
+) -> None:
+    """A last level without back-fitting collects its pieces and is done with them; nobody measures it again."""
+    made, stages = list[int](), set[str]()
+
+    class Counted(Scratch):
+        def __init__(self, count: int) -> None:
+            super().__init__(count)
+            made.append(count)
+
+    def note(stage: str, _fraction: float) -> None:
+        stages.add(stage)
+
+    monkeypatch.setattr(streamed, "Scratch", Counted)
+    fitted(cloth, monkeypatch, cloth.values.size // 3, plan=plan, quality=quality, progress=note)
+    read_again = quality == "medium" or plan != WH4_LIKE
+    assert made == ([cloth.values.size] if pieces == "reordered" or read_again else [])
+    assert ("reordering" in stages) == (pieces == "reordered")
+    assert ("measuring" in stages) == (quality == "medium")
+
+
+@pytest.mark.usefixtures("pieces")
 def test_back_fitting_lowers_the_error(cloth: Any) -> None:
     source = prepare(cloth.values, cloth.axes, "identity", None)
     plan = parse_plan(WH4_LIKE, source.organisation(MODES))
@@ -79,7 +121,7 @@ def test_back_fitting_lowers_the_error(cloth: Any) -> None:
     tree = whole(Streamed(source, plan.organisation, 2, cloth.values.size // 3))
     for number, spec in enumerate(plan.levels):
         if number:
-            descend(tree, "most", run)
+            descend(tree, "most", run, once=True)
         fit_nodes(tree, [spec] * len(tree.levels[-1]), run)
     errors = [tree.error]
     for _ in range(3):
@@ -101,6 +143,7 @@ def test_back_fitting_lowers_the_error(cloth: Any) -> None:
 @pytest.mark.parametrize(
     ("plan", "size"), [("R<=8,8,10,10", 13_000), ("R=3,3,4,4 / R=1 C=1,1,2,2 / R<=8,8,10,10", 30_000)]
 )
+@pytest.mark.usefixtures("pieces")
 def test_goals_are_met_by_streamed_fits(cloth: Any, monkeypatch: pytest.MonkeyPatch, plan: str, size: int) -> None:
     """By ranks of the whole tensor's own, and by those of pieces."""
     model = fitted(cloth, monkeypatch, cloth.values.size // 3, plan=plan, snr=14.5)
@@ -265,6 +308,7 @@ def test_a_part_of_cells_is_the_part_of_their_tensor() -> None:
         np.testing.assert_allclose(part, tensor[np.ix_(*rows)], rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.usefixtures("pieces")
 def test_projections_are_summed_over_slabs_and_pieces(source: Source) -> None:
     organisation = source.organisation(MODES)
     tensor = source.tensor(organisation)
@@ -281,9 +325,13 @@ def test_projections_are_summed_over_slabs_and_pieces(source: Source) -> None:
         b = right_sides(cells, expected[n], n)
         np.testing.assert_allclose(sides(residual, 1, cells, n, [1] * 4), b, rtol=1e-4, atol=1e-4 * np.abs(b).max())
     parts: list[NDArray[np.intp]] = [np.arange(size) % 2 for size in tensor.shape]
-    pieces = residual.cut(parts, (2, 2, 2, 2))
-    for piece in pieces:
-        np.testing.assert_allclose(residual.read(piece), left[np.ix_(*piece.rows)], atol=1e-5)
+    for piece in residual.cut(parts, (2, 2, 2, 2), once=True):
+        with residual.holding(piece):
+            held = residual.gather(piece.rows, piece, lent=False)
+        np.testing.assert_allclose(held, left[np.ix_(*piece.rows)], atol=1e-5)
+    residual.settle()
+    assert residual.known[0].squares == pytest.approx(squared_norm(tensor), rel=1e-9)
+    assert residual.known[1].largest == pytest.approx(np.abs(left).max(), rel=1e-5)
     for n in range(4):
         np.testing.assert_allclose(projected(residual, 1, cells, n), expected[n], rtol=1e-4, atol=1e-4)
         b = right_sides(cells, expected[n], n)
@@ -313,39 +361,6 @@ def test_projections_of_undecomposed_modes_stay_small(source: Source, monkeypatc
     assert max(sizes) <= most
 
 
-@settings(max_examples=60, deadline=None)
-@given(st.data())
-def test_blocks_are_put_where_they_belong(data: st.DataObject) -> None:
-    sizes = data.draw(st.lists(st.integers(1, 5), min_size=1, max_size=4).map(tuple))
-    places = [np.array(sorted(data.draw(st.sets(st.integers(0, size - 1), min_size=1)))) for size in sizes]
-    lengths = [len(place) for place in places]
-    values = np.arange(1, 1 + prod(lengths), dtype=np.float32).reshape(lengths)
-    piece = Piece(tuple(np.arange(size) for size in sizes), 3)
-    with Scratch(piece.elements + 5) as scratch:
-        put(scratch, piece, places, values)
-        found, expected = scratch.read(0, scratch.count), np.zeros(sizes, np.float32)
-    expected[np.ix_(*places)] = values
-    assert np.array_equal(found[3:-2].reshape(sizes), expected)
-    assert not found[:3].any()
-    assert not found[-2:].any()
-
-
-# Scratch space
-
-
-def test_scratch_files_have_no_name(tmp_path: Path) -> None:
-    with Scratch(1000, tmp_path) as scratch:
-        scratch.write(0, np.ones(1000, np.float32))
-        assert list(tmp_path.iterdir()) == []
-
-
-def test_no_room_for_scratch_is_said_before_the_work(tmp_path: Path) -> None:
-    with pytest.raises(HmkctaError, match="TMPDIR"):
-        Scratch(1 << 60, tmp_path)
-    with pytest.raises(HmkctaError, match="TMPDIR"):
-        Scratch(10, tmp_path / "not there")
-
-
 @pytest.fixture
 def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
@@ -357,6 +372,7 @@ def test_nothing_is_left_behind_by_an_interrupted_fit(
     cloth: Any, monkeypatch: pytest.MonkeyPatch, temporary: Path, stage: str
 ) -> None:
     before = len(os.listdir("/proc/self/fd")) if Path("/proc/self/fd").exists() else None
+    set_cached(monkeypatch, cached=stage != "reordering")
 
     def interrupted(name: str, fraction: float) -> None:
         if name == stage and (fraction > 0 or stage == "reordering"):

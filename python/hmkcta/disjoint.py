@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import backends as kernels
+from .blocks import Block
 from .cells import Cells, empty_cells
 from .executors import Queue, in_order, repeatedly
 from .fit import COLD, WARM, Effort, Labels
@@ -21,7 +22,7 @@ from .pieces import Piece
 from .plan import LevelSpec
 from .progress import Told
 from .search import orthonormal_again
-from .streamed import Block, Streamed
+from .streamed import Streamed
 from .tucker import core_energies
 from .workset import SAMPLED, fit_streamed, refit_streamed, workset_steps
 

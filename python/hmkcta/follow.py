@@ -136,11 +136,9 @@ def _descend(task: Task, tree: Hierarchy, above: LevelSpec, below: LevelSpec) ->
 
     Where memory does not hold the tensor they are tried on every few rows of it.
     """
-    run = task.run
-    if task.scheme != "auto" or above.grid or below.own or above.cells == 1:
-        descend(tree, above.scheme, run)
-        return
-    descend(tree, _best_scheme(thinned(tree, above), below, run), run)
+    run, chosen = task.run, task.scheme != "auto" or above.grid or below.own or above.cells == 1
+    scheme = above.scheme if chosen else _best_scheme(thinned(tree, above), below, run)
+    descend(tree, scheme, run, once=not below.own)
 
 
 def _best_scheme(tree: Hierarchy, below: LevelSpec, run: Run) -> str:

@@ -16,6 +16,7 @@ from .fit import EFFORTS, Effort
 from .measure import SLAB as MEASURED
 from .measure_streamed import slab_within
 from .memberships import ROUNDS, ROWS, ROWS_EACH
+from .memory import stays_cached
 from .plan import LevelSpec, Plan
 from .predict import (
     FLAT,
@@ -54,15 +55,15 @@ _CHECKED, _NEXT, _SAMPLED, _BESIDE = 17, 6, (18, 32), 0.6
 #: and of a node beside its share of the residual, where others are fitted one after another.
 _BLOCK, _ALONE, _BELOW = 8, 12, 10
 #: Copies of a slab that are made while it is read and worked on, or cut into blocks; and of its projections.
-_SLAB_COPIES, _SLAB_CUT, _SLAB_SEEN = 4, 3, 1
+_SLAB_COPIES, _SLAB_CUT, _SLAB_SEEN = 3.5, 2.7, 1
 #: How much larger than the average the largest sub-tensors get for each mode of two, or of more clusters, where rows
 #: have one cluster each; where they have more, subdivision has a cap.
 _UNEVEN_TWO, _UNEVEN_MORE = 1.1, 1.8
-#: Bytes that the heaps of threads keep while sub-tensors come and go.
-_HEAPS = 40 * 2**20
-#: Nanoseconds of one core for each element: to read, hash, look at and measure the source; to find a start; of a
-#: sweep; of HOOI; to write a piece and read it. One core of a 2023 server.
-_SOURCE_NS, _START_NS, _SWEEP_NS, _HOOI_NS, _PIECE_NS = 35.0, 25.0, 15.0, 10.0, 15.0
+#: Bytes that the heaps of threads keep while sub-tensors come and go, and those whose nodes choose their ranks.
+_HEAPS, _HEAPS_OWN = 20 * 2**20, 34 * 2**20
+#: Nanoseconds of one core for each element: to read, hash and look at the source; to measure it; to find a start; of a
+#: sweep; of HOOI; to have a piece, or write it and read it. One core of a 2023 server.
+_SOURCE_NS, _MEASURE_NS, _START_NS, _SWEEP_NS, _HOOI_NS, _PIECE_NS = 20.0, 15.0, 25.0, 15.0, 10.0, 10.0
 #: Of k-means for each row, cluster and start; of a sweep of cells in turn for each element of each cell.
 _ROW_NS, _VISIT_NS = 215.0, 6.5
 #: Of a joint sweep for each number of H; and to find, refine and pack each number of a model.
@@ -86,8 +87,8 @@ class Forecast:
     >>> modes = (("light",), ("view",), ("y",), ("x",))
     >>> plan = parse_plan("R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2 / R=2,2,3,3 C=3,3,4,4 K=2", modes)
     >>> cost = forecast(plan, (174, 58, 400, 380), EFFORTS["fast"], threads=2, memory=1_400_000_000)
-    >>> cost.memory < 1_400_000_000, cost.scratch, cost.seconds < 300
-    (True, 6135936000, True)
+    >>> cost.memory < 1_400_000_000, cost.seconds < 300
+    (True, True)
     """
 
     memory: int
@@ -98,19 +99,19 @@ class Forecast:
 
 def forecast(
     plan: Plan, sizes: Sequence[int], effort: Effort, threads: int, memory: int | None, *, held: int = 0,
-    choosing: int = 0, decode_cost: int = 4096,
+    choosing: int = 0, decode_cost: int = 4096, stored: int | None = None,
 ) -> Forecast:
     """The cost of a plan for a tensor of the given mode sizes, `memory` bytes allowed (None: half of what is free).
 
-    `held` are the bytes of the source if it is in memory as a whole; `choosing` those that `choosing_bytes` tells, 0 if
-    the plan is given; `decode_cost` bounds ranks of nodes' own. Memory is also for the model, unless an SNR decides how
-    large that will be and no sample told.
+    `stored` are the bytes of the source (None: as many as float32 takes), `held` the same if it is in memory as a
+    whole; `choosing` those that `choosing_bytes` tells, 0 if the plan is given; `decode_cost` bounds ranks of nodes'
+    own. Memory is also for the model, unless an SNR decides how large that will be and no sample told.
     """
     limit, elements = memory_limit(plan, sizes, memory), prod(sizes)
     own_numbers = _own_numbers(plan, sizes, decode_cost)
+    streamed = is_streamed(elements, limit)
     own_model = _own_bytes(plan, sizes, own_numbers)
     model = model_bytes(plan, sizes, threads, room_beside(elements, memory)) + own_model
-    streamed = is_streamed(elements, limit)
     others = _others(plan, elements, effort) if choosing and not streamed else 0
 
     def found(peak: int, scratch: int = 0, cut: int | None = None) -> Forecast:
@@ -134,10 +135,19 @@ def forecast(
     cut = next((n for n, level in enumerate(plan.levels[:-1]) if level.cells > 1), None)
     measuring = _MEASURED_OUTSIDE * threads * min(slab_within(limit), elements)
     working = model + max(_outside(plan, sizes, limit, threads, cut), measuring)
-    copies = int(cut is not None or any(level.disjoint or level.cuts for level in plan.levels))
-    copies += int(own and cut is not None)
     # Its bytes are counted on a model of zeros before the fit, whose memory the heaps keep a share of.
+    copies = _copies(plan, effort, cut, at_hand=stays_cached(4 * elements if stored is None else stored))
     return found(_peak(choosing, own_model, working), 4 * elements * copies, cut)
+
+
+def _copies(plan: Plan, effort: Effort, cut: int | None, *, at_hand: bool) -> int:
+    """How many times the tensor is written to scratch files; pieces of a source that is `at_hand` are collected."""
+    if cut is None:
+        return int(any(level.disjoint or level.cuts for level in plan.levels))
+    if plan.levels[-1].own:  # a state to go back to
+        return 2
+    collected = at_hand and not any(level.disjoint for level in plan.levels)
+    return int(not collected or effort.backfits > 0 or cut < len(plan.levels) - 2)
 
 
 def _others(plan: Plan, elements: int, effort: Effort) -> int:
@@ -151,7 +161,7 @@ def _others(plan: Plan, elements: int, effort: Effort) -> int:
 
 def _outside(plan: Plan, sizes: Sequence[int], limit: int, threads: int, cut: int | None) -> int:
     """Bytes for fitting the levels of a streamed tensor: on worksets, or on sub-tensors or blocks in memory."""
-    most = slabs = _slabs(plan, sizes, limit, threads, cut)
+    most = _slabs(plan, sizes, limit, threads, cut)
     elements = prod(sizes)
     for number, (level, fitted) in enumerate(zip(plan.levels, worksets(plan, sizes, limit), strict=True)):
         below = cut is not None and number > cut
@@ -164,13 +174,13 @@ def _outside(plan: Plan, sizes: Sequence[int], limit: int, threads: int, cut: in
         elif level.disjoint:
             each = (_ALONE if level.cells == 1 else WORKING) * fitted
         else:
-            each = fitting_bytes(sizes, level, limit) + int(_KEPT * slabs)
+            each = fitting_bytes(sizes, level, limit)
         # Inner products are the model's.
         products = level.clamped(sizes).products_bytes
         joint = joint_bytes(sizes, level, threads) - products if prod(sizes) > limit else 0
-        most = max(most, each + (_HEAPS if below else 0), joint)
+        most = max(most, each + (0 if not below else _HEAPS_OWN if level.own else _HEAPS), joint)
         if number == cut and not level.grid:
-            most = max(most, WORKING * min(limit, threads * _largest(elements, level)) + _HEAPS)
+            most = max(most, WORKING * min(limit, threads * _largest(elements, level)))
         sizes = part_sizes(sizes, level)
     return most
 
@@ -273,6 +283,8 @@ def _seconds(
     plan: Plan, sizes: Sequence[int], effort: Effort, threads: int, limit: int, own_numbers: int, cut: int | None
 ) -> float:
     elements, beside, each = prod(sizes), 0.0, _SOURCE_NS + (0 if cut is None else _PIECE_NS * (1 + effort.backfits))
+    if cut is None or effort.backfits or plan.levels[-1].own:  # else it was seen what levels leave
+        each += _MEASURE_NS
     own_numbers = own_numbers or elements  # no plan that is worth following has more
     alone, nodes = 0.0, 1
     for number, level in enumerate(plan.levels, start=1):

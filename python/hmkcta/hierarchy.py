@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from . import backends as kernels
 from .axes import Axis, Organisation
+from .blocks import Saved, thinned_cells
 from .cells import Cells
 from .disjoint import cut_as_fitted, fit_outside, refit_outside
 from .errors import invalid
@@ -26,7 +27,7 @@ from .pieces import Piece, Rows, SubTensor
 from .plan import LevelSpec
 from .predict import side_by_side
 from .progress import Progress, Told
-from .streamed import Saved, Streamed, thinned_cells
+from .streamed import Streamed
 from .subdivision import subdivide
 from .workset import SAMPLED, SMALLER, workset_steps
 
@@ -102,10 +103,10 @@ def whole(tensor: F32 | Streamed) -> Hierarchy:
     return Hierarchy(tensor, [[Node(rows)]])
 
 
-def gather(tensor: F32 | Streamed, node: Node) -> F32:
-    """The node's sub-tensor in one piece."""
+def gather(tensor: F32 | Streamed, node: Node, *, lent: bool = False) -> F32:
+    """The node's sub-tensor in one piece; a piece itself where that may be `lent`, and is the node's."""
     if isinstance(tensor, Streamed):
-        return tensor.gather(node.rows, node.piece)
+        return tensor.gather(node.rows, node.piece, lent=lent)
     if node.sizes == tensor.shape:
         return tensor.copy()
     return kernels.gather(tensor, node.rows)
@@ -213,7 +214,7 @@ def fit_nodes(
             return
         outside, level = streamed_for(tree, node), level_within(node, depth)
         rng = np.random.default_rng([run.seed, depth, s])
-        tensor = None if outside else gather(tree.residual, node)
+        tensor = None if outside else gather(tree.residual, node, lent=True)  # and changed when its cells are there
         finished = run.journal.recall(step, s, node.sizes, spec)
         if finished is None:
             if outside is not None:
@@ -234,6 +235,8 @@ def fit_nodes(
             scatter(tree.residual, node, _exchanged(tensor, None, node.cells))
 
     in_parallel(work, nodes, f"level {depth}", run, tree.residual, run.side_by_side(specs, nodes))
+    if isinstance(tree.residual, Streamed) and any(node.piece is not None for node in nodes):
+        tree.residual.fitted(depth)
 
 
 def _exchanged(residual: F32, old: Cells | None, new: Cells | None) -> F32:
@@ -273,8 +276,11 @@ def thinned(tree: Hierarchy, spec: LevelSpec) -> Hierarchy:
     return tree
 
 
-def descend(tree: Hierarchy, scheme: str, run: Run) -> None:
-    """Subdivide every node of the deepest level: its children become the next level, not yet fitted."""
+def descend(tree: Hierarchy, scheme: str, run: Run, *, once: bool = False) -> None:
+    """Subdivide every node of the deepest level: its children become the next level, not yet fitted.
+
+    With `once` that will look once at what this one leaves.
+    """
     nodes = tree.levels[-1]
 
     def work(s: int) -> None:
@@ -295,9 +301,7 @@ def descend(tree: Hierarchy, scheme: str, run: Run) -> None:
                 found, allowed = f"a sub-tensor of {node.elements} elements to subdivide", f"up to {outside.limit}"
                 raise invalid("node-too-large", "plan", found, allowed, SMALLER)
             assert node.parts is not None
-            run.progress("reordering", 0.0)
-            with outside.telling(partial(run.progress, "reordering"), 1):
-                pieces = outside.cut(node.parts, node.cells.spec.clusters)
+            pieces = outside.cut(node.parts, node.cells.spec.clusters, partial(run.progress, "reordering"), once=once)
             for child, piece in zip(node.children, pieces, strict=True):
                 child.piece = piece
     tree.levels.append([child for node in nodes for child in node.children])
@@ -333,6 +337,8 @@ def _set_lasting(tree: Hierarchy, lasting: bool) -> None:
 
 def backfit(tree: Hierarchy, run: Run, *, last: bool = False) -> None:
     """Refit every level in turn to what all the others leave; memberships stay. `last`: as of `fit_nodes`."""
+    if isinstance(tree.residual, Streamed):
+        tree.residual.known = []
     for number, nodes in enumerate(tree.levels, start=1):
         _set_lasting(tree, not (last and number == len(tree.levels)))
         step, told = run.journal.step(), told_within(nodes, f"back-fitting level {number}", run)

@@ -1,11 +1,13 @@
-"""Measure a fitted hierarchy whose tensor memory does not hold, in one pass over the source.
+"""Measure a fitted hierarchy whose tensor memory does not hold, in one pass over the source at most.
 
 Every block of the tensor loses level after level; where a node was subdivided, so is its part of the block.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +16,11 @@ from . import backends as kernels
 from .executors import in_order
 from .hierarchy import Hierarchy, Node
 from .measure import Sums
-from .metrics import in_float64, squared_norm
+from .metrics import in_float64, snr_db, squared_norm
 from .packed import LevelQuality
-from .pieces import Rows, places_of, split
+from .pieces import Left, Rows, places_of, split
 from .progress import Progress
+from .source import Source
 from .streamed import Streamed
 from .transform import Transform
 
@@ -76,6 +79,16 @@ class _Errors:
             self.below(below, depth + 1, tuple(p[r] for p, r in zip(places, own, strict=True)), old, sub)
 
 
+def _as_seen(known: Sequence[Left], source: Source) -> tuple[LevelQuality, ...]:
+    """Quality of what levels left when they were subtracted, from the last of which nothing has changed."""
+    signal, *left = known
+    return tuple(
+        LevelQuality(snr_db(signal.squares, each.squares), (each.squares / prod(source.shape)) ** 0.5 * source.unit,
+                     each.largest * source.unit)
+        for each in left
+    )  # fmt: skip
+
+
 def slab_within(limit: int) -> int:
     """Elements of a slab, where so many may be worked on at once."""
     return min(SLAB, max(SLAB // 8, limit // (4 * AT_ONCE)))
@@ -84,8 +97,14 @@ def slab_within(limit: int) -> int:
 def measure_streamed(
     tree: Hierarchy, residual: Streamed, progress: Progress
 ) -> tuple[tuple[LevelQuality, ...], tuple[LevelQuality, ...]]:
-    """As `measure_both`, of the stored numbers of every node against the source."""
+    """As `measure_both`, of the stored numbers of every node against the source.
+
+    The source is read once more, unless all levels were seen to leave what they do when they were fitted to pieces.
+    """
     source, levels, root = residual.source, len(tree.levels), tree.levels[0][0]
+    if source.value_transform.name == "identity" and len(residual.known) == 1 + levels:
+        seen = _as_seen(residual.known, source)
+        return seen, seen
     total = Sums(levels), Sums(levels)
 
     def measured(part: tuple[slice, ...]) -> _Errors:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import mmap
 import os
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -18,9 +19,9 @@ _MEMINFO = Path("/proc/meminfo")
 _LIMIT, _USED = Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory.current")
 #: Parameters of glibc's `mallopt` by number: freed bytes at the top of a heap from which on they are given back; bytes
 #: from which on an allocation is mapped for itself; and how many heaps there may be.
-_MALLOC, _HEAPS = {-1: 2**28, -3: 2**25}, -8
+_MALLOC, _HEAPS = {-1: 2**28, -3: 2**25, -4: 0}, -8
 #: Bytes of a mapped file that a read brings into memory around each place it touches; and together, at the most.
-_AROUND, _LOOKED_AT = 1 << 16, 1 << 24
+_AROUND, LOOKED_AT = 1 << 16, 1 << 24
 
 #: Bytes that are there: to ask the system takes longer than to decode an element.
 FEW = 1 << 20
@@ -36,6 +37,17 @@ def available_memory() -> int | None:
     except (OSError, ValueError, KeyError):  # another system, or no limit ("max")
         pass
     return max(0, min(free)) if free else None
+
+
+def stays_cached(count: int) -> bool:
+    """Whether a file of so many bytes stays in the system's cache while it is worked on: it takes up to half of the
+    memory that the machine, or the container, has. False where the system does not say."""
+    had: list[int] = []
+    with suppress(OSError, ValueError, KeyError):  # another system, or no limit ("max")
+        fields = dict(line.split(":", 1) for line in _MEMINFO.read_text().splitlines())
+        had.append(int(fields["MemTotal"].split()[0]) * 1024)
+        had.append(int(_LIMIT.read_text()))
+    return bool(had) and 2 * count <= min(had)
 
 
 def memory_budget(limit: int | None = None) -> int:
@@ -76,7 +88,7 @@ def drop_pages(array: NDArray[Any]) -> None:
 
     Does nothing to an array that maps no file, or may have been written to.
     """
-    base, advice = _mapped(array), getattr(mmap, "MADV_DONTNEED", None)
+    base, advice = mapped(array), getattr(mmap, "MADV_DONTNEED", None)
     if base is not None and advice is not None:
         with suppress(OSError, ValueError):  # a system that has none of it, a map that is closed
             base.madvise(advice)
@@ -88,8 +100,8 @@ def looked_at(array: NDArray[Any], part: tuple[slice, ...]) -> NDArray[Any]:
     Every few rows of a file touch most of its pages, as rows do that lie across it: pages are dropped on the way.
     """
     view = array[part]
-    most = max(_LOOKED_AT, view.nbytes)
-    if _mapped(array) is None or _touched(view) <= most:
+    most = max(LOOKED_AT, view.nbytes)
+    if mapped(array) is None or _touched(view) <= most:
         return np.asarray(view)
     found = np.empty(view.shape, view.dtype)
     waiting = [(np.asarray(view), found)]
@@ -106,15 +118,22 @@ def looked_at(array: NDArray[Any], part: tuple[slice, ...]) -> NDArray[Any]:
 
 
 def _touched(view: NDArray[Any]) -> int:
-    """Bytes of a mapped file, about, that come into memory when all of a view is looked at."""
-    touched, span = _AROUND, view.itemsize
-    for stride, size in sorted((abs(stride), size) for stride, size in zip(view.strides, view.shape, strict=True)):
-        span += stride * (size - 1)
-        touched = min(touched * size, span + _AROUND)
-    return touched
+    return touched(list(zip(map(abs, view.strides), view.shape, strict=True)), view.itemsize)
 
 
-def _mapped(array: NDArray[Any]) -> Any:
+def touched(steps: Sequence[tuple[float, int]], itemsize: int) -> int:
+    """Bytes of a mapped file, about, that come into memory when numbers in it are looked at.
+
+    They lie so many bytes apart along each axis, so many along it.
+    """
+    found, span = float(_AROUND), float(itemsize)
+    for step, size in sorted(steps):
+        span += step * (size - 1)
+        found = min(found * size, span + _AROUND)
+    return int(found)
+
+
+def mapped(array: NDArray[Any]) -> Any:
     """The map of a file that the array lies in; None: there is none, or it may have been written to."""
     base: Any = array
     only_read = False

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import product
 from math import prod
 
 import numpy as np
@@ -33,12 +34,28 @@ class SubTensor:
         return prod(self.sizes)
 
 
+@dataclass(frozen=True)
+class Left:
+    """What is left of elements, in the unit of the source: the sum of squares, the largest magnitude."""
+
+    squares: float = 0.0
+    largest: float = 0.0
+
+    def __add__(self, other: Left) -> Left:
+        return Left(self.squares + other.squares, max(self.largest, other.largest))
+
+
+NOTHING = Left()
+
+
 @dataclass(eq=False)
 class Piece(SubTensor):
-    """A node's sub-tensor in the scratch file: where it starts, its squared norm."""
+    """A node's sub-tensor in the scratch file: where it starts; what levels above leave of it, one after the other, the
+    first of them none; and what is left of it now."""
 
     start: int
-    energy: float = 0.0
+    above: list[Left] = field(default_factory=list["Left"])
+    left: Left = NOTHING
 
 
 def places_of(part: NDArray[np.intp]) -> NDArray[np.intp]:
@@ -66,6 +83,16 @@ def split(
             chosen = (*rows[:n], rows[n][at], *rows[n + 1 :])
             sub = tensor if len(at) == len(labels) else tensor.take(at, axis=n)
             yield from split(sub, chosen, parts, n + 1, (*done, c))
+
+
+def pieces_of(parts: Sequence[NDArray[np.intp]], counts: Sequence[int]) -> list[Piece]:
+    """A piece for each combination of parts of rows, in C order, one after the other."""
+    lists = [rows_of_parts(part, count) for part, count in zip(parts, counts, strict=True)]
+    pieces, start = list[Piece](), 0
+    for rows in product(*lists):
+        pieces.append(Piece(rows, start))
+        start += pieces[-1].elements
+    return pieces
 
 
 def put(scratch: Scratch, piece: Piece, places: Sequence[NDArray[np.intp]], values: F32) -> None:

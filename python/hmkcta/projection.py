@@ -62,6 +62,8 @@ class Projection:
 def passes(cells: Cells) -> list[tuple[int, ...]]:
     """Decomposed modes by twos where each two leave two to project on, else one by one.
 
+    Neighbours go together, unless projections would be too large then and are not for other twos.
+
     >>> from hmkcta.cells import zero_cells
     >>> from hmkcta.plan import LevelSpec
     >>> passes(zero_cells((4, 5, 6, 7), LevelSpec((2,) * 4, (2,) * 4, (1,) * 4)))
@@ -70,22 +72,31 @@ def passes(cells: Cells) -> list[tuple[int, ...]]:
     [(1,), (2,), (3,)]
     """
     modes = [n for n, skip in enumerate(cells.undecomposed) if not skip]
-    return [(modes[0], modes[1]), (modes[2], modes[3])] if len(modes) == 4 else [(n,) for n in modes]
+    if len(modes) != 4:
+        return [(n,) for n in modes]
+    a, b, c, d = modes
+    pairings: list[list[tuple[int, ...]]] = [[(a, b), (c, d)], [(a, c), (b, d)], [(a, d), (b, c)]]
+    return next((twos for twos in pairings if all(_summed_over(cells, kept) for kept in twos)), pairings[0])
 
 
 def project(cells: Cells, tensor: F32, kept: Sequence[int]) -> Projection:
     """One pass over the tensor for the kept modes, one of `passes`."""
+    pair = _summed_over(cells, kept)
+    return Projection(tensor, pair, None if pair is None else kernels.project_pair(cells, tensor, pair))
+
+
+def _summed_over(cells: Cells, kept: Sequence[int]) -> tuple[int, int] | None:
+    """The two modes beside the kept ones; None if they are not two, or the projection would be too large."""
     rest = [m for m, skip in enumerate(cells.undecomposed) if m not in kept and not skip]
     if len(rest) != 2:
-        return Projection(tensor, None, None)
+        return None
     # Few rows beside long columns: what is summed over first should be long.
     a, b = rest if rest[1] == cells.order - 1 else sorted(rest, key=lambda m: cells.sizes[m])
     # P has all lanes for each tuple of rows of the kept modes, and what it is contracted with for each number of U_n.
-    tuples = tensor.size // max(1, cells.sizes[a] * cells.sizes[b])
-    most = max(tuples, *(cells.sizes[n] * cells.ranks[n] for n in kept))
-    if most * cells.spec.cells * cells.ranks[a] * cells.ranks[b] > max(tensor.size, LARGEST):
-        return Projection(tensor, None, None)
-    return Projection(tensor, (a, b), kernels.project_pair(cells, tensor, (a, b)))
+    elements = prod(cells.sizes)
+    most = max(elements // max(1, cells.sizes[a] * cells.sizes[b]), *(cells.sizes[n] * cells.ranks[n] for n in kept))
+    small = most * cells.spec.cells * cells.ranks[a] * cells.ranks[b] <= max(elements, LARGEST)
+    return (a, b) if small else None
 
 
 def project_one(cells: Cells, tensor: F32, n: int) -> F32:

@@ -12,6 +12,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from . import backends as kernels
 from .axes import (
     Axis,
     Organisation,
@@ -23,10 +24,11 @@ from .axes import (
     parse_organisation,
     separate,
 )
+from .collecting import collected
 from .conventions import meant
 from .errors import invalid, shown
 from .executors import thread_count
-from .memory import drop_pages, looked_at
+from .memory import LOOKED_AT, drop_pages, looked_at
 from .slabs import slabs
 from .transform import Transform, parse
 
@@ -91,15 +93,25 @@ class Source:
     def values(self, part: tuple[slice, ...] = ()) -> F32:
         """The transformed values of a slab or strided block in multiples of the unit, float32, in the array's axes."""
         # Scaling by a power of two rounds nothing, except what float32 does to float64.
-        scaled = np.asarray(self.transformed(part) * (1 / self.unit), np.float32, order="C")
+        return self._settled(self.transformed(looked_at(self.array, part)) * (1 / self.unit))
+
+    def at(self, organisation: Organisation, rows: Sequence[NDArray[np.intp]], most: int = LOOKED_AT) -> F32:
+        """The same of the tensor's elements in some rows of every mode, looking at about `most` bytes at a time."""
+        modes = [[self._axis(name) for name in mode] for mode in organisation]
+        plain = self.array.dtype == np.float32 and self.value_transform.name == "identity" and self.nan is None
+        values = collected(self.array, modes, rows, 1 / self.unit if plain else None, most)
+        return self._settled(values if plain else self.transformed(values) * (1 / self.unit))
+
+    def _settled(self, scaled: NDArray[Any]) -> F32:
+        """Values in multiples of the unit as float32, without tiny ones; what has been looked at is let go of."""
+        scaled = np.asarray(scaled, np.float32, order="C")
         if self.tiny:
             scaled[np.abs(scaled) < TINY] = 0
         drop_pages(self.array)
         return scaled
 
-    def transformed(self, part: tuple[slice, ...]) -> NDArray[Any]:
-        """The values of a slab or strided block after the value transform."""
-        values = looked_at(self.array, part)
+    def transformed(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Values of the array after the value transform."""
         values = values if values.dtype.itemsize >= 4 and values.dtype.kind == "f" else values.astype(np.float64)
         if self.nan is not None:
             values = np.where(np.isfinite(values), values, self.nan)
@@ -107,7 +119,7 @@ class Source:
 
     def extent(self, part: tuple[slice, ...]) -> tuple[float, float]:
         """The largest magnitude of a slab's transformed values, and the smallest but zero."""
-        values = np.abs(self.transformed(part))
+        values = np.abs(self.transformed(looked_at(self.array, part)))
         drop_pages(self.array)
         return float(values.max()), float(values.min(where=values > 0, initial=np.inf))
 
@@ -138,14 +150,9 @@ class Source:
                 spans[mode[0]] = slice(-(-start // step) * step, stop, step)
         chosen = tuple(spans.get(axis.name, slice(None)) for axis in self.axes)
         rows = mode_rows(self.axes, organisation, chosen)
-        lengths = [len(range(*span.indices(axis.size))) for span, axis in zip(chosen, self.axes, strict=True)]
-        axes = [Axis(axis.name, length) for axis, length in zip(self.axes, lengths, strict=True)]
-        tensor = organise(self.values(chosen), axes, organisation)
-        for n, step in enumerate(steps):
-            kept = np.flatnonzero(rows[n] % step == 0)
-            if len(kept) < len(rows[n]):
-                tensor, rows[n] = tensor.take(kept, axis=n), rows[n][kept]
-        return [r // step for r, step in zip(rows, steps, strict=True)], np.ascontiguousarray(tensor)
+        rows = [own[own % step == 0] for own, step in zip(rows, steps, strict=True)]
+        tensor = self.at(organisation, rows)
+        return [own // step for own, step in zip(rows, steps, strict=True)], tensor
 
     def _axis(self, name: str) -> int:
         return next(number for number, axis in enumerate(self.axes) if axis.name == name)
@@ -205,11 +212,12 @@ def prepare(
     source = described(array, axes, transform)
     if nan is not None and not abs(nan) <= _LARGEST:
         raise invalid("nan-fill", "nan", nan, f"a number, its magnitude up to {_LARGEST:.0e}")
-    digest, bad = _scan(source.array, nan)
+    digest, bad, extents = _scan(source.array, nan)
     source = replace(source, nan=nan if bad else None, fingerprint={"sha256": digest})
-    workers = thread_count(threads)
-    with ThreadPoolExecutor(workers) as pool:  # which hold one slab's memory together
-        extents = list(pool.map(source.extent, source.parts(max(_SMALL_SLAB, SLAB // workers))))
+    if bad or source.value_transform.name != "identity" or not extents:
+        workers = thread_count(threads)
+        with ThreadPoolExecutor(workers) as pool:  # which hold one slab's memory together
+            extents = list(pool.map(source.extent, source.parts(max(_SMALL_SLAB, SLAB // workers))))
     peak, least = max(high for high, _ in extents), min(low for _, low in extents)
     if 0 < peak < _SMALLEST:
         allowed = f"{_SMALLEST:.0e} or more, or 0, as float32 keeps few digits below"
@@ -245,15 +253,18 @@ def _named(shape: tuple[int, ...], axes: Sequence[Axis | str] | None) -> tuple[A
                  for axis, by_name in zip(given, named, strict=True))
 
 
-def _scan(array: NDArray[Any], nan: float | None) -> tuple[str, bool]:
-    """SHA-256 of the values in C order, and whether any is not finite."""
+def _scan(array: NDArray[Any], nan: float | None) -> tuple[str, bool, list[tuple[float, float]]]:
+    """SHA-256 of the values in C order, whether any is not finite, and, if they are float32, the largest magnitude of
+    each slab and the smallest but zero."""
     digest = hashlib.sha256(f"{array.dtype.newbyteorder('=').name} {array.shape}".encode())
-    count, first, start = 0, 0, 0
+    count, first, start, extents = 0, 0, 0, list[tuple[float, float]]()
     with ThreadPoolExecutor(1) as hashing:
         hashed = None
         for part in slabs(array.shape, SLAB):
             values = np.ascontiguousarray(looked_at(array, part), array.dtype.newbyteorder("="))
-            bad = _not_finite(values)
+            if values.dtype == np.float32:
+                extents.append(_extent(values))
+            bad = _not_finite(values, extents[-1][0] if extents else None)
             if bad is not None:
                 first = first if count else start + int(np.flatnonzero(bad)[0])
                 count += int(bad.sum())
@@ -268,14 +279,24 @@ def _scan(array: NDArray[Any], nan: float | None) -> tuple[str, bool]:
         found = f"{count} values that are NaN or infinite, the first at index {index}"
         hint = "give a value to put there, nan=0 or --nan fill=0"
         raise invalid("not-finite", "array", found, "finite numbers", hint)
-    return digest.hexdigest(), bool(count)
+    return digest.hexdigest(), bool(count), extents
 
 
-def _not_finite(values: NDArray[Any]) -> NDArray[np.bool_] | None:
-    """Which values are no finite numbers; None: all are. Refuses those too large for float32."""
+def _extent(values: F32) -> tuple[float, float]:
+    """The largest magnitude, NaN if a value is infinite or none, and the smallest but zero."""
+    squares, largest, smallest = kernels.magnitudes(values)
+    return largest if np.isfinite(squares) else np.nan, smallest
+
+
+def _not_finite(values: NDArray[Any], largest: float | None) -> NDArray[np.bool_] | None:
+    """Which values are no finite numbers; None: all are. Refuses those too large for float32.
+
+    The largest magnitude may be known.
+    """
     if values.dtype.kind != "f":
         return None
-    largest = max(float(values.max()), -float(values.min()))  # NaN if any is
+    if largest is None:
+        largest = max(float(values.max()), -float(values.min()))  # NaN if any is
     bad = None
     if not largest < np.inf:
         bad = ~np.isfinite(values)

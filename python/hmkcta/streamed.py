@@ -1,8 +1,10 @@
 """The residual of a tensor that memory does not hold.
 
 Levels whose node is the whole tensor are fitted from the source, read slab by slab; their models are never subtracted
-from anything stored, but taken into account in closed form (`terms`). Where the tensor is subdivided, what these levels
-leave is written to a scratch file in the order of the nodes, each in one *piece*. From then on only pieces are read.
+from anything stored, but taken into account in closed form (`terms`). Where the tensor is subdivided, each node has its
+*piece*. It is collected from the source when its turn comes, and what is left of it written to a scratch file if others
+will read that. A source that the system will not keep in its cache is reordered first: what the levels above leave is
+written piece by piece, in one pass. From then on only pieces are read.
 """
 
 from __future__ import annotations
@@ -11,9 +13,10 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import chain, product, repeat
+from itertools import chain, repeat
 from math import prod
-from threading import local
+from operator import add
+from threading import Lock, local
 from typing import TypeVar
 
 import numpy as np
@@ -21,40 +24,26 @@ from numpy.typing import NDArray
 
 from . import backends as kernels
 from .axes import Organisation, mode_sizes
+from .blocks import Block, Saved, left_of, settled_by, thinned_block, thinned_cells
 from .cells import Cells
 from .executors import in_order
-from .grouping import rows_of_parts
+from .memory import stays_cached
 from .metrics import squared_norm
-from .pieces import Piece, Rows, places_of, put, split
+from .pieces import NOTHING, Left, Piece, Rows, pieces_of, places_of, put, split
 from .progress import Told, nobody, share_of
 from .scratch import Scratch
 from .slabs import slabs
 from .source import Source
 
 F32 = NDArray[np.float32]
-S = TypeVar("S")
 T = TypeVar("T")
 
 #: Elements of a slab: 16 MiB, which the allocator keeps instead of asking the system for zeroed pages each time.
 SLAB = 1 << 22
-
-
-@dataclass(frozen=True, eq=False)
-class Block:
-    """Some elements of the tensor: an outer product of rows."""
-
-    rows: Rows
-    tensor: F32
-
-
-@dataclass(frozen=True, eq=False)
-class Saved:
-    """A state of a streamed residual."""
-
-    wholes: list[Cells | None]
-    stored: list[Cells | None] = field(default_factory=list["Cells | None"])
-    energies: list[float] = field(default_factory=list[float])
-    scratch: Scratch | None = None
+#: Slabs, at the least, of a tensor that is thinned, of which so many elements come of larger ones.
+FEWEST = 16
+#: Bytes of a mapped source in memory at a time beside the piece that is collected.
+SEEN = 1 << 22
 
 
 @dataclass(eq=False)
@@ -70,7 +59,9 @@ class Streamed:
         stored: of those, the cells that what lies in the pieces was computed with.
         pieces: empty as long as the source is read.
         parts: what the pieces were cut by, for each mode the part of every row.
+        in_source: whether the pieces are still to be collected from the source.
         lasting: False while nobody will read the pieces again: they are not written back, and gone afterwards.
+        known: what none of the levels, the first, the first two .. leave, as far as that was seen on the way.
     """
 
     source: Source
@@ -82,7 +73,10 @@ class Streamed:
     pieces: list[Piece] = field(default_factory=list[Piece])
     parts: list[NDArray[np.intp]] = field(default_factory=list["NDArray[np.intp]"])
     scratch: Scratch | None = None
+    in_source: bool = False
     lasting: bool = True
+    known: list[Left] = field(default_factory=list[Left])
+    _beginning: Lock = field(default_factory=Lock)
     _coming: Iterator[Told] = field(default_factory=lambda: repeat(nobody))
     _held: local = field(default_factory=local)
 
@@ -107,38 +101,45 @@ class Streamed:
 
     @property
     def _scratch(self) -> Scratch:
-        assert self.scratch is not None
+        with self._beginning:
+            if self.scratch is None:
+                self.scratch = Scratch(sum(piece.elements for piece in self.pieces))
         return self.scratch
 
     def change(self, number: int, cells: Cells | None) -> None:
         """The cells of level `number` (from 0), whose node is the whole tensor, are these from now on."""
         self.wholes += [None] * (number + 1 - len(self.wholes))
         self.wholes[number] = cells
+        self.known = []
 
     def blocks(self, steps: Sequence[int] | None = None) -> list[Callable[[], Block]]:
         """Readers of all blocks, thinned to every steps-th row of each mode."""
+        if not self.pieces or self.in_source:
+            slab = SLAB if steps is None else max(SLAB, min(SLAB * prod(steps), prod(self.shape) // FEWEST))
+            return [partial(self._source_slab, part, steps) for part in self.source.parts(slab)]
         readers: list[Callable[[], Block]] = []
         for piece in (piece for piece in self.pieces if piece.elements):
             large = self.large(piece)
             readers += [partial(self._piece, piece, steps)] if large is None else large.within(steps)
-        if not self.pieces:
-            readers += [partial(self._source_slab, part, steps) for part in self.source.parts(SLAB)]
         return readers
 
     def _piece(self, piece: Piece, steps: Sequence[int] | None) -> Block:
-        return _thinned(Block(piece.rows, self.read(piece)), steps)
+        return thinned_block(Block(piece.rows, self.read(piece)), steps)
 
     def _source_slab(self, part: tuple[slice, ...], steps: Sequence[int] | None) -> Block:
         rows, tensor = self.source.block(self.organisation, part, steps)
         return Block(tuple(rows), tensor)
 
     def read(self, piece: Piece) -> F32:
-        """A piece as it lies in the scratch file."""
+        """A piece as it lies in the scratch file, or in the source."""
+        if self.in_source:
+            return self.source.at(self.organisation, piece.rows, SEEN)
         return self._scratch.read(piece.start, piece.elements).reshape(piece.sizes)
 
     def expect(self, piece: Piece) -> None:
         """The piece will be read soon."""
-        self._scratch.expect(piece.start, piece.elements)
+        if not self.in_source:
+            self._scratch.expect(piece.start, piece.elements)
 
     def settled(self, block: Block, without: int | None = None, steps: Sequence[int] | None = None) -> F32:
         """The block, in place, with the terms added."""
@@ -161,10 +162,11 @@ class Streamed:
 
     def each(self, work: Callable[[Block], T], readers: Sequence[Callable[[], Block]]) -> Iterator[T]:
         """The results of working on every block, in order."""
-        told = next(self._coming)
-        for done, made in enumerate(in_order(lambda reader: work(reader()), readers, self.workers(SLAB)), start=1):
-            yield made
-            told(done / len(readers))
+        told, workers = next(self._coming), self.workers(SLAB)
+        with kernels.threads(1 if workers == self.threads else self.threads, after=self.threads):
+            for done, made in enumerate(in_order(lambda reader: work(reader()), readers, workers), start=1):
+                yield made
+                told(done / len(readers))
 
     @contextmanager
     def telling(self, told: Told, passes: int) -> Generator[None]:
@@ -182,18 +184,29 @@ class Streamed:
     @property
     def error(self) -> float:
         """Squared norm of the tensor less all of `wholes`, and less what has been subtracted from pieces."""
-        if self.pieces and not self.terms():
-            return sum(piece.energy for piece in self.pieces)
+        if self.pieces and not self.in_source and not self.terms():
+            return sum(piece.left.squares for piece in self.pieces)
         return sum(self.each(lambda block: squared_norm(self.settled(block)), self.blocks()))
 
-    def cut(self, parts: Sequence[NDArray[np.intp]], counts: Sequence[int]) -> list[Piece]:
-        """Write what `wholes` leave to a scratch file: a piece for each combination of parts of rows, in C order.
+    def cut(
+        self, parts: Sequence[NDArray[np.intp]], counts: Sequence[int], told: Told = nobody, *, once: bool = False
+    ) -> list[Piece]:
+        """A piece of what `wholes` leave for each combination of parts of rows, in C order.
 
-        Pieces that are those already stay as they are.
+        Pieces that are those already stay as they are. Those that are read but `once` as they are now may be collected
+        from the source; others are written to a scratch file, which is `told`.
         """
-        if not (self.pieces and all(map(np.array_equal, self.parts, parts))):
-            self.scratch, self.pieces = self._written(parts, counts)
-            self.parts, self.stored = list(parts), list(self.wholes)
+        if self.pieces and all(map(np.array_equal, self.parts, parts)):
+            return self.pieces
+        pieces, fresh = pieces_of(parts, counts), not self.pieces or self.in_source
+        at_hand = once and fresh and stays_cached(self.source.array.nbytes)
+        self.in_source = at_hand and all(piece.elements <= self.limit for piece in pieces)
+        self.known = []
+        if not self.in_source:
+            told(0.0)
+            with self.telling(told, 1):
+                self.scratch = self._written(pieces, parts, counts, watched=fresh)
+        self.pieces, self.parts, self.stored = pieces, list(parts), [] if self.in_source else list(self.wholes)
         return self.pieces
 
     def in_blocks(self, parts: Sequence[NDArray[np.intp]], counts: Sequence[int], number: int) -> Streamed:
@@ -203,28 +216,26 @@ class Streamed:
         return self
 
     def _written(
-        self, parts: Sequence[NDArray[np.intp]], counts: Sequence[int], without: int | None = None
-    ) -> tuple[Scratch, list[Piece]]:
-        lists = [rows_of_parts(part, count) for part, count in zip(parts, counts, strict=True)]
-        places = [places_of(part) for part in parts]
-        pieces, start = list[Piece](), 0
-        for rows in product(*lists):
-            pieces.append(Piece(rows, start))
-            start += pieces[-1].elements
-        scratch = Scratch(start)
+        self, pieces: Sequence[Piece], parts: Sequence[NDArray[np.intp]], counts: Sequence[int],
+        without: int | None = None, *, watched: bool = False,
+    ) -> Scratch:
+        """The pieces in a scratch file; what levels leave of a source is `known` then, if that is `watched`."""
+        places, scratch = [places_of(part) for part in parts], Scratch(sum(piece.elements for piece in pieces))
 
-        def write(block: Block) -> list[tuple[int, float]]:
-            tensor, found = self.settled(block, without), list[tuple[int, float]]()
+        def write(block: Block) -> tuple[list[tuple[int, Left]], list[Left]]:
+            seen, found = settled_by(block, self.wholes) if watched else [], list[tuple[int, Left]]()
+            tensor = block.tensor if watched else self.settled(block, without)
             for child, sub, rows in split(tensor, block.rows, parts):
                 number = int(np.ravel_multi_index(child, tuple(counts)))
                 put(scratch, pieces[number], [place[r] for place, r in zip(places, rows, strict=True)], sub)
-                found.append((number, squared_norm(sub)))
-            return found
+                found.append((number, left_of(sub)))
+            return found, seen
 
-        for found in self.each(write, self.blocks()):
-            for number, energy in found:
-                pieces[number].energy += energy
-        return scratch, pieces
+        for found, seen in self.each(write, self.blocks()):
+            self.known = list(map(add, self.known, seen)) if self.known else seen
+            for number, left in found:
+                pieces[number].left += left
+        return scratch
 
     @contextmanager
     def holding(self, piece: Piece) -> Generator[None]:
@@ -238,30 +249,35 @@ class Streamed:
             if self.terms() and not self._held.changed:
                 large.rewrite()
             return
-        tensor = self.settled(Block(piece.rows, self.read(piece)))
-        self._held.piece, self._held.tensor, self._held.changed = piece, tensor, bool(self.terms())
+        block, fresh = Block(piece.rows, self.read(piece)), self.in_source
+        if fresh:
+            piece.above = settled_by(block, self.wholes)
+            piece.left = piece.above[-1]
+        tensor, scratch = block.tensor if fresh else self.settled(block), self._scratch if self.lasting else None
+        self._held.piece, self._held.tensor, self._held.changed = piece, tensor, not fresh and bool(self.terms())
         try:
             yield
-            if self._held.changed and piece.elements:
-                if self.lasting:
-                    self._scratch.write(piece.start, tensor)
-                piece.energy = squared_norm(tensor)
+            if scratch is not None and (fresh or self._held.changed) and piece.elements:
+                scratch.write(piece.start, tensor)
+            if self._held.changed:
+                piece.left = left_of(tensor)
         finally:
             self._held.piece = self._held.tensor = None
 
-    def gather(self, rows: Rows, piece: Piece | None) -> F32:
-        """A node's sub-tensor out of the piece that this thread holds; a copy."""
+    def gather(self, rows: Rows, piece: Piece | None, *, lent: bool) -> F32:
+        """A node's sub-tensor out of the piece that this thread holds; a copy, or the piece itself if it is `lent`."""
         assert piece is not None
         assert self._held.piece is piece
         if len(rows[0]) and all(len(r) == size for r, size in zip(rows, piece.sizes, strict=True)):
-            return self._held.tensor.copy()
+            return self._held.tensor if lent else self._held.tensor.copy()
         return kernels.gather(self._held.tensor, self._within(rows, piece))
 
     def scatter(self, rows: Rows, piece: Piece | None, values: F32) -> None:
         """Put it back."""
         assert piece is not None
         assert self._held.piece is piece
-        kernels.scatter(self._held.tensor, self._within(rows, piece), values)
+        if values is not self._held.tensor:
+            kernels.scatter(self._held.tensor, self._within(rows, piece), values)
         self.note_changed()
 
     def note_changed(self) -> None:
@@ -273,24 +289,32 @@ class Streamed:
 
     def settle(self) -> None:
         """All pieces have been held with the present terms: there are none any more."""
-        self.stored = list(self.wholes)
-        if not self.lasting:
-            self._scratch.close()
+        if self.in_source:
+            self.known = [sum(lefts, NOTHING) for lefts in zip(*(piece.above for piece in self.pieces), strict=True)]
+        self.stored, self.in_source = list(self.wholes), False
+        if not self.lasting and self.scratch is not None:
+            self.scratch.close()
+
+    def fitted(self, depth: int) -> None:
+        """All pieces are now less the level of this depth, too."""
+        left = sum((piece.left for piece in self.pieces), NOTHING)
+        self.known = [*self.known[:depth], left] if len(self.known) >= depth else []
 
     def saved(self, *, pieces: bool) -> Saved:
         """All that changes, to go back to; what lies in `pieces`, if that will, is copied to a second scratch file."""
-        if not pieces or self.scratch is None:
+        if not pieces:
             return Saved(list(self.wholes))
-        energies = [piece.energy for piece in self.pieces]
-        return Saved(list(self.wholes), list(self.stored), energies, self.scratch.copy())
+        left, scratch = [piece.left for piece in self.pieces], None if self.in_source else self._scratch.copy()
+        return Saved(list(self.wholes), list(self.stored), left, list(self.known), scratch)
 
     def restore(self, saved: Saved) -> None:
         """Go back, with the pieces there were then; or as they are, where they were not saved."""
-        self.wholes = list(saved.wholes)
+        self.wholes, self.known = list(saved.wholes), list(saved.known)
+        if saved.left is not None:
+            self.stored, self.in_source = list(saved.stored), saved.scratch is None
+            for piece, left in zip(self.pieces, saved.left, strict=True):
+                piece.left = left
         if saved.scratch is not None:
-            self.stored = list(saved.stored)
-            for piece, energy in zip(self.pieces, saved.energies, strict=True):
-                piece.energy = energy
             saved.scratch.copy_to(self._scratch)
 
     def large(self, piece: Piece) -> Large | None:
@@ -317,7 +341,7 @@ class Large(Streamed):
     @property
     def error(self) -> float:
         """Squared norm of what is left of the piece, which is known unless levels above have changed since."""
-        return super().error if self.terms() else self.of.energy
+        return super().error if self.terms() else self.of.left.squares
 
     def terms(self, without: int | None = None) -> list[tuple[float, Cells]]:
         """Also what levels above have changed by since the piece was written."""
@@ -335,16 +359,17 @@ class Large(Streamed):
     def in_blocks(self, parts: Sequence[NDArray[np.intp]], counts: Sequence[int], number: int) -> Streamed:
         """Its pieces in a scratch file of their own."""
         cut = Streamed(self.source, self.organisation, self.threads, self.limit)
-        cut.scratch, cut.pieces = self._written(parts, counts, number)
+        cut.pieces = pieces_of(parts, counts)
+        cut.scratch = self._written(cut.pieces, parts, counts, number)
         return cut
 
     def _thinned_slab(self, part: tuple[slice, ...], steps: Sequence[int] | None) -> Block:
-        return _thinned(self._slab(part), steps)
+        return thinned_block(self._slab(part), steps)
 
     def _slab_above(self, part: tuple[slice, ...], steps: Sequence[int] | None) -> Block:
         block = self._slab(part)
         rows = tuple(all_[own] for all_, own in zip(self.of.rows, block.rows, strict=True))
-        return _thinned(Block(rows, block.tensor), steps)
+        return thinned_block(Block(rows, block.tensor), steps)
 
     def change(self, number: int, cells: Cells | None) -> None:
         """The piece's cells are these from now on; the piece is rewritten."""
@@ -355,12 +380,12 @@ class Large(Streamed):
         """Store what is left now."""
         scratch = self._scratch
 
-        def write(part: tuple[slice, ...]) -> float:
+        def write(part: tuple[slice, ...]) -> Left:
             block = self._slab(part)
             scratch.write(self._start(part), self.settled(block))
-            return squared_norm(block.tensor)
+            return left_of(block.tensor)
 
-        self.of.energy = sum(in_order(write, list(slabs(self.shape, SLAB)), self.workers(SLAB)))
+        self.of.left = sum(in_order(write, list(slabs(self.shape, SLAB)), self.workers(SLAB)), NOTHING)
         self.above.note_changed()
         self.settle()
 
@@ -373,20 +398,3 @@ class Large(Streamed):
     def _start(self, part: tuple[slice, ...]) -> int:
         strides = [prod(self.shape[n + 1 :]) for n in range(len(part))]
         return self.of.start + sum(span.start * stride for span, stride in zip(part, strides, strict=True))
-
-
-def thinned_cells(cells: Cells, steps: Sequence[int] | None) -> Cells:
-    """The cells of every steps-th row of each mode."""
-    if steps is None or max(steps) == 1:
-        return cells
-    return cells.part([np.arange(0, size, step) for size, step in zip(cells.sizes, steps, strict=True)])
-
-
-def _thinned(block: Block, steps: Sequence[int] | None) -> Block:
-    """Every steps-th row of the tensor, counted as rows of the tensor thinned so."""
-    tensor, rows = block.tensor, list(block.rows)
-    for n, step in enumerate(steps or ()):
-        if step > 1:
-            kept = np.flatnonzero(rows[n] % step == 0)
-            tensor, rows[n] = tensor.take(kept, axis=n), rows[n][kept] // step
-    return Block(tuple(rows), np.ascontiguousarray(tensor))

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import backends as kernels
+from .blocks import Block, thinned_cells
 from .cells import Cells
 from .errors import invalid
 from .fit import Effort, Labels, fit_level
@@ -29,7 +30,7 @@ from .progress import Told, nobody
 from .projection import project_one
 from .search import all_products, choose_rows, project_model, right_sides
 from .slabs import slabs
-from .streamed import Block, Streamed, thinned_cells
+from .streamed import Streamed
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

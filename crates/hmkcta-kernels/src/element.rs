@@ -99,6 +99,7 @@ impl Decode for f32 {
 
 impl<T: Real> Task<'_, T> {
     /// The ranks of the loops, where each stands for one mode and the first for none if it is 1; else zeros.
+    #[cfg(target_arch = "x86_64")]
     fn unrolled(&self) -> [usize; 3] {
         let Layout { slots, more, ranks, .. } = self.layout;
         if more.is_empty() && slots.contains(&OUTER) == (ranks[0] > 1) { *ranks } else { [0; 3] }

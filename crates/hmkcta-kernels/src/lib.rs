@@ -7,6 +7,7 @@ mod bundle;
 mod cells;
 mod chain;
 mod coding;
+mod collect;
 mod contract;
 mod cores;
 mod dense;
@@ -24,6 +25,7 @@ mod layout;
 mod leading;
 mod lines;
 mod machine;
+mod magnitudes;
 mod orthonormal;
 mod packed;
 mod pair;
@@ -370,12 +372,6 @@ fn decode_block<'py>(
     py.detach(|| dense::decode(&levels, &rows, first, out)).map_err(PyValueError::new_err)
 }
 
-/// How many threads large nodes are worked on by; 0 stands for all cores. Results do not depend on it.
-#[pyfunction]
-fn set_threads(count: usize) {
-    threads::set_threads(count);
-}
-
 #[pymodule]
 fn _native(module: &Bound<PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(fit_cells, module)?)?;
@@ -387,6 +383,9 @@ fn _native(module: &Bound<PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(dictionary_gram, module)?)?;
     module.add_function(wrap_pyfunction!(solve_cores, module)?)?;
     module.add_function(wrap_pyfunction!(orthonormalise, module)?)?;
+    module.add_function(wrap_pyfunction!(collect::collect, module)?)?;
+    module.add_function(wrap_pyfunction!(collect::collect_scaled, module)?)?;
+    module.add_function(wrap_pyfunction!(magnitudes::magnitudes, module)?)?;
     module.add_function(wrap_pyfunction!(gather, module)?)?;
     module.add_function(wrap_pyfunction!(scatter, module)?)?;
     module.add_function(wrap_pyfunction!(code_rows, module)?)?;
@@ -395,6 +394,6 @@ fn _native(module: &Bound<PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(decode_scattered_f32, module)?)?;
     module.add_function(wrap_pyfunction!(decode_scattered_f64, module)?)?;
     module.add_function(wrap_pyfunction!(decode_block, module)?)?;
-    module.add_function(wrap_pyfunction!(set_threads, module)?)?;
+    module.add_function(wrap_pyfunction!(threads::set_threads, module)?)?;
     Ok(())
 }

@@ -68,10 +68,10 @@ pub mod tests {
 
     /// Run a test with every instruction set that this machine has.
     pub fn on_all_machines(test: impl Fn()) {
-        let mut all = vec![Arch::Scalar, Arch::new()];
+        let machines = [Arch::Scalar, Arch::new()].into_iter();
         #[cfg(target_arch = "x86_64")]
-        all.extend(pulp::x86::V3::try_new().map(Arch::V3));
-        for arch in all {
+        let machines = machines.chain(pulp::x86::V3::try_new().map(Arch::V3));
+        for arch in machines {
             CHOSEN.set(Some(arch));
             test();
             CHOSEN.set(None);

@@ -333,7 +333,7 @@ mod tests {
         // Shared by threads, which run with the best instruction set: groups, several planes each, and both.
         compare_with_cells(&[4000, 60], &[5, 2], &[1, 1], &[2, 2], None);
         compare_with_cells(&[70, 60, 50], &[2, 3, 4], &[1, 2, 2], &[2, 3, 1], None);
-        compare_with_cells(&[30, 140, 50], &[2, 3, 4], &[1, 1, 1], &[2, 3, 2], None);
+        compare_with_cells(&[30, 140, 50], &[2, 3, 2], &[1, 1, 1], &[2, 3, 2], None);
     }
 
     fn compare_with_cells(sizes: &[usize], c: &[usize], k: &[usize], ranks: &[usize], undecomposed: Option<usize>) {

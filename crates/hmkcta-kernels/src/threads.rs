@@ -1,5 +1,6 @@
 //! The threads kernels run on, and the buffers each of them keeps.
 
+use pyo3::pyfunction;
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::cell::RefCell;
@@ -22,9 +23,10 @@ struct State {
 
 static STATE: Mutex<State> = Mutex::new(State { pool: None, wanted: 0 });
 
-/// How many threads large tensors are worked on by; 0 stands for all cores.
-pub fn set_threads(wanted: usize) {
-    *STATE.lock().unwrap_or_else(PoisonError::into_inner) = State { pool: None, wanted };
+/// How many threads large tensors are worked on by; 0 stands for all cores. Results do not depend on it.
+#[pyfunction]
+pub fn set_threads(count: usize) {
+    *STATE.lock().unwrap_or_else(PoisonError::into_inner) = State { pool: None, wanted: count };
 }
 
 /// The pool to run on; None for one thread, or where no thread can be started.

@@ -11,8 +11,10 @@ from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from warnings import warn
+
+from numpy.typing import NDArray
 
 from ..cells import F32, Cells, Products
 from ..coding import U16
@@ -22,9 +24,10 @@ from . import reference
 from .device import Device, Kernels
 from .reference import F64, Rows
 
-__all__ = ["Device", "Kernels", "accumulate", "cluster_rows", "code_rows", "contract_lanes", "dense_basis",
-           "dictionary_gram", "find_device", "fit_cells", "gather", "name", "nearest_with_room", "orthonormalise",
-           "project_cells", "project_pair", "scatter", "set_threads", "solve_cores", "threads", "use"]  # fmt: skip
+__all__ = ["Device", "Kernels", "accumulate", "cluster_rows", "code_rows", "collect", "contract_lanes",
+           "dense_basis", "dictionary_gram", "find_device", "fit_cells", "gather", "magnitudes", "name",
+           "nearest_with_room", "orthonormalise", "project_cells", "project_pair", "scatter", "set_threads",
+           "solve_cores", "threads", "use"]  # fmt: skip
 
 #: Where the kernels of the work at hand run; None: on the CPU.
 _device: ContextVar[Kernels | None] = ContextVar("device", default=None)
@@ -136,6 +139,18 @@ def project_pair(cells: Cells, tensor: F32, pair: tuple[int, int]) -> F32:
 def contract_lanes(p: F32, w: F32) -> F32:
     """A further mode summed over, lane by lane; see `reference.contract_lanes`."""
     return _kernels().contract_lanes(p, w)
+
+
+def collect(
+    array: NDArray[Any], modes: Sequence[Sequence[int]], rows: Rows, out: NDArray[Any], factor: float | None = None
+) -> None:
+    """The sub-tensor of some rows of each mode of an array in any layout, into `out`; see `reference.collect`."""
+    _kernels().collect(array, modes, rows, out, factor)
+
+
+def magnitudes(values: F32) -> tuple[float, float, float]:
+    """The sum of squares, the largest magnitude, and the smallest but zero; see `reference.magnitudes`."""
+    return _kernels().magnitudes(values)
 
 
 def gather(tensor: F32, rows: Rows) -> F32:

@@ -18,6 +18,7 @@ from threading import Lock
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..cells import F32, Cells, Products, empty_cells
 from ..coding import U16
@@ -99,6 +100,17 @@ class Cuda:
     def contract_lanes(self, p: F32, w: F32) -> F32:
         """A further mode summed over, lane by lane."""
         return self._cpu.contract_lanes(p, w)
+
+    def collect(
+        self, array: NDArray[Any], modes: Sequence[Sequence[int]], rows: Rows, out: NDArray[Any],
+        factor: float | None = None,
+    ) -> None:
+        """The sub-tensor of some rows of each mode of an array, on the CPU."""
+        self._cpu.collect(array, modes, rows, out, factor)
+
+    def magnitudes(self, values: F32) -> tuple[float, float, float]:
+        """The sum of squares, the largest magnitude, and the smallest but zero, on the CPU."""
+        return self._cpu.magnitudes(values)
 
     def gather(self, tensor: F32, rows: Rows) -> F32:
         """The sub-tensor of some rows of each mode, on the CPU."""

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
+
+from numpy.typing import NDArray
 
 from ..cells import F32, Cells, Products
 from ..coding import U16
@@ -38,6 +40,17 @@ class Kernels(Protocol):
 
     def contract_lanes(self, p: F32, w: F32) -> F32:
         """A further mode summed over, lane by lane."""
+        ...
+
+    def collect(
+        self, array: NDArray[Any], modes: Sequence[Sequence[int]], rows: Rows, out: NDArray[Any],
+        factor: float | None = None,
+    ) -> None:
+        """The sub-tensor of some rows of each mode of an array in any layout, into `out`."""
+        ...
+
+    def magnitudes(self, values: F32) -> tuple[float, float, float]:
+        """The sum of squares, the largest magnitude, and the smallest but zero."""
         ...
 
     def gather(self, tensor: F32, rows: Rows) -> F32:

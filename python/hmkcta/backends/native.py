@@ -7,6 +7,7 @@ themselves worked on by several threads; results do not depend on how many.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,9 @@ F64 = NDArray[np.float64]
 Shape = tuple[list[int], list[int], list[int], list[int], list[bool]]
 
 name = "native"
+
+#: What numbers of so many bytes are copied as.
+_NUMBERS = {1: np.uint8, 2: np.uint16, 4: np.uint32, 8: np.uint64}
 
 
 def set_threads(count: int) -> None:
@@ -74,6 +78,36 @@ def contract_lanes(p: F32, w: F32) -> F32:
         raise invalid("wrong-shape", "w", w.shape, f"({size}, R, {lanes})")
     y = _native.contract_lanes(_flat(p), _flat(w), (before, size, after), rank, lanes)
     return y.reshape(before, after, rank, lanes)
+
+
+def collect(
+    array: NDArray[Any], modes: Sequence[Sequence[int]], rows: Rows, out: NDArray[Any], factor: float | None = None
+) -> None:
+    """The sub-tensor of some rows of each mode of an array in any layout, into `out`; see `reference.collect`."""
+    size, scaled = array.itemsize, factor is not None and array.dtype == np.float32 and array.dtype.isnative
+    ready = array.flags.aligned and out.flags.c_contiguous and all(stride % size == 0 for stride in array.strides)
+    if size not in _NUMBERS or not ready or (factor is not None and not scaled):
+        reference.collect(array, modes, rows, out, factor)
+        return
+    offsets = [_offsets(array, mode, chosen) for mode, chosen in zip(modes, rows, strict=True)]
+    both = np.asarray(array), out.reshape(-1)
+    if factor is not None:
+        _native.collect_scaled(both, offsets, factor)
+    else:
+        _native.collect((both[0].view(_NUMBERS[size]), both[1].view(_NUMBERS[size])), offsets)
+
+
+def _offsets(array: NDArray[Any], mode: Sequence[int], rows: NDArray[np.intp]) -> NDArray[np.int64]:
+    """Where the rows of a mode lie, in elements."""
+    indices = np.unravel_index(rows, [array.shape[axis] for axis in mode])
+    strides = [array.strides[axis] // array.itemsize for axis in mode]
+    found = sum((at * stride for at, stride in zip(indices, strides, strict=True)), np.zeros(len(rows), np.intp))
+    return np.ascontiguousarray(found, np.int64)
+
+
+def magnitudes(values: F32) -> tuple[float, float, float]:
+    """The sum of squares, the largest magnitude, and the smallest but zero."""
+    return _native.magnitudes(_flat(np.require(values, requirements="A")))
 
 
 def gather(tensor: F32, rows: Rows) -> F32:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from ..cells import dense_basis as dense_basis
 from ..coding import code_rows as code_rows  # the twin of the native search
 from ..kmeans import cluster_rows as cluster_rows  # and of the native clustering
 from ..kmeans import nearest_with_room as nearest_with_room
+from ..metrics import squared_norm
 
 F64 = NDArray[np.float64]
 #: Row numbers of each mode.
@@ -114,6 +116,32 @@ def project_pair(cells: Cells, tensor: F32, pair: tuple[int, int]) -> F32:
 def contract_lanes(p: F32, w: F32) -> F32:
     """`Y[i, k, r, l] = sum_j P[i, j, k, l] W[j, r, l]`."""
     return np.einsum("ijkl,jrl->ikrl", p, w, dtype=np.float64).astype(np.float32)
+
+
+def collect(
+    array: NDArray[Any], modes: Sequence[Sequence[int]], rows: Rows, out: NDArray[Any], factor: float | None = None
+) -> None:
+    """The sub-tensor of some rows of each mode of an array in any layout, into `out`, of the array's type.
+
+    A mode merges the axes it lists, in order. Float32 numbers may be multiplied by a factor.
+    """
+    index: list[Any] = [slice(None)] * array.ndim
+    for n, (mode, chosen) in enumerate(zip(modes, rows, strict=True)):
+        along = [-1 if m == n else 1 for m in range(len(modes))]
+        for axis, at in zip(mode, np.unravel_index(chosen, [array.shape[axis] for axis in mode]), strict=True):
+            index[axis] = at.reshape(along)
+    out[...] = array[tuple(index)] if factor is None else array[tuple(index)] * np.float32(factor)
+
+
+def magnitudes(values: F32) -> tuple[float, float, float]:
+    """The sum of squares in float64, which is not finite if a number is not; the largest magnitude, and the smallest
+    but zero, infinite if there is none.
+
+    >>> magnitudes(np.array([0, -3, 0.5], np.float32))
+    (9.25, 3.0, 0.5)
+    """
+    sizes = np.abs(values)
+    return squared_norm(values), float(sizes.max(initial=0.0)), float(sizes.min(where=sizes > 0, initial=np.inf))
 
 
 def gather(tensor: F32, rows: Rows) -> F32:

@@ -87,7 +87,8 @@ def expected(plan: Plan, source: Source, goal: Goal, *, choosing: bool) -> Forec
     held, memory = 0 if isinstance(source.array, np.memmap) else source.array.nbytes, options["max_memory"]
     before = choosing_bytes(prod(source.shape), effort, threads, memory, plan.snr) if choosing else 0
     sizes, most = mode_sizes(source.axes, plan.organisation), options["decode_cost"]
-    return forecast(plan, sizes, effort, threads, memory, held=held, choosing=before, decode_cost=most)
+    return forecast(plan, sizes, effort, threads, memory, held=held, choosing=before, decode_cost=most,
+                    stored=source.array.nbytes)
 
 
 def describe(plan: Plan, source: Source, goal: Goal, choosing: float | None) -> dict[str, Any]:
