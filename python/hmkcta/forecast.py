@@ -109,9 +109,9 @@ def forecast(
     """
     limit, elements = memory_limit(plan, sizes, memory), prod(sizes)
     own_numbers = _own_numbers(plan, sizes, decode_cost)
-    streamed = is_streamed(elements, limit)
     own_model = _own_bytes(plan, sizes, own_numbers)
     model = model_bytes(plan, sizes, threads, room_beside(elements, memory)) + own_model
+    streamed = is_streamed(elements, limit)
     others = _others(plan, elements, effort) if choosing and not streamed else 0
 
     def found(peak: int, scratch: int = 0, cut: int | None = None) -> Forecast:
@@ -135,8 +135,8 @@ def forecast(
     cut = next((n for n, level in enumerate(plan.levels[:-1]) if level.cells > 1), None)
     measuring = _MEASURED_OUTSIDE * threads * min(slab_within(limit), elements)
     working = model + max(_outside(plan, sizes, limit, threads, cut), measuring)
-    # Its bytes are counted on a model of zeros before the fit, whose memory the heaps keep a share of.
     copies = _copies(plan, effort, cut, at_hand=stays_cached(4 * elements if stored is None else stored))
+    # Its bytes are counted on a model of zeros before the fit, whose memory the heaps keep a share of.
     return found(_peak(choosing, own_model, working), 4 * elements * copies, cut)
 
 

@@ -198,8 +198,8 @@ class Streamed:
         """
         if self.pieces and all(map(np.array_equal, self.parts, parts)):
             return self.pieces
-        pieces, fresh = pieces_of(parts, counts), not self.pieces or self.in_source
-        at_hand = once and fresh and stays_cached(self.source.array.nbytes)
+        pieces, fresh = pieces_of(parts, counts), once and (not self.pieces or self.in_source)
+        at_hand = fresh and stays_cached(self.source.array.nbytes)
         self.in_source = at_hand and all(piece.elements <= self.limit for piece in pieces)
         self.known = []
         if not self.in_source:
