@@ -154,15 +154,17 @@ def test_memory_of_a_goal_is_that_of_its_bytes() -> None:
 
 
 def test_others_that_a_chosen_plan_is_compared_with_take_times_of_its_own() -> None:
-    """More where numbers of clusters are tried; none of arrays that are streamed, nor beside a given plan."""
+    """More where numbers of clusters are tried, or bytes are sought for an SNR; none of arrays that are streamed, nor
+    beside a given plan."""
 
-    def times(text: str, effort: str = "medium", side: int = 40, **options: int) -> float:
-        plan = replace(parse_plan(text, MODES), size=100_000)
+    def times(text: str, effort: str = "medium", side: int = 40, snr: float | None = None, **options: int) -> float:
+        plan = replace(parse_plan(text, MODES), size=None if snr else 100_000, snr=snr)
         cost = forecast(plan, (side,) * 4, EFFORTS[effort], 2, options.get("memory"), choosing=options["choosing"])
         return round(cost.comparing / cost.seconds)
 
     blocks = "R=1 grid=axis0:2 / R<=8"
     assert times("R<=8", choosing=10**8) > times(blocks, choosing=10**8) > times(blocks, "fast", choosing=10**8) == 1
+    assert times(blocks, snr=30.0, choosing=10**8) > times(blocks, choosing=10**8)
     assert times(blocks, choosing=0) == times(blocks, side=80, memory=500_000_000, choosing=10**8) == 0
 
 

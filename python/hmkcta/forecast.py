@@ -73,8 +73,9 @@ _NODE_NS = 1.5e6
 #: What each further thread does of the work of one.
 _SECOND = 0.7
 #: How many times as long as the fit of a chosen plan those of others take that it is compared with: of large arrays; of
-#: others, where it has several levels, and where it has one, as then numbers of clusters are tried.
-_OTHERS_OF_LARGE, _OTHERS, _OTHERS_OF_ONE_LEVEL = 2, 4, 20
+#: others, where it has several levels, for a size and for an SNR, and where it has one, as then numbers of clusters are
+#: tried.
+_OTHERS_OF_LARGE, _OTHERS, _OTHERS_FOR_SNR, _OTHERS_OF_ONE_LEVEL = 2, 6, 12, 20
 
 
 @dataclass(frozen=True)
@@ -156,7 +157,9 @@ def _others(plan: Plan, elements: int, effort: Effort) -> int:
         return 0 if plan.size is None else 1
     if elements > LARGE:
         return _OTHERS_OF_LARGE
-    return _OTHERS if len(plan.levels) > 1 else _OTHERS_OF_ONE_LEVEL
+    if len(plan.levels) == 1:
+        return _OTHERS_OF_ONE_LEVEL
+    return _OTHERS if plan.snr is None else _OTHERS_FOR_SNR
 
 
 def _outside(plan: Plan, sizes: Sequence[int], limit: int, threads: int, cut: int | None) -> int:
