@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import hmkcta
 from hmkcta.axes import Axis
 from hmkcta.errors import HmkctaError, Kind
 from hmkcta.hmkfile import Limits, encode, load, save
@@ -201,6 +202,24 @@ def test_invalid_model_is_refused(name: str, tmp_path: Path) -> None:
 def test_limits_bind_the_writer(tmp_path: Path) -> None:
     error = refusal(tmp_path / "a.hmk", *small_model(), limits=Limits(rank=1))
     assert (error.kind, error.reason) == (Kind.RESOURCE_LIMIT, "rank-limit")
+    assert "as readers refuse more" in str(error)
+
+
+def test_whoever_trusts_a_file_raises_the_limit_that_it_is_beyond(tmp_path: Path) -> None:
+    save(tmp_path / "a.hmk", *small_model())
+    with pytest.raises(HmkctaError, match=r"limits=hmkcta.Limits\(level_cost=4\)\)"):
+        hmkcta.open(tmp_path / "a.hmk", limits=hmkcta.Limits(level_cost=3))
+    assert hmkcta.open(tmp_path / "a.hmk", limits=hmkcta.Limits(level_cost=4)).ndim == 2
+    with pytest.raises(HmkctaError, match=r"limits: found .*, allowed hmkcta.Limits"):
+        hmkcta.open(tmp_path / "a.hmk", limits=1000)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("exponent", [-30, -9, 0, 9, 10, 13, 16, 30])
+def test_how_large_errors_are_does_not_change_the_size_of_a_file(exponent: int) -> None:
+    values = np.random.default_rng(0).standard_normal((5, 6, 7)) * 10.0**exponent
+    model = hmkcta.compress(values.astype(np.float32), "R=2")
+    pieces = encode(model.metadata, model.levels)
+    assert sum(map(len, pieces)) == model.nbytes == hmkcta.compress(values / 10.0**exponent, "R=2").nbytes
 
 
 def test_encode_shares_memory() -> None:

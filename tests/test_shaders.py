@@ -18,6 +18,7 @@ from hmkcta.render.upload import DecoderBuffers
 from hmkcta.render.weighted import Picks, decode_picked
 from hmkcta.render.workload import Configuration
 from hmkcta.render.workload import random_model as workload_model
+from hmkcta.transform import Transform
 
 #: Largest error over the largest value.
 CLOSE = 1e-5
@@ -164,13 +165,28 @@ def test_all_elements() -> None:
     assert error(GpuDecoder(model, adapter()).reconstruct(), model.reconstruct()) <= CLOSE
 
 
-def test_values_beyond_float32_stay_finite() -> None:
-    model = Kind("log1p", (4, 3), transform="log1p", levels=1).model()
-    level = model.levels[0]
-    level.core_scale[:] = 1000.0
+@pytest.mark.parametrize(
+    "transform", ["log1p", "log1p:1e-30", "log1p:1e30", "asinh", "asinh:1e-30", "asinh:1e30", "sqrt"])
+def test_values_beyond_float32_stay_finite(transform: str) -> None:
+    values = np.linspace(0.1, 1.0, 12, dtype=np.float32).reshape(4, 3)
+    model = compress(values, "R=2", transform=transform)
+    model.levels[0].core_scale[:] *= 1e36 if transform == "sqrt" else 1000 / np.abs(model.levels[0].core_scale).max()
     found = GpuDecoder(model, adapter()).reconstruct()
     assert np.isfinite(found).all()
-    assert found.max() > 8e37  # the scale of the transform, 0.25, times almost the largest
+    assert found.max() > 3.39e38
+
+
+@pytest.mark.parametrize(("name", "scale", "size"), [
+    *[(name, 1.0, size) for name in ("log1p", "asinh", "sqrt") for size in (1e-12, 1e-6, 1.0, 1e10)],
+    *[(name, *each) for name in ("log1p", "asinh") for each in ((1e-30, 1e-20), (1e-30, 1e7), (1e30, 1e20))],
+])
+def test_values_far_from_the_scale_keep_their_digits(name: str, scale: float, size: float) -> None:
+    transform = Transform(name, scale)
+    values = np.random.default_rng(1).random((6, 5, 4)) * size
+    model = compress(values.astype(np.float32), "R=5,5,4", transform=str(transform))
+    # A relative error of the decoded logarithm is an absolute one of what it is the logarithm of.
+    largest = float(transform.forward(values).max())
+    assert error(GpuDecoder(model, adapter()).reconstruct(), model.reconstruct()) <= CLOSE * max(1.0, largest)
 
 
 @pytest.mark.parametrize(("indices", "reason"), [

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from .axes import Axis
     from .encode import choose_plan, compress
     from .errors import GoalMissed, HmkctaError
+    from .hmkfile import Limits
     from .journal import Journal
     from .model import Model, open
     from .plan import LevelSpec, Plan, parse_plan
@@ -20,6 +21,7 @@ __all__ = [
     "HmkctaError",
     "Journal",
     "LevelSpec",
+    "Limits",
     "Model",
     "Plan",
     "__version__",
@@ -38,6 +40,7 @@ _MODULES = {
     "HmkctaError": "errors",
     "Journal": "journal",
     "LevelSpec": "plan",
+    "Limits": "hmkfile",
     "Model": "model",
     "Plan": "plan",
     "choose_plan": "encode",

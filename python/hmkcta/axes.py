@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from math import isqrt, prod
 from numbers import Integral
 from typing import Any, cast
+from unicodedata import category
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,10 @@ _ROLE_OF_NAME = {
 Organisation = tuple[tuple[str, ...], ...]
 
 
+#: Unicode categories of controls, formats and separators. Not of what is unassigned: that differs from year to year.
+_UNSEEN = ("Cc", "Cf", "Cs", "Co", "Zs", "Zl", "Zp")
+
+
 @dataclass(frozen=True, eq=False)
 class Axis:
     """One axis of the source array: name, size, role in `ROLES`, coordinates of its indices (or None), their unit."""
@@ -49,8 +54,12 @@ class Axis:
         expect(f"unit of axis {self.name!r}", self.unit, str, "text such as degrees, or none")
         if self.role not in ROLES:
             raise invalid("unknown-role", f"role of axis {self.name!r}", self.role, ", ".join(ROLES))
-        if not self.name or any(c in self.name for c in "+, /=") or not self.name.isprintable():
+        if not self.name or any(c in self.name for c in "+, /=") or any(map(_is_unseen, self.name)):
             raise invalid("bad-axis-name", "axis name", repr(self.name), "a word without + , / = or space")
+
+
+def _is_unseen(character: str) -> bool:
+    return category(character) in _UNSEEN
 
 
 def folded(shape: Sequence[int]) -> str | None:

@@ -17,7 +17,7 @@ from numpy.typing import DTypeLike, NDArray
 from .axes import axis_order, mode_sizes
 from .decode import decode_block, decode_elements
 from .errors import expect, invalid
-from .hmkfile import encoded_size, load, save
+from .hmkfile import DEFAULT_LIMITS, Limits, encoded_size, load, save
 from .indexing import Index, Selection, cut, occurring, positions, select
 from .memory import available_memory, check_memory, format_bytes
 from .packed import LevelBounds, LevelQuality, Metadata, PackedLevel
@@ -382,7 +382,7 @@ def _all_finite(values: Floats) -> bool:
         return bool(np.isfinite(np.add.reduce(values, axis=None)) or np.isfinite(values).all())
 
 
-def open(path: str | os.PathLike[str], verify: bool = True) -> Model:
+def open(path: str | os.PathLike[str], verify: bool = True, limits: Limits = DEFAULT_LIMITS) -> Model:
     """Open a file; its arrays are mapped, not read, until they are needed.
 
     Replace a file that is open by `Model.save`, or by renaming another one, which leaves the opened one as it was.
@@ -391,10 +391,10 @@ def open(path: str | os.PathLike[str], verify: bool = True) -> Model:
     Args:
         path: the file.
         verify: compare its checksums.
+        limits: the largest sizes taken; more only of files that are trusted: ``Limits(rank=2048)``.
 
     Raises:
-        HmkctaError: it is missing, damaged, or of a later version.
+        HmkctaError: it is missing, damaged, of a later version, or beyond the limits.
     """
     expect("path", path, str | bytes | os.PathLike, "the path of an .hmk file")
-    metadata, levels = load(path, verify=verify)
-    return Model(metadata, levels)
+    return Model(*load(path, verify=verify, limits=limits))

@@ -72,4 +72,22 @@ export declare class Problem extends Error {
 /** What is told of a level as soon as its numbers are there; the next one waits for what it returns. */
 export type LevelListener = (model: Model, level: number) => void | Promise<void>;
 
-export declare function open(source: string | URL | Blob | BufferSource, onLevel?: LevelListener): Promise<Model>;
+/** The largest sizes taken (docs/format.md, section 7). */
+export interface Limits {
+  order: number;
+  axes: number;
+  elements: number;
+  levels: number;
+  nodes: number;
+  clusters: number;
+  mixture: number;
+  rank: number;
+  level_cost: number;
+  json_bytes: number;
+  json_depth: number;
+  json_string: number;
+}
+
+/** Of files that are trusted `limits` may let pass more than usual. */
+export declare function open(
+  source: string | URL | Blob | BufferSource, onLevel?: LevelListener, limits?: Partial<Limits>): Promise<Model>;

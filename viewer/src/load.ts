@@ -1,17 +1,14 @@
 /** A file from its first byte to its last level, checked on the way, announced part by part. */
 
 import { LENGTH_BYTES, headerLength } from "./reader/header";
-import { DEFAULT_LIMITS } from "./reader/limits";
+import { DEFAULT_LIMITS, type Limits, ON_GPU } from "./reader/limits";
 import { START, recognised } from "./reader/lookalikes";
 import { Reading } from "./reader/read";
 import { HmkError } from "./reader/reasons";
 import type { ByteSource } from "./stream";
 
-/**
- * What the viewer takes less of than other readers: a shader that runs for seconds is stopped by the system.
- * The product of K R is what one element costs at a level.
- */
-export const VIEWER_LIMITS = { ...DEFAULT_LIMITS, level_cost: 2 ** 18 };
+/** What the viewer takes less of than other readers. */
+const VIEWER_LIMITS: Limits = { ...DEFAULT_LIMITS, level_cost: ON_GPU };
 
 export interface Listener {
   onTables(reading: Reading): Promise<void> | void;
@@ -20,14 +17,14 @@ export interface Listener {
 
 /** Check a file up to its first level; throws as `load` does. */
 export async function checkStart(source: ByteSource): Promise<void> {
-  const reading = await readTables(source);
+  const reading = await readTables(source, VIEWER_LIMITS);
   await source.upTo(reading.levelEnd(1));
   reading.readLevel(1, source.bytes);
 }
 
 /** Read a file; throws `HmkError` or `Problem`. */
-export async function load(source: ByteSource, listener: Listener): Promise<Reading> {
-  const reading = await readTables(source);
+export async function load(source: ByteSource, listener: Listener, limits = VIEWER_LIMITS): Promise<Reading> {
+  const reading = await readTables(source, limits);
   const levels = reading.metadata.levels.map((_, l) => l + 1);
   const fetched = (those: number[]): Promise<void>[] => fetchAhead(source, those.map((level) => reading.levelEnd(level)));
   const arrivals = fetched(levels.slice(0, 1));
@@ -43,20 +40,20 @@ export async function load(source: ByteSource, listener: Listener): Promise<Read
   return reading;
 }
 
-async function readTables(source: ByteSource): Promise<Reading> {
-  const reading = await begin(source);
+async function readTables(source: ByteSource, limits: Limits): Promise<Reading> {
+  const reading = await begin(source, limits);
   await source.upTo(reading.tablesEnd);
   reading.readTables(source.bytes);
   return reading;
 }
 
 /** Read the header; what is no `.hmk` file at all is told by what it looks like. */
-async function begin(source: ByteSource): Promise<Reading> {
+async function begin(source: ByteSource, limits: Limits): Promise<Reading> {
   try {
     await source.upTo(LENGTH_BYTES);
-    const length = headerLength(source.bytes, source.size, VIEWER_LIMITS);
+    const length = headerLength(source.bytes, source.size, limits);
     await source.upTo(LENGTH_BYTES + length);
-    return new Reading(source.bytes.subarray(LENGTH_BYTES, LENGTH_BYTES + length), source.size, VIEWER_LIMITS);
+    return new Reading(source.bytes.subarray(LENGTH_BYTES, LENGTH_BYTES + length), source.size, limits);
   } catch (error) {
     if (!(error instanceof HmkError)) {
       throw error;

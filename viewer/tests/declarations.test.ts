@@ -12,6 +12,7 @@ type Public<T> = Pick<T, keyof T>;
 it("has all that is declared, and declares all that it has", () => {
   expectTypeOf<typeof module.open>().toExtend<typeof declared.open>();
   expectTypeOf<module.Index>().toEqualTypeOf<declared.Index>();
+  expectTypeOf<module.Limits>().toEqualTypeOf<declared.Limits>();
   expectTypeOf<module.Slice>().toEqualTypeOf<declared.Slice>();
   expectTypeOf<Public<module.OnGpu>>().toEqualTypeOf<Public<declared.OnGpu>>();
   expectTypeOf<keyof module.Model>().toEqualTypeOf<keyof declared.Model>();

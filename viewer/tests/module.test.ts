@@ -5,6 +5,7 @@ import type { AddressInfo } from "node:net";
 import { describe, expect, it } from "vitest";
 import { HmkError, type Model, open, Problem } from "../src/module";
 import { asProblem } from "../src/problem";
+import type { Reading } from "../src/reader/read";
 import { fixture } from "./corpus";
 
 interface Expected {
@@ -132,6 +133,18 @@ describe("opening", () => {
     await expect(other).rejects.toThrow(HmkError);
     await expect(other).rejects.toThrow(`header: found what begins like ${what}`);
     expect(asProblem(await other.catch((error: unknown) => error)).sentence).toBe("This is no .hmk file.");
+  });
+
+  it("takes other limits", async () => {
+    await expect(open(bytes, undefined, { level_cost: 3 })).rejects.toThrow("level-cost-limit");
+    expect((await open(bytes, undefined, { level_cost: 4 })).levels).toBe(2);
+  });
+
+  it("decodes on the CPU what takes too long in a shader", async () => {
+    const model = await small();
+    const { metadata } = (model as unknown as { reading: Reading }).reading;
+    Object.assign(metadata.levels[1]!, { mixture: [800, 800], ranks: [600, 600] });
+    expect(() => model.onGpu({} as GPUDevice)).toThrow(/A level takes \d+ multiply-adds an element; shaders do up to 262144/);
   });
 
   it("refuses damage and what is no address", async () => {

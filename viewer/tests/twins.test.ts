@@ -129,6 +129,12 @@ describe("single elements", () => {
     expect(sourceValue(Math.asinh(3), { name: "asinh", scale: 2 })).toBeCloseTo(6, 12);
     expect(sourceValue(-1, { name: "sqrt", scale: 1 })).toBe(0);
   });
+
+  it.each(["log1p", "asinh", "sqrt"] as const)("makes no infinity: %s", (name) => {
+    const largest = Math.fround(3.4028235e38);
+    expect(sourceValue(1e30, { name, scale: 1 })).toBe(largest);
+    expect(sourceValue(-1e30, { name, scale: 1 })).toBe({ log1p: -1, asinh: -largest, sqrt: 0 }[name]);
+  });
 });
 
 describe("uniforms by name", () => {

@@ -44,4 +44,6 @@ def check_limit(reason: str, where: str, found: int, allowed: int) -> None:
     >>> check_limit("order-limit", "hmkcta.organisation", 4, 8)
     """
     if found > allowed:
-        raise fault(reason, where, found, f"at most {allowed}", "raise the limit if you trust the file")
+        name = reason.removesuffix("-limit").replace("-", "_")
+        raise fault(reason, where, found, f"at most {allowed}",
+                    f"if you trust the file, hmkcta.open(path, limits=hmkcta.Limits({name}={found}))")

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..axes import mode_sizes
-from ..errors import HmkctaError, shown
+from ..errors import HmkctaError, expect, shown
 from ..packed import Metadata, PackedLevel
 from .check import check_coords, check_levels
 from .fields import parse_json
@@ -45,6 +45,7 @@ def load(path: str | os.PathLike[str], *, verify: bool = True, limits: Limits = 
     Raises:
         HmkctaError: the file cannot be read, or violates the format in any way; see `REASONS`.
     """
+    expect("limits", limits, Limits, "hmkcta.Limits")
     data = _mapped(path)
     try:
         return loads(data, verify=verify, limits=limits)

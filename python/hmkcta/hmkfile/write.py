@@ -125,7 +125,10 @@ def _as_invalid_argument() -> Generator[None]:
         yield
     except HmkctaError as error:
         if error.kind is Kind.RESOURCE_LIMIT:
-            raise
+            hint = "stay within it, as readers refuse more"
+            raise HmkctaError(
+                error.kind, error.reason, error.where, found=error.found, allowed=error.allowed, hint=hint
+            ) from error
         raise invalid(error.reason, error.where, error.found, error.allowed, error.hint) from error
 
 

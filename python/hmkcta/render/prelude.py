@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
-from math import log, prod
+from math import prod
 
 import numpy as np
 
@@ -205,8 +205,7 @@ def decoder_uniform(metadata: Metadata, levels: int) -> bytes:
     if not 1 <= levels <= len(metadata.levels):
         raise invalid("level-out-of-range", "level", levels, f"1 to {len(metadata.levels)}")
     transform = from_json(metadata.transform)
-    bounded = transform.name in ("log1p", "asinh")
-    limit = log(_LARGEST / max(transform.scale, 1.0)) if bounded else 0.0
+    limit = float(transform.forward(np.array(_LARGEST))) if transform.name != "identity" else 0.0
     numbers = np.array([transform.scale, limit], "<f4").tobytes()
     return np.uint32(levels).astype("<u4").tobytes() + numbers
 

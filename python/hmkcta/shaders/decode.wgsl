@@ -79,22 +79,31 @@ fn node_value(node: u32, level: u32, rows: array<u32, ORDER>) -> Value {
 }
 
 // Inverse of the value transform, componentwise: hmkcta/transform.py. TRANSFORM: 0 identity,
-// 1 log1p, 2 asinh, 3 sqrt; compilers leave out those of other models.
+// 1 log1p, 2 asinh, 3 sqrt; compilers leave out those of other models. The exponential functions are made of those of
+// half the argument, one of which is scaled first: so none leaves float32 unless the result does.
 fn source_values(value: Value) -> Value {
-  let bounded = clamp(value, Value(-decoder.limit), Value(decoder.limit));
   switch TRANSFORM {
     case 1u: {
-      return decoder.scale * (exp(bounded) - Value(1.0));
+      let half = exp_less_one(0.5 * min(value, Value(decoder.limit)));
+      return (half * decoder.scale) * (half + 2.0);
     }
     case 2u: {
-      return decoder.scale * sinh(bounded);
+      let half = exp_less_one(0.5 * min(abs(value), Value(decoder.limit)));
+      let inverse = 1.0 / (half + 1.0);
+      return sign(value) * ((0.5 * (half + half * inverse) * decoder.scale) * (half + 1.0 + inverse));
     }
     case 3u: {
-      let root = max(value, Value(0.0));
+      let root = clamp(value, Value(0.0), Value(decoder.limit));
       return root * root;
     }
     default: {
       return value;
     }
   }
+}
+
+// exp(x) - 1; near 0, where the difference would be little more than rounding, the first terms of its series.
+fn exp_less_one(x: Value) -> Value {
+  let series = 1.0 + x * (1.0 / 2.0 + x * (1.0 / 6.0 + x * (1.0 / 24.0 + x * (1.0 / 120.0 + x / 720.0))));
+  return select(exp(x) - 1.0, x * series, abs(x) < Value(0.25));
 }

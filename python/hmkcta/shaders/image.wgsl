@@ -4,7 +4,7 @@
 struct Decoder {
   levels: u32,  // how many levels to add up
   scale: f32,   // of the value transform, in source values
-  limit: f32,   // arguments above it would leave float32
+  limit: f32,   // decoded numbers above it would leave float32 as source values
 }
 @group(0) @binding(0) var<uniform> decoder: Decoder;
 

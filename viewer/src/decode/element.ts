@@ -137,8 +137,14 @@ function contracted(level: PackedLevel, pos: number[], n: number, at: number, nu
   return sum;
 }
 
-/** The source value behind a decoded one. */
+const LARGEST = (2 - 2 ** -23) * 2 ** 127; // of float32, in which values are kept
+
+/** The source value behind a decoded one; what is too large becomes the largest float32 number. */
 export function sourceValue(value: number, transform: Transform): number {
+  return Math.max(-LARGEST, Math.min(inverse(value, transform), LARGEST));
+}
+
+function inverse(value: number, transform: Transform): number {
   switch (transform.name) {
     case "log1p": return transform.scale * Math.expm1(value);
     case "asinh": return transform.scale * Math.sinh(value);

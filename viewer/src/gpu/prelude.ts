@@ -117,10 +117,10 @@ function transformNumber(metadata: Metadata): number {
 /** The 12 bytes of the uniform `Decoder`. */
 export function decoderUniform(metadata: Metadata, levels: number): ArrayBuffer {
   const { name, scale } = metadata.transform;
-  const bounded = name === "log1p" || name === "asinh";
+  const limit = { identity: 0, log1p: Math.log1p(LARGEST / scale), asinh: Math.asinh(LARGEST / scale), sqrt: Math.sqrt(LARGEST) };
   const bytes = new ArrayBuffer(12);
   new Uint32Array(bytes).set([levels]);
-  new Float32Array(bytes).set([scale, bounded ? Math.log(LARGEST / Math.max(scale, 1)) : 0], 1);
+  new Float32Array(bytes).set([scale, limit[name]], 1);
   return bytes;
 }
 

@@ -2,6 +2,7 @@
 
 import { load } from "../load";
 import { Problem } from "../problem";
+import { DEFAULT_LIMITS, type Limits } from "../reader/limits";
 import { HmkError } from "../reader/reasons";
 import { BlobSource, type ByteSource, fileUrl, openUrl } from "../stream";
 import { Model } from "./model";
@@ -10,17 +11,21 @@ import { shown } from "./shown";
 export { HmkError, Model, Problem };
 export type { Index, Slice } from "./model";
 export type { OnGpu } from "./onGpu";
+export type { Limits };
 
 /** What is told of a level as soon as its numbers are there; the next one waits for what it returns. */
 export type LevelListener = (model: Model, level: number) => void | Promise<void>;
 
 /**
- * Read a file from its address, or one that is at hand, and check it on the way.
+ * Read a file from its address, or one that is at hand, and check it on the way. Of files that are trusted `limits` may
+ * let pass more than usual (docs/format.md, section 7).
  *
  * Throws an `HmkError` of a file that is damaged, incomplete, newer or no `.hmk` file (its `reason` is of docs/format.md,
  * section 8), a `Problem` where it could not be fetched or `source` is nothing to read.
  */
-export async function open(source: string | URL | Blob | BufferSource, onLevel: LevelListener = () => undefined): Promise<Model> {
+export async function open(
+  source: string | URL | Blob | BufferSource, onLevel: LevelListener = () => undefined, limits: Partial<Limits> = {},
+): Promise<Model> {
   let model: Model | null = null;
   const reading = await load(await byteSource(source), {
     onTables: () => undefined,
@@ -29,7 +34,7 @@ export async function open(source: string | URL | Blob | BufferSource, onLevel: 
       model.arrived = level;
       return onLevel(model, level);
     },
-  });
+  }, { ...DEFAULT_LIMITS, ...limits });
   return model ?? new Model(reading);
 }
 

@@ -23,6 +23,9 @@ export const DEFAULT_LIMITS: Limits = {
   level_cost: 2 ** 20, json_bytes: 16 * 2 ** 20, json_depth: 16, json_string: 4096,
 };
 
+/** Most of `level_cost` that a shader decodes: one that runs for seconds is stopped by the system. */
+export const ON_GPU = 2 ** 18;
+
 /** Refuse a number above its limit. */
 export function checkLimit(reason: Reason, where: string, found: number, allowed: number): void {
   if (found > allowed) {

@@ -149,7 +149,7 @@ function parseAxes(value: Json, where: string, limits: Limits): { axes: Axis[]; 
 }
 
 function checkAxisName(name: string, where: string, others: Axis[]): void {
-  if (name === "" || /[+,/=\p{C}\p{Z}]/u.test(name)) {
+  if (name === "" || /[+,/=\p{Cc}\p{Cf}\p{Cs}\p{Co}\p{Z}]/u.test(name)) {
     throw fault("field-value", where, name, "a word without + , / = or space");
   }
   if (others.some((axis) => axis.name === name)) {
@@ -224,15 +224,17 @@ function parseLevels(value: Json, where: string, sizes: number[], undecomposed: 
 /** Limits of a level; the arrays are held against these bounds later. */
 function checkBounds(bounds: LevelBounds, where: string, sizes: number[], undecomposed: number[], limits: Limits
 ): void {
-  let cost = 1;
   sizes.forEach((size, n) => {
-    const [mixture, rank, fixed] = [bounds.mixture[n] ?? 0, bounds.ranks[n] ?? 0, undecomposed.includes(n)];
     checkLimit("clusters-limit", `${where}.C`, bounds.clusters[n] ?? 0, limits.clusters);
-    checkLimit("mixture-limit", `${where}.K`, mixture, limits.mixture);
-    checkLimit("rank-limit", `${where}.R`, rank, fixed ? size : limits.rank);
-    cost *= fixed ? 1 : mixture * rank;
+    checkLimit("mixture-limit", `${where}.K`, bounds.mixture[n] ?? 0, limits.mixture);
+    checkLimit("rank-limit", `${where}.R`, bounds.ranks[n] ?? 0, undecomposed.includes(n) ? size : limits.rank);
   });
-  checkLimit("level-cost-limit", where, cost, limits.level_cost);
+  checkLimit("level-cost-limit", where, levelCost(bounds, undecomposed), limits.level_cost);
+}
+
+/** Multiply-adds of one element at a level, in a node of the largest K and R. */
+export function levelCost({ mixture, ranks }: LevelBounds, undecomposed: number[]): number {
+  return product(mixture.map((k, n) => (undecomposed.includes(n) ? 1 : k * ranks[n]!)));
 }
 
 function parseTransform(value: Json, where: string): Transform {
