@@ -179,13 +179,18 @@ def compress(
             run = replace(run, journal=journal)
             journal.begin(decisive(source, plan, kind=kind, quality=quality, scheme=scheme, seed=run.seed,
                                    device=device.described, **asdict(wanted)))
-        plans = [plan] if plan else run.journal.plans(lambda: _chosen(source, run, wanted))
+
+        def chosen(aim: float | None, bits: int | None, name: str) -> list[Plan]:
+            return run.journal.plans(lambda: _chosen(source, run, replace(wanted, bits=bits), aim), name)
+
+        plans = [plan] if plan else chosen(None, wanted.bits, "plan")
         task = Task(
             source, plans[0], scheme, wanted.decode_cost, kind or source.kind, run, wanted.max_memory, wanted.bits,
             wanted.organisation is not None,
         )
         with kernels.use(device):
-            model = follow(task) if plan else follow_any(task, plans[1:], lambda said: warn(said, stacklevel=5))
+            model = follow(task) if plan else follow_any(
+                task, plans[1:], lambda said: warn(said, stacklevel=5), chosen)
     _warn_of(model, task.plan.snr)
     return model
 
@@ -335,7 +340,7 @@ def _wanted(
     return Wanted(snr, size, int(decode_cost), organisation, memory, bits)
 
 
-def _chosen(source: Source, run: Run, wanted: Wanted) -> list[Plan]:
+def _chosen(source: Source, run: Run, wanted: Wanted, aim: float | None = None) -> list[Plan]:
     fixed = None if wanted.organisation is None else source.organisation(wanted.organisation)
     snr, size, ceiling = wanted.snr, wanted.size, None
     if snr is None and size is None:
@@ -344,6 +349,6 @@ def _chosen(source: Source, run: Run, wanted: Wanted) -> list[Plan]:
         ceiling = DEFAULT_SNR
     plans = tune(
         source, run, snr=snr, size=size, ceiling=ceiling, decode_cost=wanted.decode_cost, organisation=fixed,
-        memory=wanted.max_memory, bits=wanted.bits,
+        memory=wanted.max_memory, bits=wanted.bits, aim=aim,
     )
     return [finer(plan, source.axes) or plan for plan in plans] if prod(source.shape) <= SMALL else plans

@@ -50,8 +50,9 @@ class Finished:
 class NoJournal:
     """Nothing is kept: every node is fitted."""
 
-    def plans(self, choose: Callable[[], list[Plan]]) -> list[Plan]:
-        """The plans that this run chose before, or chooses now, the best first."""
+    def plans(self, choose: Callable[[], list[Plan]], name: str = "plan") -> list[Plan]:
+        """The plans that this run chose before under that name, or chooses now, the best first."""
+        del name
         return choose()
 
     def settled(self, name: str, choose: Callable[[], Any]) -> Any:
@@ -166,13 +167,13 @@ class Journal(NoJournal):
                 raise
         self._steps = 0
 
-    def plans(self, choose: Callable[[], list[Plan]]) -> list[Plan]:
+    def plans(self, choose: Callable[[], list[Plan]], name: str = "plan") -> list[Plan]:
         """The plans of the interrupted run; else those chosen now, which are written down."""
-        content = self.settled("plan", lambda: [asdict(plan) for plan in choose()])
+        content = self.settled(name, lambda: [asdict(plan) for plan in choose()])
         try:
             return [_plan(each) for each in content]
         except (KeyError, TypeError, ValueError, HmkctaError) as error:
-            raise self._useless("no plan in plan.json", "the files of a run") from error
+            raise self._useless(f"no plan in {name}.json", "the files of a run") from error
 
     def settled(self, name: str, choose: Callable[[], Any]) -> Any:
         """The interrupted run's value; else the one chosen now, which is written down."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from math import inf, prod
+from itertools import filterfalse
+from math import inf, isfinite, prod
 
 from .alternatives import (
     ROUNDING_FROM,
@@ -21,9 +22,10 @@ from .finer import LARGE, finer, is_far_beyond, more_blocks, parted
 from .fit import EFFORTS
 from .follow import Task
 from .followed import Followed, best_of, fitted_with, further, is_verbatim, may_be
+from .goals import misses
 from .model import Model
 from .narrow import BITS
-from .plan import Plan
+from .plan import LevelSpec, Plan
 from .predict import is_streamed, memory_limit
 from .second_levels import ROUNDED, below_bytes, below_rounding, deeper
 
@@ -36,11 +38,19 @@ BEHIND, FAR_BEHIND = (1.5, 1.25), (6.0, 3.0)
 FILLS = 3
 #: Of nodes, those of like rows take no rank: so many at least are taken to have one.
 FILLED = 0.5
+#: How often plans are chosen anew, while they miss an SNR, for what that takes in dB of transformed values.
+AGAIN = 3
 #: Elements up to which numbers of clusters are told apart by fits in all steps, the first from each start.
 IN_ALL_STEPS, STEPS = 1 << 22, (1.5, 1.25, 1.125)
 
 
-def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]) -> Model:
+#: Plans chosen for an SNR in dB of transformed values, or of numbers of so many bits, under a name of their own.
+Choose = Callable[[float | None, int | None, str], list[Plan]]
+
+
+def follow_any(
+    task: Task, others: Sequence[Plan], missed: Callable[[str], None], choose: Choose | None = None
+) -> Model:
     """The model of the task's plan; where it misses its SNR, of the first further plan that does not, or the best.
 
     Further are the same plan with a level more, for what float16 or the ranks of one leave, and then the `others`;
@@ -48,20 +58,20 @@ def follow_any(task: Task, others: Sequence[Plan], missed: Callable[[str], None]
     rivals, of which the best is kept. It is then compared with its `alternatives`, with more and fewer clusters of the
     data, and beyond what float16 keeps of one level with plans of two. Where ranks are such large steps that a model
     lies far beyond its goal, the same plan with a `finer` choice of blocks is tried, and for an SNR the first of the
-    others.
+    others. Under a value transform plans are then chosen anew, for what the fit told.
     """
     rivals = _rivals(task, others)
-    followed = fitted_with(task, rivals, FAR_BEHIND[1])
+    followed, given = fitted_with(task, rivals, FAR_BEHIND[1]), task
     (task, model), followed = _compared(task, followed, others)
     left = [plan for plan in others if plan not in rivals]
     if is_far_beyond(task.plan, model.snr, model.nbytes):
         nearer = _nearer(task, model, left)
         again = nearer[1] is not model and _is_worth(nearer[0])
         task, model = _with_other_clusters(*nearer, STEPS[-1:], set()) if again else nearer
-    if task.plan.snr is None:
-        return model
-    best = _unless_missed(task, model, _spare(task, model, followed, left), missed)
-    return _unless_verbatim(task, best, left)
+    if choose is not None:
+        (task, model), left = _chosen_anew(given, (task, model), left, choose)
+    missing = [] if task.plan.snr is None else _spare(task, model, followed, left)
+    return _unless_verbatim(task, _unless_missed(task, model, missing, missed))
 
 
 def _rivals(task: Task, others: Sequence[Plan]) -> list[Plan]:
@@ -102,6 +112,44 @@ def _in_other_ways(given: Task, own: Followed, followed: Sequence[Followed], oth
     tried = set[Plan]()
     task, model = best_of([_with_other_clusters(*start, [first], tried) for start in starts])
     return _with_other_clusters(task, model, finer_steps, tried)
+
+
+def _chosen_anew(
+    given: Task, found: Followed, left: list[Plan], choose: Choose
+) -> tuple[Followed, list[Plan]]:
+    """The best of what was found and of plans chosen anew where the fit tells more than the trial knew; and those left
+    that were not fitted.
+
+    Under a value transform errors are not alike everywhere, as the first choice took them to be: most are where values
+    are large. So plans are chosen for as many dB of transformed values as the SNR takes by the two SNRs of what was
+    found; for a size those of float16 numbers, as rounding counts for more, too. These also where bytes, for which the
+    first plan was chosen, do not reach an SNR after all: what is best for them need not be best for others.
+    """
+    (task, model), goal, bits = found, given.plan.snr, max(BITS)
+    if given.source.value_transform.name != "identity" and goal is not None:
+        return _aimed_anew(found, goal, left, choose) if misses(model.snr, goal) or _is_worth(given) else (found, left)
+    bytes_do = given.plan.snr is not None and task.plan.levels[-1].bits < bits and not misses(model.snr, goal)
+    plain = given.source.value_transform.name == "identity" and (goal is None or given.plan.levels[-1].bits == bits)
+    if bytes_do or plain or not may_be(given, with_bits(given.plan, bits)) or not _is_worth(given):
+        return found, left
+    plans = filterfalse(is_verbatim, choose(None, bits, "plan-2"))
+    return best_of([found, *further(task, plans, found)]), left
+
+
+def _aimed_anew(
+    found: Followed, goal: float, left: list[Plan], choose: Choose
+) -> tuple[Followed, list[Plan]]:
+    """Plans chosen for what the SNR takes in dB of transformed values, again while they miss it."""
+    for number in range(2, 2 + AGAIN):
+        task, model = found
+        aim = model.metadata.source["transformed_snr_db"][-1] + goal - model.snr
+        if not isfinite(aim) or (number > 2 and not misses(model.snr, goal)):
+            break
+        plans = [*filterfalse(is_verbatim, choose(aim, task.bits, f"plan-{number}"))]
+        fitted = plans if _is_worth(task) else plans[:1]
+        left = [*(plan for plan in plans if plan not in fitted), *filter(is_verbatim, left)]
+        found = best_of([found, *further(task, fitted, found)])
+    return found, left
 
 
 def _spare(task: Task, model: Model, followed: Sequence[Followed], others: Sequence[Plan]) -> list[Plan]:
@@ -157,14 +205,16 @@ def _is_held(task: Task) -> bool:
     return not streamed and task.run.effort.candidates > EFFORTS["fast"].candidates
 
 
-def _unless_verbatim(task: Task, best: Model, others: Sequence[Plan]) -> Model:
-    """The model for an SNR, or the values as float16 if that takes fewer bytes and does as well."""
-    if best.nbytes <= _verbatim_bytes(task, task.plan) or is_verbatim(best.plan):
-        return best
-    for _, model in further(task, filter(is_verbatim, others)):
-        if model.nbytes < best.nbytes and model.snr >= min(best.snr, task.plan.snr or best.snr):
-            return model
-    return best
+def _unless_verbatim(task: Task, best: Model) -> Model:
+    """The model, or the values as they are, as bytes or float16, where these do better."""
+    found = task, best
+    for bits in BITS:
+        plan = replace(task.plan, levels=(LevelSpec.of_one_cell((None,) * len(task.plan.organisation), bits),))
+        is_there = is_verbatim(best.plan) and best.plan.levels[-1].bits == bits
+        tried = not is_there and may_be(task, plan) and (task.plan.snr is not None or _is_worth(task))
+        if tried and _verbatim_bytes(task, plan) < (task.plan.size or found[1].nbytes):
+            found = best_of([found, *further(task, [plan])])
+    return found[1]
 
 
 def _verbatim_bytes(task: Task, plan: Plan) -> int:

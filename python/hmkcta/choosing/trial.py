@@ -316,10 +316,13 @@ class Trial:
         return self._headers[candidate]
 
 
-def trial_of(source: Source, size: int | None, ceiling: float | None, decode_cost: int, seed: int) -> Trial:
+def trial_of(
+    source: Source, size: int | None, ceiling: float | None, decode_cost: int, seed: int, aim: float | None = None
+) -> Trial:
     """The trial of a goal whose dB are those of the source's values; without a `size` all that anything may need.
 
-    A value transform stretches errors by its inverse's slope, so that as many dB of transformed values are others.
+    A value transform stretches errors by its inverse's slope, so that as many dB of transformed values are others: as
+    many as the slopes say where errors are alike everywhere, or `aim`, which a fit told.
     """
     signal = energy = slopes = 0.0
     transform, unit = source.value_transform, np.float64(source.unit)
@@ -335,7 +338,7 @@ def trial_of(source: Source, size: int | None, ceiling: float | None, decode_cos
     stretch = 1.0 if transform.name == "identity" else max(slopes / prod(source.shape), 1e-300)
     signal = energy if transform.name == "identity" else signal
     higher_by = decibels(energy, signal / stretch) if energy else 0.0
-    ceiling = None if ceiling is None else ceiling + higher_by
+    ceiling = aim if aim is not None or ceiling is None else ceiling + higher_by
     held = source.values() if prod(source.shape) <= HELD else None
     size = size or 4 * prod(source.shape) + ENOUGH
     samples = Samples(source, held, detail_of(source, held))
