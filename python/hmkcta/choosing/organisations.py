@@ -33,6 +33,24 @@ def merges(organisation: Organisation, axes: Sequence[Axis]) -> Iterator[Organis
         yield _arranged([modes[a] + modes[b], *(mode for n, mode in enumerate(modes) if n not in (a, b))], axes)
 
 
+def moves(organisation: Organisation, axes: Sequence[Axis]) -> Iterator[Organisation]:
+    """The organisation with one of its axes in another of its modes, or in one of its own.
+
+    >>> video = [Axis("time", 9), Axis("y", 40), Axis("x", 60)]
+    >>> [*moves((("time",), ("y", "x")), video)]
+    [(('time', 'y'), ('x',)), (('time',), ('y',), ('x',)), (('time', 'x'), ('y',))]
+    """
+    single = {axis.name for axis in axes if axis.size == 1}
+    modes = [[name for name in mode if name not in single] for mode in organisation]
+    found = dict[Organisation, None]()
+    for name in (name for mode in modes for name in mode):
+        left = [[other for other in mode if other != name] for mode in modes]
+        for n in range(len(left) + 1):
+            moved = [[*mode, name] if m == n else mode for m, mode in enumerate([*left, []])]
+            found[_arranged([mode for mode in moved if mode], axes)] = None
+    yield from (each for each in found if len(each) > 1 and each != organisation)
+
+
 def _partitions(names: list[str]) -> Iterator[list[list[str]]]:
     if not names:
         yield []

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import chain, product
 from math import inf, log10, prod
 
 from ..axes import Organisation, folded, mode_sizes
@@ -30,8 +31,8 @@ from .climbing import WORTHWHILE, climbed
 from .clustered import with_clusters
 from .judging import CARES, Ranked, Search, worth_of
 from .number_bits import searched_by_bits
-from .organisations import organisations
-from .racing import finalists, near
+from .organisations import moves, organisations
+from .racing import FEW_AXES, finalists, near
 from .trial import OUT_OF_REACH, VERBATIM, Trial, trial_of
 
 #: Small samples tell up to so much too little of large blocks: what lies further behind is left. Of so many of the
@@ -230,6 +231,9 @@ def _settled(
     again += [(c.organisation, coarser(c.grid, shape)) for c in ended[:COARSER]]
     again += [(search.plain, grid) for grid in few_grids(shape)[:2] if search.near(search.plain, LAGGING)]
     again += [(modes, whole) for modes in search.matrices()]
+    if len(search.plain) > FEW_AXES:  # not all organisations were looked at
+        near_by = (moves(modes, search.trial.source.axes) for modes in dict.fromkeys(c.organisation for c in ended))
+        again += product(chain.from_iterable(near_by), dict.fromkeys([whole, ended[0].grid]))
     again = list(dict.fromkeys(again))
     told = partial(progress, "finer choice of blocks")
     judged = search.best(again, search.care.refine, share_of(told, 0, 4))
