@@ -69,7 +69,8 @@ def select(key: Any, shape: Sequence[int]) -> Selection:
         if item is None:
             result.append(1)
         elif isinstance(item, slice):
-            index = np.arange(*item.indices(shape[axis]))
+            start, stop, step = item.indices(shape[axis])
+            index = np.arange(start, stop, max(-shape[axis], min(step, shape[axis])))
             found.append((len(result), index))
             result.append(len(index))
         elif isinstance(item, np.ndarray):

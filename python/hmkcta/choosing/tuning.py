@@ -150,7 +150,19 @@ def _searched(
         return search.highest, best
     ended = finalists(search, fixed, progress, narrow=narrow)
     search.highest = ended[0][0]
-    return ended[0] if search.highest > enough else _found(search, ended, progress, narrow=narrow)
+    if search.highest > enough:
+        return ended[0]
+    if not fixed and (narrow or len(search.plain) > FEW_AXES):  # few samples were looked at, or not all organisations
+        ended = [*ended, *_neighbours(search, ended)]
+    return _found(search, ended, progress, narrow=narrow)
+
+
+def _neighbours(search: Search, ended: Ranked) -> Ranked:
+    """Organisations that differ from those that races ended with by one axis, whole and in the blocks of the best."""
+    (_, first), axes = ended[0], search.trial.source.axes
+    others = chain.from_iterable(moves(modes, axes) for modes in dict.fromkeys(each.organisation for _, each in ended))
+    grids = dict.fromkeys([(1,) * len(first.grid), first.grid])
+    return [(-inf, replace(first, organisation=modes, grid=grid)) for modes, grid in product(others, grids)]
 
 
 def _held(plans: Sequence[Plan], source: Source, room: Room | None) -> list[Plan]:
@@ -231,9 +243,6 @@ def _settled(
     again += [(c.organisation, coarser(c.grid, shape)) for c in ended[:COARSER]]
     again += [(search.plain, grid) for grid in few_grids(shape)[:2] if search.near(search.plain, LAGGING)]
     again += [(modes, whole) for modes in search.matrices()]
-    if len(search.plain) > FEW_AXES:  # not all organisations were looked at
-        near_by = (moves(modes, search.trial.source.axes) for modes in dict.fromkeys(c.organisation for c in ended))
-        again += product(chain.from_iterable(near_by), dict.fromkeys([whole, ended[0].grid]))
     again = list(dict.fromkeys(again))
     told = partial(progress, "finer choice of blocks")
     judged = search.best(again, search.care.refine, share_of(told, 0, 4))
