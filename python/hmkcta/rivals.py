@@ -114,9 +114,7 @@ def _in_other_ways(given: Task, own: Followed, followed: Sequence[Followed], oth
     return _with_other_clusters(task, model, finer_steps, tried)
 
 
-def _chosen_anew(
-    given: Task, found: Followed, left: list[Plan], choose: Choose
-) -> tuple[Followed, list[Plan]]:
+def _chosen_anew(given: Task, found: Followed, left: list[Plan], choose: Choose) -> tuple[Followed, list[Plan]]:
     """The best of what was found and of plans chosen anew where the fit tells more than the trial knew; and those left
     that were not fitted.
 
@@ -126,19 +124,18 @@ def _chosen_anew(
     first plan was chosen, do not reach an SNR after all: what is best for them need not be best for others.
     """
     (task, model), goal, bits = found, given.plan.snr, max(BITS)
-    if given.source.value_transform.name != "identity" and goal is not None:
+    transformed = given.source.value_transform.name != "identity"
+    if transformed and goal is not None:
         return _aimed_anew(found, goal, left, choose) if misses(model.snr, goal) or _is_worth(given) else (found, left)
-    bytes_do = given.plan.snr is not None and task.plan.levels[-1].bits < bits and not misses(model.snr, goal)
-    plain = given.source.value_transform.name == "identity" and (goal is None or given.plan.levels[-1].bits == bits)
-    if bytes_do or plain or not may_be(given, with_bits(given.plan, bits)) or not _is_worth(given):
+    fall_short = task.plan.levels[-1].bits == bits or misses(model.snr, goal)
+    doubtful = transformed if goal is None else given.plan.levels[-1].bits < bits and fall_short
+    if not doubtful or given.bits is not None or not _is_worth(given):
         return found, left
     plans = filterfalse(is_verbatim, choose(None, bits, "plan-2"))
     return best_of([found, *further(task, plans, found)]), left
 
 
-def _aimed_anew(
-    found: Followed, goal: float, left: list[Plan], choose: Choose
-) -> tuple[Followed, list[Plan]]:
+def _aimed_anew(found: Followed, goal: float, left: list[Plan], choose: Choose) -> tuple[Followed, list[Plan]]:
     """Plans chosen for what the SNR takes in dB of transformed values, again while they miss it."""
     for number in range(2, 2 + AGAIN):
         task, model = found

@@ -27,8 +27,7 @@ def _arranged(partition: Sequence[Sequence[str]], axes: Sequence[Axis]) -> Organ
 
 def merges(organisation: Organisation, axes: Sequence[Axis]) -> Iterator[Organisation]:
     """The organisation with two of its modes made one."""
-    single = {axis.name for axis in axes if axis.size == 1}
-    modes = [[name for name in mode if name not in single] for mode in organisation]
+    modes = _of_many(organisation, axes)
     for a, b in combinations(range(len(modes)), 2):
         yield _arranged([modes[a] + modes[b], *(mode for n, mode in enumerate(modes) if n not in (a, b))], axes)
 
@@ -40,15 +39,19 @@ def moves(organisation: Organisation, axes: Sequence[Axis]) -> Iterator[Organisa
     >>> [*moves((("time",), ("y", "x")), video)]
     [(('time', 'y'), ('x',)), (('time',), ('y',), ('x',)), (('time', 'x'), ('y',))]
     """
-    single = {axis.name for axis in axes if axis.size == 1}
-    modes = [[name for name in mode if name not in single] for mode in organisation]
-    found = dict[Organisation, None]()
+    modes, found = _of_many(organisation, axes), dict[Organisation, None]()
     for name in (name for mode in modes for name in mode):
         left = [[other for other in mode if other != name] for mode in modes]
         for n in range(len(left) + 1):
             moved = [[*mode, name] if m == n else mode for m, mode in enumerate([*left, []])]
             found[_arranged([mode for mode in moved if mode], axes)] = None
     yield from (each for each in found if len(each) > 1 and each != organisation)
+
+
+def _of_many(organisation: Organisation, axes: Sequence[Axis]) -> list[list[str]]:
+    """Its modes without axes of size 1."""
+    single = {axis.name for axis in axes if axis.size == 1}
+    return [[name for name in mode if name not in single] for mode in organisation]
 
 
 def _partitions(names: list[str]) -> Iterator[list[list[str]]]:

@@ -326,17 +326,18 @@ def trial_of(
     """
     signal = energy = slopes = 0.0
     transform, unit = source.value_transform, np.float64(source.unit)
+    plain = transform.name == "identity" or aim is not None  # no slopes are asked for
     for part in source.parts(SLAB):
         values = source.values(part).astype(np.float64)
         energy += float(np.square(values).sum())
-        if transform.name != "identity":
+        if not plain:
             step = 1e-4
             higher, lower = (transform.inverse(unit * (values + by)) for by in (step, -step))
             slopes += float(np.square((higher - lower) / (2 * step)).sum())
             signal += float(np.square(transform.inverse(unit * values)).sum())
     # Squared errors of transformed values, times this, are those of the source's values.
-    stretch = 1.0 if transform.name == "identity" else max(slopes / prod(source.shape), 1e-300)
-    signal = energy if transform.name == "identity" else signal
+    stretch = 1.0 if plain else max(slopes / prod(source.shape), 1e-300)
+    signal = energy if plain else signal
     higher_by = decibels(energy, signal / stretch) if energy else 0.0
     ceiling = aim if aim is not None or ceiling is None else ceiling + higher_by
     held = source.values() if prod(source.shape) <= HELD else None

@@ -4,6 +4,7 @@
  * The shader `decode.wgsl` does the same for all pixels at once.
  */
 
+import { MAX_F32 } from "../reader/check";
 import { halfValues } from "../reader/half";
 import type { Metadata, Transform } from "../reader/metadata";
 import type { PackedLevel } from "../reader/packed";
@@ -137,11 +138,9 @@ function contracted(level: PackedLevel, pos: number[], n: number, at: number, nu
   return sum;
 }
 
-const LARGEST = (2 - 2 ** -23) * 2 ** 127; // of float32, in which values are kept
-
 /** The source value behind a decoded one; what is too large becomes the largest float32 number. */
 export function sourceValue(value: number, transform: Transform): number {
-  return Math.max(-LARGEST, Math.min(inverse(value, transform), LARGEST));
+  return Math.max(-MAX_F32, Math.min(inverse(value, transform), MAX_F32));
 }
 
 function inverse(value: number, transform: Transform): number {

@@ -12,7 +12,7 @@ import type { PackedLevel } from "./packed";
 import { fault } from "./reasons";
 import { type Geometry, nameIn, offsetSteps, readGeometry } from "./tables";
 
-const MAX_F32 = 3.4028234663852886e38;
+export const MAX_F32 = 3.4028234663852886e38;
 const HALF_INFINITY = 0x7c00;
 
 /** Check the tables of all levels, whose names, types and table shapes `checkSchema` has let through. */
