@@ -66,6 +66,13 @@ def test_slice_of_a_volume_takes_its_two_largest_sides() -> None:
     assert np.array_equal(slice_image(cube, name_axes(cube.shape, ["z", "y", "x"]), "volume")[..., 0], cube[2])
 
 
+def test_axes_named_x_and_y_are_columns_and_rows_in_any_order() -> None:
+    values = np.random.default_rng(0).random((6, 5, 3), dtype=np.float32)
+    picture = slice_image(values, name_axes(values.shape, ["x", "y", "rgb"]))
+    assert np.array_equal(picture, slice_image(values.swapaxes(0, 1), name_axes((5, 6, 3), ["y", "x", "rgb"])))
+    assert picture.shape == (5, 6, 3)
+
+
 def test_slice_without_space_takes_the_two_longest_axes() -> None:
     values = np.random.default_rng(0).random((6, 2, 8))
     assert np.allclose(slice_image(values, name_axes(values.shape))[:, :, 0], values[:, 1, :])

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 import hmkcta
 from gpu_tools import adapter
 from hmkcta import Axis, Model, synthetic
+from hmkcta.axes import name_axes
 from hmkcta.errors import HmkctaError
 from hmkcta.render import Camera, Compare, Light, Look, Renderer, Scene, Surface, Tone, Viewpoint, render
 from hmkcta.render.gbuffer import camera_rays, trace
@@ -208,6 +209,15 @@ def test_volumes_stand_where_other_axes_say() -> None:
     model = compressed(synthetic.Dataset(data.values, axes, "volume"), "gas, z, y, x", "R=3,4,4,4")
     first = same(model, SMALL, position={"gas": 0})
     assert (first != same(model, SMALL, position={"gas": 2})).any()
+
+
+@pytest.mark.parametrize("names", [["x", "y", "z", "t"], ["y", "t", "x", "z"]])
+def test_volumes_whose_axes_are_in_another_order(names: list[str]) -> None:
+    data = synthetic.volume((8, 10, 12), frames=3)
+    order = [["t", "z", "y", "x"].index(name) for name in names]
+    axes = name_axes([data.values.shape[n] for n in order], names)
+    turned = synthetic.Dataset(np.ascontiguousarray(data.values.transpose(order)), axes, "volume")
+    same(compressed(turned, ", ".join(names), "R=3,4,4,4"), replace(SMALL, time=1.5))
 
 
 def test_software_that_would_not_finish_is_refused(material: synthetic.Dataset) -> None:

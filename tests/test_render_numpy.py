@@ -211,6 +211,18 @@ def test_a_uniform_volume_absorbs_by_its_thickness() -> None:
     assert Renderer(model, backend="numpy").radiance(above)[4, 4, 3] == pytest.approx(1 - 0.9**20, abs=0.01)
 
 
+def test_a_volume_looks_the_same_in_whatever_order_its_axes_are() -> None:
+    """As of NIfTI files, whose first axis is x; without these names they are in array order."""
+    values = np.random.default_rng(0).random((2, 6, 8, 10)).astype(np.float32)
+    scene = Scene(width=24, height=24)
+    expected = Renderer(volume_model(values), backend="numpy").radiance(scene)
+    turned = np.ascontiguousarray(values.transpose(3, 2, 1, 0))
+    named = model_of(turned, name_axes(turned.shape, ["x", "y", "z", "t"]), "volume")
+    np.testing.assert_allclose(Renderer(named, backend="numpy").radiance(scene), expected, atol=1e-4)
+    unnamed = model_of(turned, name_axes(turned.shape, ["a:space", "b:space", "c:space", "t"]), "volume")
+    assert np.abs(Renderer(unnamed, backend="numpy").radiance(scene) - expected).max() > 0.01
+
+
 def test_an_iso_surface_of_distance_is_a_sphere() -> None:
     z, y, x = (np.mgrid[:32, :32, :32] - 15.5) / 16
     ball = (1 - np.sqrt(z * z + y * y + x * x)).astype(np.float32)

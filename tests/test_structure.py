@@ -40,6 +40,7 @@ LAYERS = (
     ("followed",),
     ("second_levels",),
     ("rivals",),
+    ("both_goals",),
     ("encode",),
     ("pictures", "readers", "synthetic"),
     ("",),

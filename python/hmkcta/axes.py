@@ -31,6 +31,9 @@ _ROLE_OF_NAME = {
     **dict.fromkeys(("rgb", "channel", "colour", "color", "c", "band", "wavelength", "spectral"), "channel"),
 }
 
+#: Names of axes that tell what they are drawn as: slices, rows, columns.
+DRAWN = ("z", "y", "x")
+
 Organisation = tuple[tuple[str, ...], ...]
 
 
@@ -125,6 +128,20 @@ def name_axes(shape: Sequence[int], names: Sequence[str] | None = None) -> tuple
     if len({axis.name for axis in axes}) != len(axes):
         raise invalid("axis-twice", "axes", ", ".join(axis.name for axis in axes), "names that differ")
     return tuple(axes)
+
+
+def as_drawn(axes: Sequence[Axis], numbers: Sequence[int]) -> list[int]:
+    """Numbers of axes as they are drawn: slices, rows, columns. These are z, y and x where axes have these names, in
+    whatever order an array has them, else they are in array order.
+
+    >>> as_drawn(name_axes((5, 6, 7, 3), ["x", "y", "z", "rgb"]), [0, 1, 2])
+    [2, 1, 0]
+    >>> as_drawn(name_axes((5, 6, 7), ["x", "y", "depth"]), [0, 1, 2])
+    [0, 1, 2]
+    """
+    if any(axes[n].name.lower() not in DRAWN for n in numbers):
+        return sorted(numbers)
+    return sorted(numbers, key=lambda n: (DRAWN.index(axes[n].name.lower()), n))
 
 
 def check_kind(axes: Sequence[Axis], kind: str) -> None:

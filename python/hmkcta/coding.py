@@ -1,9 +1,11 @@
 """Block-sparse coding: slices of a tensor as combinations of a few clusters' dictionary columns (optimal search, which
 section 5 of the paper names).
 
-For slice t_i and cluster subset S the least squared error is |t_i|^2 less the gain b_S^T H_SS^-1 b_S, with b = D^T t_i
-and H = D^T D, all in parameter space. The optimal search looks at every subset, the greedy one lets subsets grow by
-their best next cluster. Fits use the native twin of this (`coding.rs`), which shares factors of H between subsets.
+A row has a set S of K_n of the mode's clusters (the paper's cluster subsets). For slice t_i and set S the least squared
+error is |t_i|^2 less the gain b_S^T H_SS^-1 b_S, with b = D^T t_i and H = D^T D, all in parameter space; the columns of
+the dictionary D are the cores times the other modes' bases (docs/notation.md). The optimal search looks at every set,
+the greedy one lets sets grow by their best next cluster. Fits use the native twin of this (`coding.rs`), which shares
+factors of H between sets.
 """
 
 from __future__ import annotations

@@ -15,6 +15,7 @@ from warnings import warn
 from . import backends as kernels
 from .axes import Axis, check_kind, check_organisation, format_organisation, mode_sizes
 from .backends import Device
+from .both_goals import follow_both
 from .choosing.tuning import tune
 from .errors import GoalMissed, expect, invalid, shown
 from .executors import thread_count
@@ -31,7 +32,6 @@ from .narrow import BITS
 from .plan import SCHEMES, LevelSpec, Plan, parse_plan
 from .predict import check_least_memory
 from .progress import Progress, nobody
-from .rivals import follow_any
 from .source import Source, prepare
 
 #: Default goal: 1/100 of the float32 bytes, and no more than this SNR, beyond which eyes and 8-bit screens see nothing.
@@ -126,7 +126,7 @@ def compress(
         nan: value to put for NaN and infinity; None: refuse them.
         bits: of each core and basis number in the file, 16 (float16) or 8, in all levels, none of which may say
             another; None: as the plan says, for a chosen one eight as far as that does, up to some 40 dB, or some 40
-            more below a first level of 16; one of rank one always has 16.
+            more below a first level of 16.
         kind: ``svbrdf``, ``lightfield``, ``volume`` or ``generic``, whose roles the axes must have; None: what their
             roles make.
         seed: the same seed makes the same file.
@@ -180,17 +180,18 @@ def compress(
             journal.begin(decisive(source, plan, kind=kind, quality=quality, scheme=scheme, seed=run.seed,
                                    device=device.described, **asdict(wanted)))
 
-        def chosen(aim: float | None, bits: int | None, name: str) -> list[Plan]:
-            return run.journal.plans(lambda: _chosen(source, run, replace(wanted, bits=bits), aim), name)
+        def chosen(name: str, aim: float | None = None, **others: Any) -> list[Plan]:
+            return run.journal.plans(lambda: _chosen(source, run, replace(wanted, **others), aim), name)
 
-        plans = [plan] if plan else chosen(None, wanted.bits, "plan")
+        plans = [plan] if plan else chosen("plan")
         task = Task(
             source, plans[0], scheme, wanted.decode_cost, kind or source.kind, run, wanted.max_memory, wanted.bits,
             wanted.organisation is not None,
         )
         with kernels.use(device):
-            model = follow(task) if plan else follow_any(
-                task, plans[1:], lambda said: warn(said, stacklevel=5), chosen)
+            ceiling = DEFAULT_SNR if snr is None and size is None else None
+            model = follow(task) if plan else follow_both(
+                task, plans[1:], lambda said: warn(said, stacklevel=6), chosen, ceiling)
     _warn_of(model, task.plan.snr)
     return model
 

@@ -2,8 +2,8 @@
 
 It starts from disjoint clusters (K_n = 1). Sweeps follow: for one mode after another the K_n cluster subsets of every
 row and its rows of the bases are found by joint least squares in the Gram domain, over-relaxed, and then all cores. On
-small nodes the second half of the sweeps is Gauss-Seidel HOOI instead, one cell after another. Each step lowers the
-error or leaves it.
+small nodes, and where an element is in two cells at most, the second half of the sweeps is Gauss-Seidel HOOI instead,
+one cell after another. Each step lowers the error or leaves it.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Effort:
     """How much time a fit may take.
 
     Attributes:
-        candidates: disjoint starts that are compared where K_n = 1 in all modes.
+        candidates: disjoint starts that are compared where K_n = 1 in all modes, or the search is fast.
         starts: the same where some K_n > 1; a single one is taken as it is.
         sweeps: over all modes, where some K_n > 1; those of joint rows, which come first, search for cluster subsets.
         hooi: HOOI rounds where K_n = 1 (0: plain HOSVD), or where the search is ``fast``.

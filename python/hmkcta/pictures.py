@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .axes import Axis
+from .axes import Axis, as_drawn
 from .errors import HmkctaError, Kind, invalid
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ def slice_image(
 ) -> F32:
     """A picture ``[h, w, 3]`` float32 through an array (or anything NumPy can slice) of any order.
 
-    Its sides are the two largest space axes (the last ones if equal), or else the two longest, in array order. A
+    Its sides are the two largest space axes (the last ones if equal), or else the two longest, `as_drawn`. A
     channel axis of size 3 is its colour. Other axes stand where `position` says, by name, or else at the middle; light
     and view of an SVBRDF with directions where both its gloss and its colour show.
 
@@ -273,14 +273,14 @@ def amplification(errors: Sequence[NDArray[Any]]) -> float:
 
 
 def _sides(axes: Sequence[Axis], colour: int | None) -> list[int]:
-    """Numbers of the two axes a picture spans, in array order."""
+    """Numbers of the two axes a picture spans: its rows, its columns."""
     free = [n for n in range(len(axes)) if n != colour]
     space = [n for n in free if axes[n].role == "space"]
     choice = space if len(space) >= 2 else free
     if len(choice) < 2:
         named = ", ".join(axis.name for axis in axes)
         raise invalid("no-picture", "axes", named, "two axes or more besides the colour")
-    return sorted(sorted(choice, key=lambda n: (axes[n].size, n))[-2:])
+    return as_drawn(axes, sorted(choice, key=lambda n: (axes[n].size, n))[-2:])
 
 
 def _place(axes: Sequence[Axis], kind: str, position: Mapping[str, int]) -> list[int]:

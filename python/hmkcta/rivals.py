@@ -44,8 +44,9 @@ AGAIN = 3
 IN_ALL_STEPS, STEPS = 1 << 22, (1.5, 1.25, 1.125)
 
 
-#: Plans chosen for an SNR in dB of transformed values, or of numbers of so many bits, under a name of their own.
-Choose = Callable[[float | None, int | None, str], list[Plan]]
+#: Plans chosen anew, under a name of their own, for what is said beside it: other arguments of `choose_plan`, or `aim`,
+#: what the SNR takes in dB of transformed values.
+Choose = Callable[..., list[Plan]]
 
 
 def follow_any(
@@ -66,7 +67,7 @@ def follow_any(
     left = [plan for plan in others if plan not in rivals]
     if is_far_beyond(task.plan, model.snr, model.nbytes):
         nearer = _nearer(task, model, left)
-        again = nearer[1] is not model and _is_worth(nearer[0])
+        again = nearer[1] is not model and is_worth(nearer[0])
         task, model = _with_other_clusters(*nearer, STEPS[-1:], set()) if again else nearer
     if choose is not None:
         (task, model), left = _chosen_anew(given, (task, model), left, choose)
@@ -77,7 +78,7 @@ def follow_any(
 def _rivals(task: Task, others: Sequence[Plan]) -> list[Plan]:
     """Those of the others that are fitted whatever the task's plan comes to."""
     # Of values that are transformed the trial knows the errors' size, not where they will be large.
-    doubtful = task.plan.size is not None or task.source.value_transform.name != "identity" or _is_worth(task)
+    doubtful = task.plan.size is not None or task.source.value_transform.name != "identity" or is_worth(task)
     rivals = [plan for plan in others if task.plan.size is not None or not is_verbatim(plan)] if doubtful else []
     hardly = (task.plan.snr or 0.0) > ROUNDED[max(BITS)]  # reached by one level
     return [plan for plan in rivals if not hardly or len(plan.levels) > 1]
@@ -86,7 +87,7 @@ def _rivals(task: Task, others: Sequence[Plan]) -> list[Plan]:
 def _compared(given: Task, followed: list[Followed], others: Sequence[Plan]) -> tuple[Followed, list[Followed]]:
     """The best of what was followed and of plans that only fits tell from it; and all that was followed before that."""
     own = task, model = best_of(followed)
-    if _is_worth(task):
+    if is_worth(task):
         followed = [*followed, *further(task, _near(followed), own)]
         return _in_other_ways(given, own, followed, others), followed
     if not _is_held(task):
@@ -126,12 +127,12 @@ def _chosen_anew(given: Task, found: Followed, left: list[Plan], choose: Choose)
     (task, model), goal, bits = found, given.plan.snr, max(BITS)
     transformed = given.source.value_transform.name != "identity"
     if transformed and goal is not None:
-        return _aimed_anew(found, goal, left, choose) if misses(model.snr, goal) or _is_worth(given) else (found, left)
+        return _aimed_anew(found, goal, left, choose) if misses(model.snr, goal) or is_worth(given) else (found, left)
     fall_short = task.plan.levels[-1].bits == bits or misses(model.snr, goal)
     doubtful = transformed if goal is None else given.plan.levels[-1].bits < bits and fall_short
-    if not doubtful or given.bits is not None or not _is_worth(given):
+    if not doubtful or given.bits is not None or not is_worth(given):
         return found, left
-    plans = filterfalse(is_verbatim, choose(None, bits, "plan-2"))
+    plans = filterfalse(is_verbatim, choose("plan-2", bits=bits))
     return best_of([found, *further(task, plans, found)]), left
 
 
@@ -142,8 +143,8 @@ def _aimed_anew(found: Followed, goal: float, left: list[Plan], choose: Choose) 
         aim = model.metadata.source["transformed_snr_db"][-1] + goal - model.snr
         if not isfinite(aim) or (number > 2 and not misses(model.snr, goal)):
             break
-        plans = [*filterfalse(is_verbatim, choose(aim, task.bits, f"plan-{number}"))]
-        fitted = plans if _is_worth(task) else plans[:1]
+        plans = [*filterfalse(is_verbatim, choose(f"plan-{number}", aim=aim))]
+        fitted = plans if is_worth(task) else plans[:1]
         left = [*(plan for plan in plans if plan not in fitted), *filter(is_verbatim, left)]
         found = best_of([found, *further(task, fitted, found)])
     return found, left
@@ -156,7 +157,7 @@ def _spare(task: Task, model: Model, followed: Sequence[Followed], others: Seque
         spare.insert(0, below)
     if task.plan.levels[-1].bits < max(BITS):
         spare[:0] = [with_bits(task.plan, max(BITS))] if task.bits is None else []
-        if below is None and _is_worth(task) and model.snr < (task.plan.snr or model.snr):
+        if below is None and is_worth(task) and model.snr < (task.plan.snr or model.snr):
             spare[:0] = below_bytes(task, followed)
         spare[:0] = below_rank_one(task.plan, min(BITS)) if model.snr > ROUNDING_FROM[min(BITS)] else []
     return spare
@@ -190,7 +191,7 @@ def _near(followed: Sequence[Followed]) -> Sequence[Plan]:
     return [plan for plan in plans if _fits(task, plan, best)]
 
 
-def _is_worth(task: Task) -> bool:
+def is_worth(task: Task) -> bool:
     """Whether other plans like it are fitted as well: where that takes seconds, unless it should be fast."""
     return prod(task.source.shape) <= LARGE and _is_held(task)
 
@@ -208,7 +209,7 @@ def _unless_verbatim(task: Task, best: Model) -> Model:
     for bits in BITS:
         plan = replace(task.plan, levels=(LevelSpec.of_one_cell((None,) * len(task.plan.organisation), bits),))
         is_there = is_verbatim(best.plan) and best.plan.levels[-1].bits == bits
-        tried = not is_there and may_be(task, plan) and (task.plan.snr is not None or _is_worth(task))
+        tried = not is_there and may_be(task, plan) and (task.plan.snr is not None or is_worth(task))
         if tried and _verbatim_bytes(task, plan) < (task.plan.size or found[1].nbytes):
             found = best_of([found, *further(task, [plan])])
     return found[1]

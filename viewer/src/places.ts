@@ -2,7 +2,7 @@
 
 import type { Axis, FileKind } from "./reader/metadata";
 import { findCameras } from "./render/lightfield";
-import { layOut } from "./render/layout";
+import { asDrawn, layOut } from "./render/layout";
 import type { State } from "./state";
 
 /** Begin in the middle of all axes, with two of them as a picture. */
@@ -12,7 +12,7 @@ export function startPlaces(state: State, axes: Axis[]): void {
   const size = (n: number): number => axes[n]?.size ?? 1;
   const space = axes.flatMap((axis, n) => (axis.role === "space" ? [n] : []));
   const rest = axes.map((_, n) => n).sort((a, b) => size(b) - size(a));
-  const chosen = space.length >= 2 ? space.slice(-2) : [...new Set([...space, ...rest])].slice(0, 2).sort((a, b) => a - b);
+  const chosen = space.length >= 2 ? asDrawn(axes, space).slice(-2) : [...new Set([...space, ...rest])].slice(0, 2).sort((a, b) => a - b);
   [slice.y, slice.x] = [chosen[0] ?? 0, chosen[1] ?? chosen[0] ?? 0];
   slice.colour = axes.some((axis) => axis.role === "channel" && axis.size > 2);
 }

@@ -5,7 +5,7 @@ import type { Axis } from "../src/reader/metadata";
 import { colourTable, interpolated } from "../src/render/colours";
 import { angleLists, anglesAt, interpolateAngle } from "../src/render/angles";
 import { buildTable, directionsOf, hemisphere, interpolateDirection } from "../src/render/directions";
-import { layOut, shownChannels, timeSteps } from "../src/render/layout";
+import { asDrawn, layOut, shownChannels, timeSteps } from "../src/render/layout";
 import { aim, findCameras } from "../src/render/lightfield";
 import { readGltf } from "../src/render/gltf";
 import { VERTEX_NUMBERS, makeMesh, meshOf, parseObj } from "../src/render/mesh";
@@ -228,6 +228,9 @@ describe("axes", () => {
   it("finds what each kind needs", () => {
     const axes = [axis("light", 4, "light"), axis("y", 8, "space"), axis("x", 8, "space"), axis("rgb", 3, "channel")];
     expect(layOut(axes, "svbrdf")).toEqual({ lights: [0], views: [], time: null, space: [1, 2], channel: 3, channels: [0, 1, 2] });
+    const named = ["x", "y", "z", "t"].map((name, n) => axis(name, 5 + n, name === "t" ? "time" : "space"));
+    expect(layOut(named, "volume").space).toEqual([2, 1, 0]);
+    expect(asDrawn(named.map((each) => ({ ...each, name: `${each.name}1` })), [1, 0, 2])).toEqual([0, 1, 2]);
     expect(() => layOut(axes, "volume")).toThrow("3 axes of role space");
     expect(() => layOut(axes, "lightfield")).toThrow("role view");
     expect(shownChannels(31)).toEqual([30, 15, 0]);

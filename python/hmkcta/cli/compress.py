@@ -40,7 +40,8 @@ from .resume import journal_beside, resume_option
 EXAMPLES = (
     "hmkcta compress wood.npy -o wood.hmk --axes light,view,y,x,rgb --snr 27",
     "hmkcta compress jet.raw -o jet.hmk --shape 64,64,64 --dtype float32 --size 500KB",
-    'hmkcta compress wood.npy -o wood.hmk --plan "R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2"',
+    'hmkcta compress wood.npy -o wood.hmk --axes light,view,y,x,rgb --organisation "light+rgb, view, y, x" '
+    '--plan "R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2"',
 )
 
 #: From about so many dB a level on it is its numbers, by their bits, that end what it reaches, not its ranks. From so

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..axes import Axis, check_kind
+from ..axes import Axis, as_drawn, check_kind
 from ..errors import invalid
 from ..pictures import picture_axes
 
@@ -67,8 +67,8 @@ def lay_out(axes: Sequence[Axis], kind: str, position: Mapping[str, int] | None 
         roles.setdefault(axis.role, []).append(number)
     check_kind(axes, kind)
     space = tuple(roles.get("space", []))
-    if kind != "generic":  # the last ones in array order: z, y, x of a volume, else y, x
-        space = space[-3 if kind == "volume" else -2 :]
+    if kind != "generic":  # z, y, x of a volume, else y, x
+        space = tuple(as_drawn(axes, space)[-3 if kind == "volume" else -2 :])
     lights, views = roles.get("light", []), roles.get("view", [])
     channel = next((n for n in roles.get("channel", []) if axes[n].size > 1), None)
     time = next(iter(roles.get("time", [])), None)

@@ -5,6 +5,8 @@ import type { Axis, FileKind, Role } from "../reader/metadata";
 
 const NAMES = { svbrdf: "material", lightfield: "light field", volume: "volume" };
 
+const DRAWN = ["z", "y", "x"]; // names that tell what axes are drawn as
+
 export interface Layout {
   lights: number[]; // one axis of directions, or two of angles
   views: number[]; // likewise; of a light field cameras, or row and column of their grid
@@ -19,7 +21,7 @@ export function layOut(axes: Axis[], kind: Exclude<FileKind, "generic">): Layout
   const having = (role: Role): number[] => axes.flatMap((axis, n) => (axis.role === role ? [n] : []));
   const [lights, views] = [having("light"), having("view")];
   const wanted = kind === "volume" ? 3 : 2;
-  const space = having("space").slice(-wanted);
+  const space = asDrawn(axes, having("space")).slice(-wanted);
   if (space.length < wanted) {
     throw new Problem(`A ${NAMES[kind]} needs ${wanted} axes of role space; this file has ${space.length}.`, "",
       "It is shown as slices.");
@@ -38,6 +40,14 @@ export function layOut(axes: Axis[], kind: Exclude<FileKind, "generic">): Layout
     lights: kind === "svbrdf" ? lights : [],
     channels: channel === null ? [0] : shownChannels(axes[channel]!.size),
   };
+}
+
+/** Axes as they are drawn: slices, rows, columns. These are z, y and x where axes have these names, in whatever order a
+ * file has them, else they are in array order. */
+export function asDrawn(axes: Axis[], numbers: number[]): number[] {
+  const place = (n: number): number => DRAWN.indexOf(axes[n]!.name.toLowerCase());
+  const named = numbers.every((n) => place(n) >= 0);
+  return [...numbers].sort((a, b) => (named && place(a) - place(b)) || a - b);
 }
 
 /** The channels that are shown where axes stand: one of two, in grey, is chosen like the place on any other axis. */

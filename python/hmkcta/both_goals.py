@@ -1,0 +1,78 @@
+"""Compare a model with those that the other goal leads to: of a size with plans for more dB, of an SNR with plans for
+fewer bytes.
+
+What is of low rank, or has few distinct values, is all but exact from some rank on. Then it is the rounding of numbers
+that tells plans apart, and each goal looks at others: an SNR at second levels for what rounding leaves, a size at what
+fills it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from math import prod
+from typing import Any
+
+from .errors import HmkctaError
+from .follow import Task
+from .model import Model
+from .plan import Plan
+from .progress import nobody
+from .rivals import Choose, follow_any, is_worth
+
+#: Rounding tells plans apart from so many dB on, and up to what float32 holds.
+FROM, UP_TO = 40.0, 118.0
+#: The other goal is so many dB more, or so large a share of the bytes; and while it leads on, so often.
+FURTHER, FEWER, STEPS = 6.0, 0.95, 4
+#: Elements up to which it takes seconds.
+SMALL = 1 << 22
+
+
+def follow_both(
+    task: Task, others: Sequence[Plan], missed: Callable[[str], None], choose: Choose, ceiling: float | None
+) -> Model:
+    """What `follow_any` comes to for the task's goal, or for the other goal where that does better.
+
+    Bytes need not be spent beyond `ceiling` dB, where there is one.
+    """
+    model = follow_any(task, others, missed, choose)
+    if not is_worth(task) or prod(task.source.shape) > SMALL or task.source.value_transform.name != "identity":
+        return model
+    if ceiling is not None and task.plan.snr is not None:  # by what a size is worth, until now
+        found = _followed(task, choose, "plan-of-ceiling", {"snr": ceiling})
+        model = model if found is None or not _is_better(found, model, task.plan) else found
+    for number in range(STEPS):
+        other = _other_goal(task.plan, model, ceiling)
+        found = None if other is None else _followed(task, choose, f"plan-of-other-goal-{number}", other)
+        if found is None or not _is_better(found, model, task.plan):
+            break
+        model = found
+    return model
+
+
+def _other_goal(plan: Plan, model: Model, ceiling: float | None) -> dict[str, Any] | None:
+    """The other goal to try from a model, as arguments of `choose`; None: it would tell nothing."""
+    if model.snr < FROM:
+        return None
+    if plan.snr is not None:
+        return {"snr": None, "size": int(FEWER * model.nbytes)} if model.snr >= plan.snr else None
+    most = UP_TO if ceiling is None else ceiling
+    return {"snr": min(model.snr + FURTHER, most), "size": None} if model.snr < most else None
+
+
+def _followed(task: Task, choose: Choose, name: str, goal: dict[str, Any]) -> Model | None:
+    """The model of plans that are chosen for a goal; None where there is none."""
+    try:
+        first, *others = choose(name, **goal)
+        return follow_any(replace(task, plan=first), others, nobody)
+    except HmkctaError as error:
+        if error.reason not in ("size-too-small", "memory"):
+            raise
+        return None
+
+
+def _is_better(found: Model, model: Model, plan: Plan) -> bool:
+    """Whether what was found for the other goal does more for the plan's."""
+    if plan.snr is not None:
+        return found.snr >= plan.snr and found.nbytes < model.nbytes
+    return found.nbytes <= (plan.size or model.nbytes) and found.snr > model.snr

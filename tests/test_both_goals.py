@@ -1,0 +1,88 @@
+"""Goals that are compared with what the other goal leads to: data of low rank, or of few distinct values."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from hmkcta import Model, compress
+from hmkcta.hmkfile import encode
+from test_goals_anew import Told
+
+
+@cache
+def kernel() -> NDArray[np.float64]:
+    """Of low rank, but for little: 1 / (i + j + k + 1)."""
+    i, j, k = np.ogrid[:40, :40, :40]
+    return 1 / (i + j + k + 1)
+
+
+@cache
+def labels() -> NDArray[np.uint8]:
+    """Twelve kinds of blocks, each marked by a one of its own."""
+    place = np.add.outer(np.add.outer(np.arange(20) // 3, np.arange(24) // 4), np.arange(22) // 5)
+    return np.eye(12, dtype=np.uint8)[place % 12]
+
+
+def encoded(model: Model) -> bytes:
+    return encode(model.metadata, model.levels)
+
+
+def of_kernel(**options: Any) -> Model:
+    return compress(kernel(), axes="z,y,x", **options)
+
+
+def test_a_size_ends_no_lower_than_a_smaller_file_for_an_snr() -> None:
+    """It ended at 51.8 dB, 80 took 4,619 bytes."""
+    model = of_kernel(size=5020)
+    assert model.nbytes <= 5020
+    assert model.snr > 75
+
+
+def test_an_snr_takes_no_more_than_a_size_that_ends_above_it() -> None:
+    """It took 5,526 bytes; 4,750 come to 158 dB."""
+    model = compress(labels(), axes="a,b,c,d", snr=55)
+    assert model.snr >= 55
+    assert model.nbytes < 4_800
+
+
+def test_without_a_goal_a_file_takes_no_more_than_its_ceiling() -> None:
+    """Numbers of ones took 3,724 bytes, where 50 dB take 1,462."""
+    ones = np.ones((30, 30, 30), np.float32)
+    model, asked = (compress(ones, axes="z,y,x", **goal) for goal in ({}, {"snr": 50}))
+    assert model.snr >= 50
+    assert model.nbytes <= asked.nbytes
+
+
+@pytest.mark.parametrize(("goal", "quality", "other"), [
+    ({"size": 5020}, "medium", True), ({"size": 5020}, "fast", False), ({"snr": 20}, "medium", False),
+])  # fmt: skip
+def test_where_rounding_does_not_tell_plans_apart_none_is_chosen_for_the_other_goal(
+    goal: dict[str, Any], quality: str, other: bool, tmp_path: Path
+) -> None:
+    journal = Told(tmp_path / "a")
+    with journal:
+        of_kernel(**goal, quality=quality, journal=journal)
+    assert journal.names[0] == "plan"
+    assert any("other" in name for name in journal.names[1:]) == other
+
+
+def test_another_goal_is_resumed(tmp_path: Path) -> None:
+    """Killed after all plans were chosen, it comes to the same bytes and chooses none of them again."""
+    expected = encoded(of_kernel(size=5020))
+    journal = Told(tmp_path / "a")
+
+    def stop(stage: str, _: float) -> None:
+        if journal.names and journal.names[-1] == "plan-of-other-goal-2" and stage.startswith("level"):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), journal:
+        of_kernel(size=5020, journal=journal, progress=stop)
+    with Told(tmp_path / "a", resume=True) as again:
+        assert encoded(of_kernel(size=5020, journal=again)) == expected
+
