@@ -70,6 +70,8 @@ _ROW_NS, _VISIT_NS = 215.0, 6.5
 _GRAM_NS, _NUMBER_NS = 80.0, 250.0
 #: Of whatever is done for a node beside work on its elements, which holds the interpreter.
 _NODE_NS = 1.5e6
+#: To look at what nodes cut in a further way leave: for each element, and for each block, which holds the interpreter.
+_WAY_NS, _BLOCK_NS = 30.0, 7.5e5
 #: What each further thread does of the work of one.
 _SECOND = 0.7
 #: How many times as long as the fit of a chosen plan those of others take that it is compared with: of large arrays; of
@@ -307,7 +309,10 @@ def _seconds(
         beside += min(_NUMBER_NS * own_numbers if level.own else inf, nodes * _model_ns(level, sizes, own.sweeps))
         if len(plan.levels) > 1:
             each += effort.backfits * (_SWEEP_NS + 10)
-        alone, nodes = alone + _NODE_NS * nodes, min(nodes * level.cells, elements)
+        further = level.ways(plan.organisation)[1:]
+        each += _WAY_NS * len(further)
+        alone += nodes * (_NODE_NS + _BLOCK_NS * sum(way.cells for way in further))
+        nodes = min(nodes * level.cells, elements)
         sizes = part_sizes(sizes, level)
     return 1e-9 * ((each * elements + beside) / (1 + _SECOND * (threads - 1)) + alone)
 

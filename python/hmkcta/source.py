@@ -92,6 +92,11 @@ class Source:
 
     def values(self, part: tuple[slice, ...] = ()) -> F32:
         """The transformed values of a slab or strided block in multiples of the unit, float32, in the array's axes."""
+        if not part:  # slab by slab, as integers are float64 on the way
+            whole = np.empty(self.shape, np.float32)
+            for each in self.parts(SLAB):
+                whole[each] = self.values(each)
+            return whole
         # Scaling by a power of two rounds nothing, except what float32 does to float64.
         return self._settled(self.transformed(looked_at(self.array, part)) * (1 / self.unit))
 
