@@ -297,16 +297,16 @@ def noisy(edge: int) -> NDArray[np.float32]:
     return values.astype(np.float32)
 
 
-@pytest.mark.parametrize(("snr", "nbytes"), [(42.0, 60_000), (45.0, 56_000)])
-def test_noise_beyond_what_bytes_keep_has_a_second_level_of_them(snr: float, nbytes: int) -> None:
+@pytest.mark.parametrize("snr", [42.0, 45.0])
+def test_noise_beyond_what_bytes_keep_has_a_second_level_of_them(snr: float) -> None:
     """One level of bytes ends just below, and one of float16 numbers 25 dB above it in over 90,000 bytes."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of what was tried before
         model = compress(noisy(16), axes="t, z, y, x", snr=snr, threads=1)
     assert len(model.levels) == 2
     assert model.levels[1].bits == 8
-    assert snr <= model.snr < snr + 1.0
-    assert model.nbytes < nbytes
+    assert model.snr >= snr
+    assert model.nbytes < 51_000
 
 
 # Command line

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import asdict
 from math import isinf
 from typing import Any
-from warnings import catch_warnings, simplefilter
 
 import click
 from numpy.typing import NDArray
 
 from ..backends import Device, find_device
 from ..encode import compress
-from ..errors import GoalMissed
 from ..finer import USED
 from ..goals import misses
 from ..hmkfile import check_output
@@ -33,15 +31,14 @@ from .options import (
     together,
     verbose_option,
 )
-from .output import decibels, emit, mebibytes, ratio, seconds, table
+from .output import decibels, emit, mebibytes, ratio, seconds, table, warnings_as_notes
 from .progress import Progress
 from .resume import journal_beside, resume_option
 
 EXAMPLES = (
     "hmkcta compress wood.npy -o wood.hmk --axes light,view,y,x,rgb --snr 27",
     "hmkcta compress jet.raw -o jet.hmk --shape 64,64,64 --dtype float32 --size 500KB",
-    'hmkcta compress wood.npy -o wood.hmk --axes light,view,y,x,rgb --organisation "light+rgb, view, y, x" '
-    '--plan "R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2"',
+    'hmkcta compress jet.npy -o jet.hmk --plan "R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2"',
 )
 
 #: From about so many dB a level on it is its numbers, by their bits, that end what it reaches, not its ranks. From so
@@ -66,10 +63,7 @@ def compress_command(source: str, output: str, plan: str | None, device: str, re
     if where.missing:
         click.echo(f"hmkcta: {where.fallback}", err=True)
     with (Progress(quiet or as_json) as progress, journal_beside(output, resume, overwrite) as journal,
-          catch_warnings(record=True) as warned):
-        simplefilter("ignore")
-        simplefilter("always", UserWarning)  # what `compress` says; not what NumPy makes of flags
-        simplefilter("ignore", GoalMissed)  # which is said below, with what to do next
+          warnings_as_notes() as said):
         if resume and not journal.holds_work:
             click.echo(f"hmkcta: there is nothing in {journal.folder} to go on with: it begins anew.", err=True)
         array = goal.open(source, progress)
@@ -78,7 +72,7 @@ def compress_command(source: str, output: str, plan: str | None, device: str, re
         model.save(output, overwrite=overwrite)
     report = {**describe(model, array, progress), "device": asdict(where), "nodes_resumed": journal.found,
               "plans_tried": progress.plans}
-    missed, said = missed_goal(model, goal), [str(each.message) for each in warned]
+    missed = missed_goal(model, goal)
     said += notes(model, array, planned=plan is not None) + unused(model, goal, plan)
     said += beyond_cost(model.decode_cost, goal, plan)
     if as_json:

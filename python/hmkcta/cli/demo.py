@@ -16,7 +16,7 @@ from ..errors import HmkctaError, Kind
 from ..memory import format_bytes
 from ..model import Model
 from .options import Command, quiet_option, verbose_option
-from .output import decibels, mebibytes, seconds, table
+from .output import decibels, mebibytes, seconds, table, warnings_as_notes
 from .progress import Progress
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def _results(case: Case, data: Dataset, folder: Path, levels: str, quiet: bool) 
     results: list[Result] = []
     for label, plan, organisation in (("levels", levels, case.organisation), ("auto", None, None)):
         start = time.monotonic()
-        with Progress(quiet) as progress:
+        with Progress(quiet) as progress, warnings_as_notes() as said:
             model = compress(data.values, plan, axes=data.axes, organisation=organisation, kind=data.kind,
                              scheme="most" if plan else "auto", quality="fast", progress=progress)
         path = folder / f"{case.name}-{label}.hmk"
@@ -121,6 +121,8 @@ def _results(case: Case, data: Dataset, folder: Path, levels: str, quiet: bool) 
         spent = time.monotonic() - start
         results.append(Result(label, path, model, spent))
         click.echo(f"  {label}: {decibels(model.snr)} dB in {format_bytes(model.nbytes)}, {seconds(spent)}")
+        for sentence in [] if quiet else said:
+            click.echo(f"hmkcta: {sentence}.", err=True)
     return results
 
 

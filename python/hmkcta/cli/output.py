@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
 from math import isfinite
 from typing import Any, cast
+from warnings import catch_warnings, simplefilter
 
 import click
+
+from ..errors import GoalMissed
 
 #: Key of `click.Context.meta` that is true with --json.
 JSON = "hmkcta.json"
@@ -24,6 +28,19 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(item) for item in cast("Sequence[Any]", value)]
     return None if isinstance(value, float) and not isfinite(value) else value
+
+
+@contextmanager
+def warnings_as_notes() -> Generator[list[str]]:
+    """The sentences that `compress` warns with inside, once it is left; not of a goal that is missed, which commands
+    say with what to do next, and not what NumPy makes of flags."""
+    said: list[str] = []
+    with catch_warnings(record=True) as warned:
+        simplefilter("ignore")
+        simplefilter("always", UserWarning)
+        simplefilter("ignore", GoalMissed)
+        yield said
+    said += [str(each.message) for each in warned]
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], indent: str = "", left: Sequence[int] = ()) -> str:

@@ -32,8 +32,7 @@ from .progress import Progress
 EXAMPLES = (
     "hmkcta plan wood.npy --axes light,view,y,x,rgb --snr 27",
     "hmkcta plan jet.raw --shape 64,64,64 --dtype float32 --size 500KB",
-    'hmkcta plan wood.npy --axes light,view,y,x,rgb --organisation "light+rgb, view, y, x" '
-    '--plan "R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2"',
+    'hmkcta plan jet.npy --plan "R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2"',
 )
 
 #: SNR in dB that a level of float16 numbers does not surely reach.
