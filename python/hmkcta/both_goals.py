@@ -38,7 +38,7 @@ def follow_both(
     model = follow_any(task, others, missed, choose)
     if not is_worth(task) or prod(task.source.shape) > SMALL or task.source.value_transform.name != "identity":
         return model
-    if ceiling is not None and task.plan.snr is not None:  # by what a size is worth, until now
+    if ceiling is not None and task.plan.snr is not None:  # it was chosen for a size, which the ceiling ended
         found = _followed(task, choose, "plan-of-ceiling", {"snr": ceiling})
         model = model if found is None or not _is_better(found, model, task.plan) else found
     for number in range(STEPS):
