@@ -15,6 +15,7 @@ from typing import Any
 
 from .errors import HmkctaError
 from .follow import Task
+from .followed import NOT_FOLLOWED
 from .model import Model
 from .plan import Plan
 from .progress import nobody
@@ -66,7 +67,7 @@ def _followed(task: Task, choose: Choose, name: str, goal: dict[str, Any]) -> Mo
         first, *others = choose(name, **goal)
         return follow_any(replace(task, plan=first), others, nobody)
     except HmkctaError as error:
-        if error.reason not in ("size-too-small", "memory"):
+        if error.reason not in NOT_FOLLOWED:
             raise
         return None
 

@@ -52,6 +52,11 @@ class Wanted:
     max_memory: int | None
     bits: int | None
 
+    @property
+    def ceiling(self) -> float | None:
+        """The SNR in dB beyond which no bytes are spent, where there is no goal."""
+        return DEFAULT_SNR if self.snr is None and self.size is None else None
+
 
 def choose_plan(
     array: Any,
@@ -189,9 +194,8 @@ def compress(
             wanted.organisation is not None,
         )
         with kernels.use(device):
-            ceiling = DEFAULT_SNR if snr is None and size is None else None
             model = follow(task) if plan else follow_both(
-                task, plans[1:], lambda said: warn(said, stacklevel=6), chosen, ceiling)
+                task, plans[1:], lambda said: warn(said, stacklevel=6), chosen, wanted.ceiling)
     _warn_of(model, task.plan.snr)
     return model
 
@@ -343,13 +347,12 @@ def _wanted(
 
 def _chosen(source: Source, run: Run, wanted: Wanted, aim: float | None = None) -> list[Plan]:
     fixed = None if wanted.organisation is None else source.organisation(wanted.organisation)
-    snr, size, ceiling = wanted.snr, wanted.size, None
-    if snr is None and size is None:
+    size = wanted.size
+    if wanted.ceiling is not None:
         rows = sum(source.shape if fixed is None else mode_sizes(source.axes, fixed))
         size = max(4 * prod(source.shape) // DEFAULT_RATIO, SMALLEST_DEFAULT, ROW_BYTES * rows)
-        ceiling = DEFAULT_SNR
     plans = tune(
-        source, run, snr=snr, size=size, ceiling=ceiling, decode_cost=wanted.decode_cost, organisation=fixed,
-        memory=wanted.max_memory, bits=wanted.bits, aim=aim,
+        source, run, snr=wanted.snr, size=size, ceiling=wanted.ceiling, decode_cost=wanted.decode_cost,
+        organisation=fixed, memory=wanted.max_memory, bits=wanted.bits, aim=aim,
     )
     return [finer(plan, source.axes) or plan for plan in plans] if prod(source.shape) <= SMALL else plans

@@ -13,6 +13,8 @@ from .plan import Plan
 
 #: A task with a plan, and the model that it came to.
 Followed = tuple[Task, Model]
+#: Reasons why a plan cannot be followed, or none be chosen, that are none to end with: there is a model already.
+NOT_FOLLOWED = ("size-too-small", "memory")
 
 
 def fitted_with(task: Task, plans: Iterable[Plan], far: float) -> list[Followed]:
@@ -52,7 +54,7 @@ def _each(task: Task, plans: Iterable[Plan], best: Followed | None, far: float =
         try:
             found = _fitted(replace(task, plan=plan, most=most))
         except HmkctaError as error:
-            if error.reason not in ("size-too-small", "memory"):
+            if error.reason not in NOT_FOLLOWED:
                 raise
             continue
         best = None if best is None else best_of([best, found])
