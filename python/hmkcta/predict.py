@@ -139,11 +139,6 @@ def workset_limit(memory: int | None) -> int:
     return max(1, min(WORKSET, (memory_budget(memory) - PROCESS) // WORKING))
 
 
-def is_scarce(limit: int) -> bool:
-    """Whether worksets of up to so many elements are smaller for want of memory."""
-    return limit < WORKSET
-
-
 def _jointly(level: LevelSpec, sizes: Sequence[int], memory: int | None) -> bool:
     """Whether rows that memory does not hold can be joint ones; those of cells that share no element need not be."""
     if max(level.mixture) > 1:

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from math import inf
 
-from ..predict import is_scarce
 from .candidates import Candidate
 from .clustered import clustered
 from .judging import Search, worth_of
@@ -30,11 +29,8 @@ def searched_by_bits(
 
     None: eight bits, or where what these leave tells, sixteen. These are looked at in the blocks of the best, and if
     not much worse there with its organisation; where they are better, or what bytes leave hides which is best, with
-    all. The best with the other bits is then a rival. Sixteen alone where an SNR that is `aimed` at is beyond bytes,
-    and where memory is scarce, as the ranks that bytes afford take more of it to look at.
+    all. The best with the other bits is then a rival. Sixteen alone where an SNR that is `aimed` at is beyond bytes.
     """
-    if search.goal.memory is not None and is_scarce(search.goal.memory.limit):
-        bits = bits or 16
     ceiling = inf if search.goal.ceiling is None else search.goal.ceiling
     first = bits or (16 if aimed and BYTES_FALL_SHORT < ceiling < inf else 8)
     enough = BYTES_HARDLY_DO if bits is None and first == 8 else inf
