@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hmkcta import Model, compress
+from hmkcta import Model, both_goals, compress
 from hmkcta.hmkfile import encode
 from test_goals_anew import Told
 
@@ -86,3 +86,15 @@ def test_another_goal_is_resumed(tmp_path: Path) -> None:
     with Told(tmp_path / "a", resume=True) as again:
         assert encoded(of_kernel(size=5020, journal=again)) == expected
 
+
+def test_the_values_themselves_are_left_at_that(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A size of nearly as many bytes leads to plans of hundreds of clusters, which took minutes."""
+
+    def never(*_: Any) -> None:
+        raise AssertionError("compared with another goal")
+
+    monkeypatch.setattr(both_goals, "_followed", never)
+    noise = np.random.default_rng(0).random((12, 13, 14))
+    model = compress(noise, snr=40.0, decode_cost=1)
+    assert not any(model.plan.levels[0].ranks)
+    assert model.snr >= 40

@@ -76,3 +76,9 @@ def test_a_plan_beyond_the_decode_cost_is_said_to_be(tmp_path: Path) -> None:
     result = run("compress", path, "-o", tmp_path / "a.hmk", *words, "--decode-cost", "10")
     assert "takes 64 multiply-adds, more than --decode-cost 10, which bounds ranks that are chosen" in result.stderr
     assert run("compress", path, "-o", tmp_path / "a.hmk", *words, "--decode-cost", "64").stderr == ""
+
+
+def test_a_coarse_model_keeps_the_snr_of_transformed_values(tmp_path: Path) -> None:
+    model = hmkcta.compress(smooth(6, 8, 4), "R=1 / R=1", transform="sqrt")
+    model.at_level(1).save(tmp_path / "a.hmk")
+    assert "SNR of sqrt" in run("info", tmp_path / "a.hmk").stdout

@@ -224,6 +224,16 @@ def test_bad_coords_are_refused(coords: NDArray[Any], reason: str) -> None:
     assert caught.value.reason == reason
 
 
+def test_a_level_that_is_not_there_is_refused_before_anything_is_written() -> None:
+    sizes, levels = some_model("dense tree")
+    out = np.full((3, 3, 3), 7.0, np.float32)
+    with pytest.raises(HmkctaError, match="level"):
+        decode_block(levels, sizes, [np.arange(3)] * 3, upto=9, out=out)
+    assert (out == 7).all()
+    with pytest.raises(HmkctaError, match="level"):
+        decode_elements(levels, sizes, np.empty((0, 3), np.intp), upto=9)
+
+
 BAD_ROWS: list[tuple[Any, dict[str, Any], str]] = [
     ([np.arange(3)], {}, "rows-count"),
     ([np.arange(3), np.arange(4).reshape(2, 2), np.arange(2)], {}, "rows-shape"),

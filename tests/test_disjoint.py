@@ -58,6 +58,7 @@ def test_progress_moves_within_a_node_that_is_streamed(
         told.setdefault(stage, []).append(share)
 
     fitted(cloth, monkeypatch, cloth.values.size // 3, plan, quality="medium", progress=progress)
+    assert "level 1" in told
     for stage in {"level 1", "reordering", "back-fitting level 1"} & told.keys():
         shares = told[stage]
         assert shares == sorted(shares)

@@ -43,6 +43,7 @@ REFUSED: list[tuple[Any, str, str]] = [
     ({"volume": {"window": [float("-inf"), 1]}}, "bad-window", "volume.window"),
     ({"volume": {"clip_low": [0.5, 0, 0], "clip_high": [0.5, 1, 1]}}, "bad-clip", "volume.clip_high"),
     ({"volume": {"colours": [[0, 1, 1]]}}, "bad-vector", "volume.colours[0]"),
+    ({"volume": {"clip_high": [1, 1]}}, "bad-vector", "scene.volume.clip_high"),
     ({"position": {"time": 1.5}}, "wrong-type", "scene.position.time"),
     ([], "wrong-type", "scene"),
 ]
@@ -59,6 +60,11 @@ def reason(code: str, function: Any, *arguments: Any) -> HmkctaError:
 @pytest.mark.parametrize(("value", "code", "where"), REFUSED)
 def test_scenes_are_read_strictly(value: Any, code: str, where: str) -> None:
     assert reason(code, scene_from_json, value).where == where
+
+
+def test_a_box_of_two_numbers_is_refused() -> None:
+    with pytest.raises(HmkctaError, match=r"volume.clip_high: found \[1.0, 1.0\]"):
+        Look(clip_high=cast(Any, (1.0, 1.0)))
 
 
 def test_scenes_say_only_what_differs(tmp_path: Path) -> None:

@@ -36,7 +36,7 @@ class Saved:
 
 
 def left_of(tensor: F32) -> Left:
-    """What a tensor has left."""
+    """The sum of squares and the largest magnitude of a residual."""
     squares, largest, _ = kernels.magnitudes(tensor)
     return Left(squares, largest)
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from .errors import HmkctaError
 from .follow import Task
-from .followed import NOT_FOLLOWED
+from .followed import NOT_FOLLOWED, is_verbatim
 from .model import Model
 from .plan import Plan
 from .progress import nobody
@@ -34,10 +34,13 @@ def follow_both(
 ) -> Model:
     """What `follow_any` comes to for the task's goal, or for the other goal where that does better.
 
-    Bytes need not be spent beyond `ceiling` dB, where there is one.
+    Bytes need not be spent beyond `ceiling` dB, where there is one. What ends as the values themselves is left at that:
+    a size of nearly as many bytes leads to plans of a cluster for every few rows, which take minutes.
     """
     model = follow_any(task, others, missed, choose)
     if not is_worth(task) or prod(task.source.shape) > SMALL or task.source.value_transform.name != "identity":
+        return model
+    if is_verbatim(model.plan):
         return model
     if ceiling is not None and task.plan.snr is not None:  # it was chosen for a size, which the ceiling ended
         found = _followed(task, choose, "plan-of-ceiling", {"snr": ceiling})

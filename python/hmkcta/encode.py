@@ -196,7 +196,7 @@ def compress(
         with kernels.use(device):
             model = follow(task) if plan else follow_both(
                 task, plans[1:], lambda said: warn(said, stacklevel=6), chosen, wanted.ceiling)
-    _warn_of(model, task.plan.snr)
+    _warn_of(model, task.plan.snr if plan else wanted.snr)  # a plan chosen for no goal ends at 50 dB if it can
     return model
 
 

@@ -60,7 +60,8 @@ def block_sizes(size: int, blocks: int) -> list[int]:
 def uniform_blocks(size: int, clusters: int) -> NDArray[np.intp]:
     """Block number of each row, the first blocks longer by one (paper, footnote 1).
 
-    Shorter are the last C - mod(I, C); by the footnote's mod(I, C) of them 8 rows in 3 blocks would be 3 + 2 + 2.
+    The last C - mod(I, C) blocks are shorter by one. The footnote says mod(I, C), by which 8 rows in 3 blocks would be
+    3 + 2 + 2, one too few.
 
     >>> np.bincount(uniform_blocks(8, 3)).tolist()
     [3, 3, 2]

@@ -171,8 +171,7 @@ class Model:
             return self
         absent = (None,) * len(self._sizes)
         last = replace(self.levels[level - 1], child=None, part=absent, local=absent)
-        metadata = replace(self.metadata, levels=self.metadata.levels[:level], quality=self.quality[:level])
-        return Model(metadata, (*self.levels[: level - 1], last))
+        return Model(self.metadata.upto(level), (*self.levels[: level - 1], last))
 
     # Its elements
 

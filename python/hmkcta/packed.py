@@ -6,8 +6,8 @@ Every decoder works on exactly these arrays, so that there is one layout to unde
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,3 +131,10 @@ class Metadata:
     source: dict[str, Any] = field(default_factory=dict[str, Any])
     writer: str = ""
     seed: int = 0
+
+    def upto(self, level: int) -> Metadata:
+        """Of a model of the first so many levels."""
+        source, told = self.source, self.source.get("transformed_snr_db")
+        if isinstance(told, list):  # one for each level
+            source = {**source, "transformed_snr_db": cast("list[Any]", told)[:level]}
+        return replace(self, levels=self.levels[:level], quality=self.quality[:level], source=source)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from .axes import Axis, as_drawn
 from .errors import HmkctaError, Kind, invalid
+from .metrics import snr_db
 
 if TYPE_CHECKING:
     from PIL import Image, ImageDraw
@@ -162,9 +163,7 @@ def picture_snr(original: F32, image: F32) -> float:
     """
     signal = np.square(original, dtype=np.float64).sum()
     noise = np.square(original.astype(np.float64) - image).sum()
-    if noise == 0:
-        return float("inf")
-    return float(10.0 * np.log10(signal / noise)) if signal > 0 else float("-inf")
+    return snr_db(float(signal), float(noise))
 
 
 def heat_colours(share: NDArray[Any]) -> U8:

@@ -36,7 +36,7 @@ class SubTensor:
 
 @dataclass(frozen=True)
 class Left:
-    """What is left of elements, in the unit of the source: the sum of squares, the largest magnitude."""
+    """What is left, in multiples of the `unit` that a source divides by: the sum of squares, the largest magnitude."""
 
     squares: float = 0.0
     largest: float = 0.0

@@ -102,11 +102,6 @@ export class App {
     return this.pending;
   }
 
-  /** Bytes of the model on the GPU. */
-  get gpuBytes(): number {
-    return this.decoder.bytes;
-  }
-
   /** The next level has arrived; it is shown unless another one was chosen. */
   addLevel(): void {
     const follow = this.decoder.arrived === 0 || this.state.level === this.decoder.arrived;

@@ -223,12 +223,14 @@ class Page {
     this.panel = panel;
     new Pointer(app, this.canvas, services, () => panel.refresh(), (place) => this.read(place), this.session.signal);
     let drawn = true; // an observer begins with the size that is there
-    new ResizeObserver(() => {
+    const observer = new ResizeObserver(() => {
       if (!drawn) {
         app.redraw();
       }
       drawn = false;
-    }).observe(this.canvas);
+    });
+    observer.observe(this.canvas);
+    this.session.signal.addEventListener("abort", () => observer.disconnect());
   }
 
   /** Say on the page what is loaded, and how far it has come. */

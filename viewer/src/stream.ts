@@ -90,6 +90,9 @@ class RangeSource extends ByteSource {
           throw new Error(`status ${response.status} for a range`);
         }
         await this.take(response);
+        if (this.have === before) {
+          throw new Error("an empty answer");
+        }
       } catch (error) {
         if (tries >= TRIES) {
           throw lost(this.name, this.have, this.size, error);

@@ -15,13 +15,10 @@ from .output import JSON, emit
 class Exit(IntEnum):
     """Exit codes that are not a `Kind`'s, or are needed without one."""
 
-    OK = 0
     UNEXPECTED = 1
     IO = 3
     RESOURCE = 6
     TARGET_MISSED = 7
-    INTERRUPTED = 130
-    TERMINATED = 143
 
 
 EXIT_CODES = {

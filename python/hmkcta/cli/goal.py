@@ -51,11 +51,7 @@ goal_options = together(
 
 @dataclass(frozen=True)
 class Goal:
-    """What the options of `goal_options` say.
-
-    Raises:
-        click.UsageError: both --snr and --size.
-    """
+    """What the options of `goal_options` say."""
 
     snr: float | None
     size: int | None
@@ -89,7 +85,11 @@ class Goal:
 
 
 def goal_from(options: dict[str, Any]) -> Goal:
-    """Take the values of `goal_options`, but for --plan, out of a command's options."""
+    """Take the values of `goal_options`, but for --plan, out of a command's options.
+
+    Raises:
+        click.UsageError: both --snr and --size.
+    """
     source = {key: options.pop(key) for key in ("member", "shape", "dtype", "order", "offset")}
     along = {key: options.pop(key) for key in ("coords", "unit")}
     options["bits"] = None if options["bits"] is None else int(options["bits"])

@@ -55,9 +55,9 @@ def decode_elements(
         raise invalid("coords-shape", "coords", f"shape {coords.shape}", f"[elements, {len(sizes)}]")
     for n, size in enumerate(sizes):
         check_indices(coords[:, n], size, f"coords of mode {n + 1}")
-    out = np.zeros(len(coords), _float_type(dtype))
+    chosen, out = first_levels(levels, upto), np.zeros(len(coords), _float_type(dtype))
     with np.errstate(over="ignore", invalid="ignore"):  # Model looks for these, and decodes them again in float64
-        _add_elements(first_levels(levels, upto), coords.astype(np.intp, copy=False), out)
+        _add_elements(chosen, coords.astype(np.intp, copy=False), out)
     return out
 
 
@@ -100,12 +100,12 @@ def decode_block(
     shape = tuple(len(index) for index in rows)
     if out is not None and out.shape != shape:
         raise invalid("out-shape", "out", f"shape {out.shape}", f"{shape}, one number for each requested row")
-    kind = _float_type(dtype if out is None else out.dtype)
+    chosen, kind = first_levels(levels, upto), _float_type(dtype if out is None else out.dtype)
     block = out if out is not None and out.flags.c_contiguous and out.flags.aligned else np.empty(shape, kind)
     block[...] = 0
     if prod(shape):
         with np.errstate(over="ignore", invalid="ignore"):  # as in `decode_elements`
-            _add_block(first_levels(levels, upto), [np.asarray(index, np.intp) for index in rows], block)
+            _add_block(chosen, [np.asarray(index, np.intp) for index in rows], block)
     if out is not None and block is not out:
         out[...] = block
         return out

@@ -68,8 +68,7 @@ class Renderer:
 
     Attributes:
         kind: of `hmkcta.render.scene.KINDS`.
-        backend: ``gpu`` or ``numpy``, what is used; ``numpy`` also once software stood in for a GPU and would not have
-            finished a picture (`hmkcta.render.software`).
+        backend: ``gpu`` or ``numpy``, what is used.
         gain: how many times as large as they are errors were shown last, None before any were.
         adapter: the name of the adapter, empty for NumPy.
 

@@ -194,6 +194,7 @@ class Look:
         if self.window is not None and not 1e-30 < self.window[1] - self.window[0] < 1e38:
             raise invalid("bad-window", "volume.window", list(self.window), "[low, high], 1e-30 to 1e38 apart")
         _check_vector("volume.clip_low", self.clip_low, least=0.0)
+        _check_vector("volume.clip_high", self.clip_high, least=0.0)
         if any(not low < high <= 1 for low, high in zip(self.clip_low, self.clip_high, strict=True)):
             found = f"{list(self.clip_low)} to {list(self.clip_high)}"
             raise invalid("bad-clip", "volume.clip_high", found, "0 <= low < high <= 1 along each of x, y, z")

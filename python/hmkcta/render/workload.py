@@ -36,7 +36,8 @@ class Configuration:
     Attributes:
         name: as in the table.
         kind: renderer.
-        sizes: of the four modes; the light mode of an SVBRDF has three rows a direction, red, green and blue.
+        sizes: of the axes as the table has them; the mode of an SVBRDF's lights has three rows a direction, red, green
+            and blue.
         plan: the levels.
         mebibytes: of the approximated data, as the table has it.
         rate: frames a second in the paper, on a TITAN RTX.

@@ -1,4 +1,4 @@
-// One element of the tensor: docs/format.md, section 4, line by line, as hmkcta/decode.py has it in NumPy.
+// One element of the tensor: docs/format.md, section 4, line by line, as hmkcta/decode/scattered.py has it in NumPy.
 
 // The element with these indices of the source axes, in source values. Indices must be in range.
 fn decode_element(index: array<u32, AXES>, levels: u32) -> Value {

@@ -1,5 +1,5 @@
 // From radiance to display: exposure, a curve, sRGB, the background; side by side with, or minus, a second picture.
-// Twin: render/tonemap.py and render/compare.py.
+// Twin: render/tonemap.py and render/display.py.
 
 struct DisplayFrame {
   width: u32, height: u32, mode: u32, flags: u32,        // MODE_, FLAG_

@@ -99,9 +99,9 @@ export class Pointer {
 
   private moveLight(x: number, y: number): void {
     const light = this.app.state.lights[0];
-    if (this.app.kind === "lightfield" || this.app.kind === "generic" || light === undefined) {
-      this.pan(this.app.kind === "generic" ? x : 0, this.app.kind === "generic" ? y : 0);
-    } else {
+    if (this.app.kind === "generic") {
+      this.pan(x, y);
+    } else if (this.app.kind !== "lightfield" && light !== undefined) {
       light.azimuth += x * TURN;
       light.elevation = clamped(light.elevation - y * TURN, -90, 90);
     }
