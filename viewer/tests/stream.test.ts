@@ -57,6 +57,17 @@ describe("a file from its address", () => {
     expect(Buffer.compare(bytes, whole)).toBe(0);
   });
 
+  it("is given up where nothing more comes", async () => {
+    const some = ranges((begin, end) => `bytes ${begin}-${end}/${whole.length}`);
+    await expect(fetched((request, response) => {
+      if (request.headers.range === "bytes=0-65535") {
+        some(request, response);
+      } else {
+        response.writeHead(206).end();
+      }
+    })).rejects.toThrow("The connection was lost");
+  });
+
   it("is asked for once where the host ignores Range", async () => {
     const { bytes, asked } = await fetched((_, response) => response.end(whole));
     expect(asked).toEqual(["bytes=0-65535"]);
