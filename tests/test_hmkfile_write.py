@@ -179,6 +179,8 @@ INVALID: dict[str, tuple[Callable[[], tuple[Metadata, tuple[PackedLevel, ...]]],
     "quality is NaN": (lambda: with_metadata(quality=(LevelQuality(np.nan, 0.0, 0.0),) * 2), "field-type"),
     "SNR of minus infinity": (lambda: with_metadata(quality=(LevelQuality(-np.inf, 1.0, 1.0),) * 2), "field-type"),
     "source is no JSON": (lambda: with_metadata(source={"array": np.zeros(3)}), "field-type"),
+    "source holds an array of pairs": (lambda: with_metadata(source={"array": np.ones((2, 2))}), "field-type"),
+    "source holds a set of pairs": (lambda: with_metadata(source={"set": {("a", 1)}}), "field-type"),
     "source with half a surrogate pair": (lambda: with_metadata(source={"path": "\udc80"}), "field-type"),
     "seed too large": (lambda: with_metadata(seed=2**53), "json-number"),
     "coordinates of another number": (lambda: with_metadata(axes=(

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from decimal import Decimal
 from math import prod
+from typing import cast
 
 from .fields import Json, as_integer, as_list, as_map, as_object, as_text, check_sizes, parse_json
 from .limits import Limits
@@ -29,8 +30,6 @@ MAX_DIMENSIONS = 3
 
 #: Characters that a figure of seven digits takes at the most with an exponent.
 _LONGEST = 12
-#: Made once, as sizes of headers are asked for thousands of times; `default` for mappings that are no dict.
-_ENCODE = json.JSONEncoder(ensure_ascii=False, allow_nan=False, separators=(",", ":"), default=dict).encode
 #: In JSON: a text, or a float without a fraction.
 _TEXT_OR_WHOLE = re.compile(r'"(?:[^"\\]|\\.)*"|-?\d+\.0(?=[,\]}]|$)')
 
@@ -167,6 +166,17 @@ def format_header(
     raw = format_json(entries).encode().ljust(least - LENGTH_BYTES)
     raw += b" " * (-(len(raw) + first) % LENGTH_BYTES)
     return len(raw).to_bytes(LENGTH_BYTES, "little") + raw
+
+
+def _as_dict(value: object) -> object:
+    """A mapping that is no dict as one, for JSON; nothing else is taken for an object."""
+    if isinstance(value, Mapping):
+        return dict(cast("Mapping[str, object]", value))
+    raise TypeError(f"Object of type {type(value).__name__} is not JSON serializable")
+
+
+#: Made once, as sizes of headers are asked for thousands of times.
+_ENCODE = json.JSONEncoder(ensure_ascii=False, allow_nan=False, separators=(",", ":"), default=_as_dict).encode
 
 
 def format_json(value: object) -> str:
