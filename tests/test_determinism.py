@@ -117,3 +117,11 @@ def test_calls_that_overlap_leave_blas_as_it_was() -> None:
         ended.set()
         second[0].result()
         assert (inside[0], blas_threads()) == ({1}, before)
+
+
+def test_what_blas_flags_is_not_warned_of() -> None:
+    """OpenBLAS computes on what lies beside a small matrix, too, and with that anything is flagged as invalid."""
+    inside: list[str] = []
+    with np.errstate(invalid="warn"):
+        fitted(plan="R=1", progress=lambda *_: inside.append(np.geterr()["invalid"]))
+        assert (set(inside), np.geterr()["invalid"]) == ({"ignore"}, "warn")

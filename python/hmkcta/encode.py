@@ -12,6 +12,8 @@ from threading import Lock
 from typing import Any, cast
 from warnings import warn
 
+import numpy as np
+
 from . import backends as kernels
 from .axes import Axis, check_kind, check_organisation, format_organisation, mode_sizes
 from .backends import Device
@@ -213,12 +215,14 @@ def _warn_of(model: Model, goal: float | None) -> None:
 
 @contextmanager
 def _threads(count: int) -> Generator[None]:
-    """The kernels on as many threads as asked for, and BLAS on one.
+    """The kernels on as many threads as asked for, and BLAS on one; what BLAS flags as invalid is not warned of.
 
-    Nodes and blocks run in threads already; BLAS threads beside them only fight, and would change sums.
+    Nodes and blocks run in threads already; BLAS threads beside them only fight, and would change sums. The flag says
+    nothing: OpenBLAS computes on what lies beside a small matrix, too, and leaves it out. Arrays are looked through for
+    NaN and infinity as they are read.
     """
     keep_freed_memory(count)
-    with kernels.threads(count), _ONE_BLAS_THREAD:
+    with kernels.threads(count), _ONE_BLAS_THREAD, np.errstate(invalid="ignore"):
         yield
 
 
