@@ -122,6 +122,10 @@ def test_calls_that_overlap_leave_blas_as_it_was() -> None:
 def test_what_blas_flags_is_not_warned_of() -> None:
     """OpenBLAS computes on what lies beside a small matrix, too, and with that anything is flagged as invalid."""
     inside: list[str] = []
+
+    def told(*_: object) -> None:
+        inside.append(np.geterr()["invalid"])
+
     with np.errstate(invalid="warn"):
-        fitted(plan="R=1", progress=lambda *_: inside.append(np.geterr()["invalid"]))
+        fitted(plan="R=1", progress=told)
         assert (set(inside), np.geterr()["invalid"]) == ({"ignore"}, "warn")
