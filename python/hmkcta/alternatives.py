@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import combinations
 
 from .axes import Organisation
 from .finer import is_far_beyond
@@ -23,6 +24,8 @@ EITHER, EITHER_BELOW = (36.0, 50.0), 80.0
 FEW_CLUSTERS = 512
 #: How many times as many nodes of clusters are tried as there were clusters in a node.
 MORE_NODES = (1, 4, 16)
+#: Parts of a plan up to which nodes for clusters along two axes are tried, and with how many.
+FEW_NODES, NODES_AT_FIRST = 64, 4
 
 
 def alternatives(plan: Plan, plain: Organisation, snr: float, nbytes: int) -> Iterator[Plan]:
@@ -161,6 +164,23 @@ def gathered(plan: Plan) -> Iterator[Plan]:
     merged = tuple(name for n in cut for name in plan.organisation[n])
     modes = tuple(merged if n == cut[0] else plan.organisation[n] for n in kept)
     yield _nodes(plan, modes, tuple(MOST_RANKS if n == cut[0] else below.ranks[n] for n in kept), merged, first.cells)
+
+
+def joined(plan: Plan, plain: Organisation) -> Iterator[Plan]:
+    """Nodes for a few clusters of the data along two axes at a time, the others modes of their own, where the plan cuts
+    what is there into few parts or none: the outline of a thing runs along two axes, and what lies outside is alike.
+
+    >>> from hmkcta import parse_plan
+    >>> volume = (("time",), ("y",), ("x",))
+    >>> [str(each) for each in joined(parse_plan("R<=8", volume), volume)][:2]
+    ['R=1,1 C=4,1 / R<=160,160', 'R=1,1 C=4,1 / R<=160,160']
+    """
+    if len(plain) < 3 or plan.levels[0].cells > FEW_NODES:
+        return
+    for a, b in combinations(range(len(plain)), 2):
+        merged = plain[a] + plain[b]
+        modes = tuple(merged if n == a else mode for n, mode in enumerate(plain) if n != b)
+        yield _nodes(plan, modes, (MOST_RANKS,) * len(modes), merged, NODES_AT_FIRST)
 
 
 def _nodes(

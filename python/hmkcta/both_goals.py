@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from math import prod
+from math import inf, prod
 from typing import Any
 
 from .errors import HmkctaError
@@ -25,6 +25,8 @@ from .rivals import Choose, follow_any, is_worth
 FROM, UP_TO = 40.0, 118.0
 #: The other goal is so many dB more, or so large a share of the bytes; and while it leads on, so often.
 FURTHER, FEWER, STEPS = 6.0, 0.95, 4
+#: Plans for more dB that are expected to take so many times a size are not followed.
+BEYOND = 4
 #: Elements up to which it takes seconds.
 SMALL = 1 << 22
 
@@ -68,6 +70,8 @@ def _followed(task: Task, choose: Choose, name: str, goal: dict[str, Any]) -> Mo
     """The model of plans that are chosen for a goal; None where there is none."""
     try:
         first, *others = choose(name, **goal)
+        if (first.expected or 0) > BEYOND * (task.plan.size or inf):
+            return None
         return follow_any(replace(task, plan=first), others, nobody)
     except HmkctaError as error:
         if error.reason not in NOT_FOLLOWED:

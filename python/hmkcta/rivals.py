@@ -11,6 +11,7 @@ from .alternatives import (
     ROUNDING_FROM,
     alternatives,
     below_rank_one,
+    joined,
     narrower,
     nodes_of_clusters,
     with_bits,
@@ -70,6 +71,7 @@ def follow_any(
         again = nearer[1] is not model and is_worth(nearer[0])
         task, model = _with_other_clusters(*nearer, STEPS[-1:], set()) if again else nearer
     if choose is not None:
+        task, model = _joined(task, model)
         (task, model), left = _chosen_anew(given, (task, model), left, choose)
     missing = [] if task.plan.snr is None else _spare(task, model, followed, left)
     return _unless_verbatim(task, _unless_missed(task, model, missing, missed))
@@ -101,7 +103,8 @@ def _in_other_ways(given: Task, own: Followed, followed: Sequence[Followed], oth
     """The best of what was followed, of plans of two levels where these may do better, and of other numbers of clusters
     from there and from the best of the trial's `own` on."""
     task, model = best_of(followed)
-    if task.plan.levels[-1].bits == max(BITS) and model.snr > (task.plan.snr or model.snr) + BEYOND:
+    of_bytes, goal = task.plan.levels[-1].bits < max(BITS), task.plan.snr or model.snr
+    if goal > ROUNDED[min(BITS)] or (model.snr > goal + BEYOND and not of_bytes):
         most, two = LESS * model.nbytes, further(task, below_bytes(task, followed), (task, model))
         task, model = best_of([(task, model), *(each for each in two if each[1].nbytes < most)])
     if (task.plan.snr or model.snr) > NEARLY:
@@ -227,6 +230,15 @@ def _nearer(task: Task, model: Model, others: Sequence[Plan]) -> Followed:
     next_best = others[:1] if task.plan.snr is not None else ()
     plans += [plan for plan in next_best if not is_verbatim(plan) or model.nbytes > _verbatim_bytes(task, plan)]
     return best_of([_filled(task, model), *further(task, plans, (task, model))])
+
+
+def _joined(task: Task, model: Model) -> Followed:
+    """The best of a model and of nodes for clusters along two axes at a time."""
+    if not is_worth(task) or prod(task.source.shape) > IN_ALL_STEPS:
+        return task, model
+    plans = [plan for plan in joined(task.plan, task.source.organisation(None)) if _fits(task, plan, model)]
+    found = best_of([(task, model), *further(task, plans, (task, model))])
+    return found if found[1] is model else _with_other_clusters(*found, STEPS, set())
 
 
 def _filled(task: Task, model: Model) -> Followed:

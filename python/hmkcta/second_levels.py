@@ -19,8 +19,8 @@ from .plan import Plan
 #: The first level ends at as many dB as its numbers keep of one, by their bits, and at no less than so many; up to so
 #: many dB in all the second may also be of bytes.
 ROUNDED, SHORT, BOTH = {16: 68.0, 8: 43.0}, 40.0, 106.0
-#: So many dB bytes keep of most values.
-OF_BYTES = 36.0
+#: So many dB bytes keep of most values; of plans for so much, so many are tried.
+OF_BYTES, FIRSTS = 36.0, 2
 
 
 def below_rounding(task: Task, others: Sequence[Plan]) -> Iterator[Plan]:
@@ -48,19 +48,23 @@ def below_rounding(task: Task, others: Sequence[Plan]) -> Iterator[Plan]:
 
 
 def below_bytes(task: Task, followed: Sequence[Followed]) -> list[Plan]:
-    """For an SNR a plan of bytes with a level below it for what bytes leave of themselves.
+    """For an SNR plans of bytes with a level below them for what bytes leave of themselves.
 
-    Its first level is that of the plan of bytes that came nearest, or else the last of the task's, alone.
+    Its first level is that of a plan of bytes that came near, or else the last, alone, of one that cuts nothing: the
+    task's own plan, or one that was followed.
     """
-    (*above, last), goal = task.plan.levels, task.plan.snr
+    goal = task.plan.snr
     if goal is None or not may_be(task, with_bits(task.plan, min(BITS))):
         return []
     short = [each for each in followed if each[0].plan.levels[-1].bits == min(BITS) and each[1].snr < goal]
     below = [deeper(*each) for each in sorted(short, key=lambda each: -each[1].snr)]
-    if not any(below) and last.own and all(level.cells == 1 for level in above):
-        alone = replace(task.plan, levels=(replace(last, bits=min(BITS)),), snr=min(goal, OF_BYTES))
-        below = [deeper(*each) for each in further(task, [alone])]
-    return [replace(plan, snr=goal) for plan in below if plan is not None][:1]
+    if not any(below):
+        whole = (plan for plan in (task.plan, *(each.plan for each, _ in followed))
+                 if plan.levels[-1].own and all(level.cells == 1 for level in plan.levels[:-1]))
+        alone = dict.fromkeys(replace(plan, levels=(replace(plan.levels[-1], bits=min(BITS)),), snr=min(goal, OF_BYTES))
+                              for plan in whole)
+        below = [deeper(*each) for each in further(task, [*alone][:FIRSTS])]
+    return [replace(plan, snr=goal) for plan in below if plan is not None][:FIRSTS]
 
 
 def deeper(task: Task, model: Model) -> Plan | None:
