@@ -6,6 +6,7 @@ one number stands for all modes, ``R=*`` leaves a mode undecomposed.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
@@ -219,23 +220,29 @@ def multiply_adds(cost: int) -> str:
     return f"{cost} multiply-add{'' if cost == 1 else 's'}"
 
 
+#: What parts the words of a level, with the spaces beside it.
+_SPACED = re.compile(r"\s*(<=|[=,:])\s*")
+
+
 def parse_level(text: str, organisation: Organisation, scheme: str = "most") -> LevelSpec:
     """Read one level, e.g. ``R=2,2,3,* C=4,3,4,1 K=2``, ``R=1 grid=y:4,x:6`` or ``R<=8,8,8,* bits=8``.
 
     One number stands for all modes, K for those that have clusters: ``K=2`` leaves unclustered modes alone,
-    ``K=2,2`` says of each what it is to be.
+    ``K=2,2`` says of each what it is to be. Spaces beside ``=``, ``<=``, ``,`` and ``:`` say nothing.
 
     >>> modes = (("light", "rgb"), ("view",), ("y",), ("x",))
     >>> parse_level("R=2,2,3,* C=4,3,4,1 K=2", modes).mixture
     (2, 2, 2, 1)
     >>> parse_level("R=1 grid=y:4,x:6", modes).clusters
     (1, 1, 4, 6)
+    >>> parse_level("R = 2, 2, 3, *", modes).ranks
+    (2, 2, 3, None)
     """
     if not text.strip():
         raise invalid("plan-syntax", "plan", "an empty level", "R=.. or R<=.. in each, levels parted by /")
     order = len(organisation)
     words: dict[str, str] = {}
-    for word in text.split():
+    for word in _SPACED.sub(r"\1", text).split():
         key, equals, values = word.partition("=")
         if not equals or key not in ("R", "R<", "C", "K", "grid", "cut<", "bits") or key in words:
             allowed = "R=.., R<=.., C=.., K=.., grid=.., cut<=.., bits=.. once a level, levels parted by /"

@@ -60,7 +60,8 @@ def follow_any(
     rivals, of which the best is kept. It is then compared with its `alternatives`, with more and fewer clusters of the
     data, and beyond what float16 keeps of one level with plans of two. Where ranks are such large steps that a model
     lies far beyond its goal, the same plan with a `finer` choice of blocks is tried, and for an SNR the first of the
-    others. Under a value transform plans are then chosen anew, for what the fit told.
+    others. Small arrays are compared with nodes for clusters along two axes. Under a value transform plans are then
+    chosen anew, for what the fit told.
     """
     rivals = _rivals(task, others)
     followed, given = fitted_with(task, rivals, FAR_BEHIND[1]), task

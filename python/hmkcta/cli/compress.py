@@ -10,6 +10,7 @@ import click
 from numpy.typing import NDArray
 
 from ..backends import Device, find_device
+from ..both_goals import UP_TO
 from ..encode import compress
 from ..finer import USED
 from ..goals import misses
@@ -142,7 +143,9 @@ def unused(model: Model, goal: Goal, plan: str | None) -> list[str]:
     if goal.size is None or model.nbytes >= USED * goal.size or isinf(model.snr) or fixed:
         return []
     cost, bound = goal.settings["decode_cost"], _is_bound_by_cost(model, goal)
-    if plan is None and bound:
+    if model.snr > UP_TO:
+        why = "everything is decoded in float32, which keeps hardly more. Next: as good is a smaller --size"
+    elif plan is None and bound:
         why = (f"nothing better was found within --decode-cost {cost}. Next: allow more multiply-adds, if what reads "
                "the file may take longer for an element")
     elif plan is None:
