@@ -96,6 +96,7 @@ class Page {
       await this.opening;
     }
     if (signal.aborted) {
+      source?.close();
       return;
     }
     if (source === null) {
@@ -115,6 +116,11 @@ class Page {
     byId("loading").textContent = "Loading the original ...";
     try {
       const source = await openUrl(fileUrl(address, location.href));
+      if (signal.aborted) {
+        source.close();
+        return;
+      }
+      signal.addEventListener("abort", () => source.close());
       await app.setOriginal(await load(source, { onTables: () => undefined, onLevel: () => undefined }));
     } catch (error) {
       if (!signal.aborted && (this.state !== "failed" || byId("message").hidden)) { // what is said of the model matters more
@@ -248,6 +254,7 @@ class Page {
   private close(): void {
     this.session.abort();
     this.session = new AbortController();
+    this.source?.close();
     this.app?.close();
     this.app = null;
     this.panel = null;
@@ -355,10 +362,10 @@ class Page {
     if (this.showing && !await this.mayReplace(source)) {
       return;
     }
-    if (this.gpu === null) {
-      this.opening = this.openGpu();
-      await this.opening;
-    }
+    await this.opening.catch(() => {
+      this.opening = this.openGpu(); // it failed or was lost: once more
+      return this.opening;
+    });
     await this.show(source);
   }
 

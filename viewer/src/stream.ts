@@ -25,6 +25,9 @@ export abstract class ByteSource {
     }
   }
 
+  /** Fetch nothing more; what is on its way is given up. */
+  close(): void {}
+
   protected abstract fetchTo(end: number): Promise<void>;
 
   protected add(chunk: Uint8Array): void {
@@ -66,8 +69,12 @@ export class BlobSource extends ByteSource {
 
 /** A server that has byte ranges: each part is asked for when it is needed, and asked for again when it breaks off. */
 class RangeSource extends ByteSource {
-  constructor(name: string, private readonly url: URL, size: number) {
+  constructor(name: string, private readonly url: URL, size: number, private readonly stop: AbortController) {
     super(name, memory(size));
+  }
+
+  override close(): void {
+    this.stop.abort();
   }
 
   async take(response: Response): Promise<void> {
@@ -85,7 +92,7 @@ class RangeSource extends ByteSource {
     for (let tries = 1; this.have < end; tries += 1) {
       const before = this.have;
       try {
-        const response = await request(this.url, { Range: `bytes=${this.have}-${end - 1}` });
+        const response = await request(this.url, { Range: `bytes=${this.have}-${end - 1}` }, this.stop.signal);
         if (response.status !== 206) {
           throw new Error(`status ${response.status} for a range`);
         }
@@ -94,7 +101,7 @@ class RangeSource extends ByteSource {
           throw new Error("an empty answer");
         }
       } catch (error) {
-        if (tries >= TRIES) {
+        if (tries >= TRIES || this.stop.signal.aborted) {
           throw lost(this.name, this.have, this.size, error);
         }
         await new Promise((resolve) => setTimeout(resolve, WAIT));
@@ -108,6 +115,10 @@ class RangeSource extends ByteSource {
 class BodySource extends ByteSource {
   constructor(name: string, size: number, private readonly reader: ReadableStreamDefaultReader<Uint8Array>) {
     super(name, memory(size));
+  }
+
+  override close(): void {
+    this.reader.cancel().catch(() => undefined); // of a body that broke off there is nothing to give up
   }
 
   protected override async fetchTo(end: number): Promise<void> {
@@ -126,8 +137,8 @@ class BodySource extends ByteSource {
   }
 }
 
-async function request(url: URL, headers: Record<string, string>): Promise<Response> {
-  return fetch(url, { headers, cache: "no-cache", credentials: "same-origin" });
+async function request(url: URL, headers: Record<string, string>, signal: AbortSignal | null = null): Promise<Response> {
+  return fetch(url, { headers, signal, cache: "no-cache", credentials: "same-origin" });
 }
 
 /** The address of a file named on the page's address: http or https, nothing else. */
@@ -160,13 +171,14 @@ function decoded(part: string): string {
  */
 export async function openUrl(url: URL): Promise<ByteSource> {
   const name = decoded(url.pathname.split("/").pop() ?? "") || url.href;
-  const part = await request(url, { Range: `bytes=0-${FIRST - 1}` }).catch(() => null);
+  const stop = new AbortController();
+  const part = await request(url, { Range: `bytes=0-${FIRST - 1}` }, stop.signal).catch(() => null);
   if (part !== null && part.status !== 206) {
     return wholeFile(name, url, part);
   }
   const total = /^bytes 0-\d+\/(\d+)$/.exec(part?.headers.get("Content-Range") ?? "");
   if (part !== null && total !== null) {
-    const source = new RangeSource(name, url, Number(total[1]));
+    const source = new RangeSource(name, url, Number(total[1]), stop);
     await source.take(part).catch(() => undefined); // what is missing is asked for again
     return source;
   }

@@ -68,6 +68,42 @@ describe("a file from its address", () => {
     })).rejects.toThrow("The connection was lost");
   });
 
+  it.each<[string, RequestListener]>([
+    ["in parts", (request, response) => {
+      const first = request.headers.range === "bytes=0-65535";
+      response.writeHead(206, { "Content-Range": `bytes 0-65535/${whole.length}` });
+      response.write(whole.subarray(0, first ? 65536 : 9)); // and nothing more for now
+      if (first) {
+        response.end();
+      }
+    }],
+    ["as a whole", (_, response) => {
+      response.writeHead(200, { "Content-Length": whole.length });
+      response.write(whole.subarray(0, 9));
+    }],
+  ])("is fetched no further once it is closed, %s", async (_, listener) => {
+    let asked = 0, gone = 0;
+    const server = createServer((request, response) => {
+      asked += 1;
+      response.on("close", () => { gone += 1; });
+      listener(request, response);
+    });
+    await new Promise<void>((resolve) => server.listen(0, "127.0.0.1", resolve));
+    try {
+      const source = await openUrl(new URL(`http://127.0.0.1:${(server.address() as AddressInfo).port}/a.hmk`));
+      const rest = source.upTo(source.size);
+      await new Promise((resolve) => setTimeout(resolve, 100));
+      const before = asked;
+      source.close();
+      await expect(rest).rejects.toThrow("The connection was lost");
+      await expect.poll(() => gone).toBe(before);
+      expect(asked).toBe(before);
+    } finally {
+      server.closeAllConnections();
+      server.close();
+    }
+  });
+
   it("is asked for once where the host ignores Range", async () => {
     const { bytes, asked } = await fetched((_, response) => response.end(whole));
     expect(asked).toEqual(["bytes=0-65535"]);
