@@ -186,6 +186,16 @@ def test_a_chosen_plan_is_not_chosen_again(tmp_path: Path, monkeypatch: pytest.M
     assert resumed(tmp_path, **options)[0] == reference
 
 
+def test_what_a_chosen_plan_is_expected_to_take_is_kept(tmp_path: Path) -> None:
+    """Plans that are expected to take many times a size are not followed, in no run of the same call."""
+    plan = hmkcta.choose_plan(DATA.values, axes=DATA.axes, snr=20, quality="fast")
+    assert plan.expected is not None
+    with Journal(tmp_path / "a.partial") as journal:
+        hmkcta.compress(DATA.values, "R=1", axes=DATA.axes, journal=journal)
+        found, = journal.plans(lambda: [plan], "other")
+        assert (found, found.expected) == (plan, plan.expected)
+
+
 def test_the_memory_of_the_first_run_decides(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is streamed follows from the memory that was free when the run began, not from what is free now."""
     options = CASES["levels"]

@@ -362,7 +362,8 @@ def _plan(content: Mapping[str, Any]) -> Plan:
                   tuple((axis, count) for axis, count in level["cuts"]),
                   tuple((axis, count) for axis, count in level["fewest"]), level["bits"])
         for level in content["levels"])
-    return Plan(tuple(map(tuple, content["organisation"])), levels, content["snr"], content["size"])
+    expected = None if content["expected"] is None else int(content["expected"])
+    return Plan(tuple(map(tuple, content["organisation"])), levels, content["snr"], content["size"], expected)
 
 
 def _text(content: Any) -> str:
