@@ -20,6 +20,7 @@ from .model import Model
 from .plan import Plan
 from .progress import nobody
 from .rivals import Choose, follow_any, is_worth
+from .source import Source
 
 #: Rounding tells plans apart from so many dB on, and up to what float32 holds.
 FROM, UP_TO = 40.0, 118.0
@@ -40,9 +41,7 @@ def follow_both(
     a size of nearly as many bytes leads to plans of a cluster for every few rows, which take minutes.
     """
     model = follow_any(task, others, missed, choose)
-    if not is_worth(task) or prod(task.source.shape) > SMALL or task.source.value_transform.name != "identity":
-        return model
-    if is_verbatim(model.plan):
+    if not is_worth(task) or not are_compared(task.source) or is_verbatim(model.plan):
         return model
     if ceiling is not None and task.plan.snr is not None:  # it was chosen for a size, which the ceiling ended
         found = _followed(task, choose, "plan-of-ceiling", {"snr": ceiling})
@@ -54,6 +53,11 @@ def follow_both(
             break
         model = found
     return model
+
+
+def are_compared(source: Source) -> bool:
+    """Whether its models, if plans are compared at all, are compared with those of the other goal: from some dB on."""
+    return prod(source.shape) <= SMALL and source.value_transform.name == "identity"
 
 
 def _other_goal(plan: Plan, model: Model, ceiling: float | None) -> dict[str, Any] | None:
