@@ -100,6 +100,12 @@ def test_nested_lists_have_one_length() -> None:
     assert refused([[1, 2], [3]]).reason == "array-shape"
 
 
+def test_more_axes_than_a_file_can_have_are_to_be_made_one() -> None:
+    error = refused(np.ones((2,) * 9))
+    assert error.reason == "array-shape"
+    assert "Next: make axes that belong together one" in str(error)
+
+
 @pytest.mark.parametrize(("axes", "kind", "reason"), [
     ("frame, y, x, rgb", "volume", "no-space"), ("light, view, x, rgb", "svbrdf", "no-space"),
     ("t, z, y, x", "lightfield", "no-cameras"), ("theta:view, phi:view, a:view, y, x", "svbrdf", "too-many-directions"),

@@ -80,7 +80,7 @@ def test_npz_with_several_members_lists_them(tmp_path: Path) -> None:
     error = refusal(tmp_path / "a.npz")
     assert (error.kind, error.reason) == (Kind.INVALID_ARGUMENT, "source-member")
     assert "jet, wood" in str(error)
-    assert "jet, wood" in str(refusal(f"{tmp_path}/a.npz:stone"))
+    assert f"jet, wood. Next: write {tmp_path}/a.npz:NAME" in str(refusal(f"{tmp_path}/a.npz:stone"))
 
 
 def test_colon_in_a_file_name(tmp_path: Path) -> None:

@@ -67,6 +67,11 @@ def test_a_box_of_two_numbers_is_refused() -> None:
         Look(clip_high=cast(Any, (1.0, 1.0)))
 
 
+def test_half_a_pixel_is_refused() -> None:
+    with pytest.raises(HmkctaError, match=r"width: found 64.5, allowed a whole number of pixels"):
+        Scene(width=cast(Any, 64.5))
+
+
 def test_scenes_say_only_what_differs(tmp_path: Path) -> None:
     assert scene_from_json({}) == Scene()
     path = tmp_path / "scene.json"

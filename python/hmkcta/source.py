@@ -195,7 +195,8 @@ def described(array: Any, axes: Sequence[Axis | str] | None = None, transform: s
     axes = axes if axes is not None else _dimensions(array)
     array = as_array(array, "array")
     if not 1 <= array.ndim <= 8 or array.size == 0:
-        raise invalid("array-shape", "array", f"shape {array.shape}", "1 to 8 axes, none of them empty")
+        raise invalid("array-shape", "array", f"shape {array.shape}", "1 to 8 axes, none of them empty",
+                      "make axes that belong together one, array.reshape(..)" if array.ndim > 8 else "")
     named, dtype = _named(array.shape, axes), array.dtype.newbyteorder("=").name
     change = parse("identity" if transform is None else transform)
     return Source(array, named, dtype, None, change, {"sha256": "0" * 64})

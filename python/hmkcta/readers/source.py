@@ -129,7 +129,8 @@ def choose(where: str, members: Mapping[str, str], wanted: str | None) -> str:
                           f"write {where}:NAME" if members else "")
         return next(iter(members))
     if wanted not in members:
-        raise invalid("source-member", f"member of {where}", repr(wanted), listed)
+        hint = f"write {where}:NAME with one of these" if members else ""
+        raise invalid("source-member", f"member of {where}", repr(wanted), listed, hint)
     return wanted
 
 

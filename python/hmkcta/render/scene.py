@@ -11,7 +11,7 @@ import types
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from math import cos, radians, sin
-from numbers import Real
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, Union, cast, get_args, get_origin, get_type_hints
 
@@ -251,8 +251,9 @@ class Scene:
     position: dict[str, int] = field(default_factory=dict[str, int])
 
     def __post_init__(self) -> None:
-        _check_range("width", self.width, 1, MOST_PIXELS, " pixels")
-        _check_range("height", self.height, 1, MOST_PIXELS, " pixels")
+        for name, pixels in (("width", self.width), ("height", self.height)):
+            expect(name, pixels, Integral, "a whole number of pixels")
+            _check_range(name, pixels, 1, MOST_PIXELS, " pixels")
         if self.kind is not None:
             _check_choice("kind", self.kind, KINDS)
         for name, part in (("camera", Camera), ("surface", Surface), ("viewpoint", Viewpoint), ("volume", Look),
