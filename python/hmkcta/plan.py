@@ -19,6 +19,9 @@ from .goals import check_goal
 from .grids import divisors
 from .narrow import BITS
 
+#: What parts the words of a level, with the spaces beside it.
+_SPACED = re.compile(r"\s*(<=|[=,:])\s*")
+
 SCHEMES = ("most", "least", "uniform")
 
 #: Beyond this many cluster subsets in a mode the optimal search gives way to the greedy one (docs/design-notes.md).
@@ -218,10 +221,6 @@ def multiply_adds(cost: int) -> str:
     ('1 multiply-add', '576 multiply-adds')
     """
     return f"{cost} multiply-add{'' if cost == 1 else 's'}"
-
-
-#: What parts the words of a level, with the spaces beside it.
-_SPACED = re.compile(r"\s*(<=|[=,:])\s*")
 
 
 def parse_level(text: str, organisation: Organisation, scheme: str = "most") -> LevelSpec:

@@ -104,8 +104,8 @@ def _in_other_ways(given: Task, own: Followed, followed: Sequence[Followed], oth
     """The best of what was followed, of plans of two levels where these may do better, and of other numbers of clusters
     from there and from the best of the trial's `own` on."""
     task, model = best_of(followed)
-    of_bytes, goal = task.plan.levels[-1].bits < max(BITS), task.plan.snr or model.snr
-    if goal > ROUNDED[min(BITS)] or (model.snr > goal + BEYOND and not of_bytes):
+    wide, goal = task.plan.levels[-1].bits == max(BITS), task.plan.snr or model.snr
+    if goal > ROUNDED[min(BITS)] or (wide and model.snr > goal + BEYOND):
         most, two = LESS * model.nbytes, further(task, below_bytes(task, followed), (task, model))
         task, model = best_of([(task, model), *(each for each in two if each[1].nbytes < most)])
     if (task.plan.snr or model.snr) > NEARLY:
