@@ -42,7 +42,7 @@ def test_nobody_loads_cupy_who_does_not_ask_for_it(tmp_path: Path) -> None:
     program = ("import numpy, hmkcta, hmkcta.cli\n"
                "print(hmkcta.compress(numpy.ones((4, 5)), 'R=1').snr)\n"
                "hmkcta.compress(numpy.ones((4, 5)), 'R=1', device='cuda')")  # fmt: skip
-    path = os.pathsep.join([str(tmp_path), str(PYTHON)])
+    path = os.pathsep.join([str(tmp_path), str(PYTHON), *sys.path])
     done = subprocess.run([sys.executable, "-c", program], env=os.environ | {"PYTHONPATH": path}, text=True,
                           capture_output=True, check=False, timeout=60)  # fmt: skip
     assert float(done.stdout) > 60
