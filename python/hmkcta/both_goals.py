@@ -26,6 +26,8 @@ from .source import Source
 FROM, UP_TO = 40.0, 118.0
 #: The other goal is so many dB more, or so large a share of the bytes; and while it leads on, so often.
 FURTHER, FEWER, STEPS = 6.0, 0.95, 4
+#: It leads on no further from what exceeds an SNR by less than so many dB, or uses such a share of a size.
+EXCESS, USED = 1.0, 0.96
 #: Plans for more dB that are expected to take so many times a size are not followed.
 BEYOND = 4
 #: Elements up to which it takes seconds.
@@ -52,6 +54,8 @@ def follow_both(
         if found is None or not _is_better(found, model, task.plan):
             break
         model = found
+        if _leaves_little(model, task.plan):
+            break
     return model
 
 
@@ -81,6 +85,13 @@ def _followed(task: Task, choose: Choose, name: str, goal: dict[str, Any]) -> Mo
         if error.reason not in NOT_FOLLOWED:
             raise
         return None
+
+
+def _leaves_little(model: Model, plan: Plan) -> bool:
+    """Whether a model that the other goal led to is so near the plan's that going on has never paid."""
+    if plan.snr is not None:
+        return model.snr < plan.snr + EXCESS
+    return model.nbytes > USED * (plan.size or inf)
 
 
 def _is_better(found: Model, model: Model, plan: Plan) -> bool:
