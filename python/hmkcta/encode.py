@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
+from functools import cache
 from math import prod
 from numbers import Integral, Real
 from threading import Lock
@@ -18,6 +19,7 @@ from . import backends as kernels
 from .axes import Axis, check_kind, check_organisation, format_organisation, mode_sizes
 from .backends import Device
 from .both_goals import follow_both
+from .choosing.blocks import SHARED, Samples, samples_of
 from .choosing.tuning import tune
 from .errors import GoalMissed, expect, invalid, shown
 from .executors import thread_count
@@ -187,8 +189,12 @@ def compress(
             journal.begin(decisive(source, plan, kind=kind, quality=quality, scheme=scheme, seed=run.seed,
                                    device=device.described, **asdict(wanted)))
 
+        @cache
+        def samples() -> Samples | None:  # of all choices; larger ones would take memory while plans are fitted
+            return samples_of(source) if prod(source.shape) <= SHARED else None
+
         def chosen(name: str, aim: float | None = None, **others: Any) -> list[Plan]:
-            return run.journal.plans(lambda: _chosen(source, run, replace(wanted, **others), aim), name)
+            return run.journal.plans(lambda: _chosen(source, run, replace(wanted, **others), aim, samples()), name)
 
         plans = [plan] if plan else chosen("plan")
         task = Task(
@@ -349,7 +355,9 @@ def _wanted(
     return Wanted(snr, size, int(decode_cost), organisation, memory, bits)
 
 
-def _chosen(source: Source, run: Run, wanted: Wanted, aim: float | None = None) -> list[Plan]:
+def _chosen(
+    source: Source, run: Run, wanted: Wanted, aim: float | None = None, samples: Samples | None = None
+) -> list[Plan]:
     fixed = None if wanted.organisation is None else source.organisation(wanted.organisation)
     size = wanted.size
     if wanted.ceiling is not None:
@@ -357,6 +365,6 @@ def _chosen(source: Source, run: Run, wanted: Wanted, aim: float | None = None) 
         size = max(4 * prod(source.shape) // DEFAULT_RATIO, SMALLEST_DEFAULT, ROW_BYTES * rows)
     plans = tune(
         source, run, snr=wanted.snr, size=size, ceiling=wanted.ceiling, decode_cost=wanted.decode_cost,
-        organisation=fixed, memory=wanted.max_memory, bits=wanted.bits, aim=aim,
+        organisation=fixed, memory=wanted.max_memory, bits=wanted.bits, aim=aim, samples=samples,
     )
     return [finer(plan, source.axes) or plan for plan in plans] if prod(source.shape) <= SMALL else plans

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from math import inf, prod
 from threading import Lock
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +15,14 @@ from numpy.typing import NDArray
 from ..axes import Axis, Organisation, axis_order
 from ..slabs import thinning
 from ..source import Source
-from .detail import Detail
+from .detail import Detail, detail_of
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+T = TypeVar("T")
 
+#: Elements of a source that is held in memory, and of one whose samples are kept from one goal's choice to the next.
+HELD, SHARED = 1 << 24, 1 << 22
 #: Fewer blocks than these would be chance, and are thinned where they hold more elements than asked for; more tell no
 #: more. Where this share of them is asked for, all are looked at.
 FEWEST, MOST, NEARLY_ALL = 8, 96, 0.7
@@ -58,12 +62,23 @@ class Blocks:
 
 
 class Samples:
-    """Samples of blocks, by grid and size; the last are kept, as candidates of one grid follow one another."""
+    """What is looked at of a source, whatever the goal: its values, where they are held, and samples of blocks.
+
+    Samples are by grid and size; the last are kept, as candidates of one grid follow one another.
+    """
 
     def __init__(self, source: Source, values: F32 | None, detail: Detail) -> None:
+        self.values = values
         self._data = (source, values, detail)
         self._last = OrderedDict[tuple[tuple[int, ...], int], Blocks]()
+        self._known = dict[Any, Any]()
         self._lock = Lock()
+
+    def once(self, key: Hashable, find: Callable[[], T]) -> T:
+        """What was found under the key before, for this goal or another, or is now: little, for all of it is kept."""
+        if key not in self._known:
+            self._known[key] = find()
+        return cast("T", self._known[key])
 
     def of(self, grid: tuple[int, ...], sample: int, room: float, kept: float) -> Blocks:
         """As `sampled_blocks`; of those before it `kept` elements stay."""
@@ -77,6 +92,12 @@ class Samples:
             while sum(blocks.values.size for blocks in self._last.values()) > kept:
                 self._last.popitem(last=False)
         return found
+
+
+def samples_of(source: Source) -> Samples:
+    """Samples of a source, whose values are held if they are not too many."""
+    held = source.values() if prod(source.shape) <= HELD else None
+    return Samples(source, held, detail_of(source, held))
 
 
 def sampled_blocks(

@@ -153,8 +153,12 @@ def _judged(
         return _left(rows, labels, limit, trial.seed)
 
     more = () if few else some_dimensions(rows.shape[1])
-    dimensions = list(dict.fromkeys((0, 1, *more)))
-    reached = np.minimum.reduce(list(in_order(left_by, dimensions, threads)))
+    dimensions = tuple(dict.fromkeys((0, 1, *more)))
+
+    def reached_by() -> F64:
+        return np.minimum.reduce(list(in_order(left_by, dimensions, threads)))
+
+    reached = trial.samples.once((organisation, len(rows), count, limit, dimensions), reached_by)
     left = np.concatenate([[energy], reached[choices.entry]])
     kept = pareto(choices.nbytes, left)
     spend = partial(best_of_one, choices.nbytes[kept], left[kept])
@@ -172,7 +176,7 @@ def _sampled_rows(trial: Trial, organisation: Organisation, long: int, fewer: in
     thinned = thinning([source.shape[n] for n in along], max(1, DRAWN_FROM // (fewer * columns)))
     steps = dict(zip(along, thinned, strict=True))
     part = tuple(slice(None, None, steps.get(n, 1)) for n in range(len(source.shape)))
-    values = source.values(part) if trial.values is None else trial.values[part]
+    values = source.values(part) if (held := trial.samples.values) is None else held[part]
     matrix = organised(values[None], source.axes, organisation)[0]
     rows = matrix.T if long else matrix
     most = max(1, min(MOST_ROWS, SAMPLE[trial.ceiling is not None] // (fewer * columns)))

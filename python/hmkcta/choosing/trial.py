@@ -22,11 +22,10 @@ from ..narrow import LEFT
 from ..plan import MOST_RANKS_ALONE
 from ..predict import is_precise
 from ..source import Source
-from .blocks import Blocks, Samples, organised, parts_of, split
+from .blocks import Blocks, Samples, organised, parts_of, samples_of, split
 from .candidates import Candidate, bytes_beside, clusters_of, plan_of
 from .caps import Ranks, Room, capped
 from .cut import Cut
-from .detail import detail_of
 from .growth import Growth
 from .spectra import Ladder, Values, captured, cores, energies, ladders
 
@@ -39,8 +38,8 @@ Spend = Callable[..., tuple[float, float]]
 
 #: Worse than any number of bytes, in octaves.
 OUT_OF_REACH = 1000.0
-#: Elements looked at together where all are, and of a source that is held in memory.
-SLAB, HELD = 1 << 20, 1 << 24
+#: Elements looked at together where all are.
+SLAB = 1 << 20
 #: Elements of samples that are kept for the next candidates, where memory sets no bounds.
 KEPT = 1 << 21
 #: Modes up to this length are left undecomposed on trial if their rank takes this share of their rows.
@@ -73,13 +72,12 @@ class Trial:
     """The data and the goal: as many dB as `size` bytes and a decode cost allow.
 
     Bytes are not spent beyond a `ceiling` in dB of the transformed values, which is how an SNR is a goal: what reaches
-    it is worth the more, the fewer bytes it takes, an octave as much as a dB. `values` are the source's, if held,
-    `samples` and `energy` its own, `room` the most elements of a sample, `memory` what the fit may take, if that sets
+    it is worth the more, the fewer bytes it takes, an octave as much as a dB. `samples` and `energy` are the source's,
+    `room` the most elements of a sample, `memory` what the fit may take, if that sets
     bounds; `bits` are those of a number in the file.
     """
 
     source: Source
-    values: F32 | None
     size: int
     ceiling: float | None
     decode_cost: int
@@ -89,8 +87,6 @@ class Trial:
     room: float = inf
     memory: Room | None = None
     bits: int = 16
-    #: What `beside` found before: of each candidate, as digits that one of its kind had first depend on threads.
-    _headers: dict[Candidate, float] = field(init=False, default_factory=dict[Candidate, float])
     #: What `_way` found before.
     _ways: dict[Any, tuple[F64, F64]] = field(init=False, default_factory=dict[Any, tuple[F64, F64]])
 
@@ -311,13 +307,13 @@ class Trial:
 
     def beside(self, candidate: Candidate) -> float:
         """Bytes of the candidate's file besides what `choices_of` counts of its nodes."""
-        if candidate not in self._headers:
-            self._headers[candidate] = bytes_beside(self.source, candidate, self.seed)
-        return self._headers[candidate]
+        # Of each candidate, as digits that one of its kind had first depend on threads.
+        return self.samples.once(candidate, partial(bytes_beside, self.source, candidate, self.seed))
 
 
 def trial_of(
-    source: Source, size: int | None, ceiling: float | None, decode_cost: int, seed: int, aim: float | None = None
+    source: Source, size: int | None, ceiling: float | None, decode_cost: int, seed: int, aim: float | None = None,
+    samples: Samples | None = None,
 ) -> Trial:
     """The trial of a goal whose dB are those of the source's values; without a `size` all that anything may need.
 
@@ -340,10 +336,8 @@ def trial_of(
     signal = energy if plain else signal
     higher_by = decibels(energy, signal / stretch) if energy else 0.0
     ceiling = aim if aim is not None or ceiling is None else ceiling + higher_by
-    held = source.values() if prod(source.shape) <= HELD else None
     size = size or 4 * prod(source.shape) + ENOUGH
-    samples = Samples(source, held, detail_of(source, held))
-    return Trial(source, held, size, ceiling, decode_cost, seed, samples, energy)
+    return Trial(source, size, ceiling, decode_cost, seed, samples or samples_of(source), energy)
 
 
 def decibels(signal: float, error: float) -> float:

@@ -67,9 +67,10 @@ def tune(
     memory: int | None = None,
     bits: int | None = None,
     aim: float | None = None,
+    samples: blocks.Samples | None = None,
 ) -> list[Plan]:
     """The best plan found for bytes (`size`) or for an SNR; with a `ceiling` in dB bytes are not spent beyond it. `aim`
-    is what the SNR takes in dB of transformed values, if that is known.
+    is what the SNR takes in dB of transformed values, if that is known; `samples` are the source's, if at hand.
 
     Others may follow that a fit may tell to be better: with clusters of the data or without, and those that are judged
     next to it; of large arrays, for an SNR, the best of other kinds, in case that the fit of the first does not keep
@@ -82,7 +83,7 @@ def tune(
     room = room_of(elements, memory)
     check_room(source, organisation, room)
     plain = next(organisations(source.axes)) if organisation is None else organisation
-    trial = trial_of(source, size, ceiling if snr is None else snr, decode_cost, run.seed, aim)
+    trial = trial_of(source, size, ceiling if snr is None else snr, decode_cost, run.seed, aim, samples)
     together = sampled_together(elements, memory, trial.ceiling)
     trial = replace(trial, room=2 * together, memory=room)
     care = CARES.get(run.effort, CARES[EFFORTS["medium"]])
