@@ -62,7 +62,7 @@ def kernels_of(on: Arrays) -> Kernels:
 
 
 @LIBRARIES
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(nodes(), st.sampled_from(BUDGETS))
 def test_batched_is_as_the_reference(library: Library, node: Node, budget: int) -> None:
     check_same(*node, kernels_of(library(budget)))

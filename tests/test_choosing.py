@@ -217,8 +217,8 @@ def test_judging_cuts_takes_the_best_way_of_each_block() -> None:
 @pytest.mark.parametrize(("snr", "size"), [(30.0, None), (None, 20000), (None, None)])
 def test_a_choice_does_not_depend_on_threads(snr: float | None, size: int | None) -> None:
     data = light_field(views=3, size=32, frames=3)
-    plans = [choose_plan(data.values, axes=data.axes, threads=threads, snr=snr, size=size) for threads in (1, 2, 7)]
-    assert plans[0] == plans[1] == plans[2]
+    plans = [choose_plan(data.values, axes=data.axes, threads=threads, snr=snr, size=size) for threads in (1, 3)]
+    assert plans[0] == plans[1]
 
 
 def judged(monkeypatch: pytest.MonkeyPatch, array: NDArray[np.floating], **goal: float) -> list[tuple[Any, ...]]:

@@ -103,7 +103,7 @@ def test_sweeps_take_little_of_the_time_where_they_are_of_a_workset() -> None:
 LARGE_MODELS = [
     ("R=8 / R=8 C=4,4,8,8", 1),
     ("R=2 / R=6 C=4,4,8,8 K=2", 1),
-    ("R=1 C=2 / R=6 C=4 K=2", 2),
+    ("R=1 C=2 / R=5 C=4 K=2", 2),
     ("R=2 / R=2 C=7 K=2 / R=1 C=2", 2),
 ]
 
@@ -174,7 +174,7 @@ def test_a_model_that_memory_has_no_room_for_is_refused(waves: Path) -> None:
 
 
 def test_nodes_are_fitted_one_after_another_where_memory_has_no_room_for_two(waves: Path) -> None:
-    memory, plan = 400_000_000, "R=1 C=2 / R=6 C=4 K=2"
+    memory, plan = 320_000_000, "R=1 C=2 / R=5 C=4 K=2"
     alone, many = (forecast(parse_plan(plan, MODES), SIZES, EFFORTS["fast"], threads, memory) for threads in (1, 8))
     assert alone.memory == many.memory < memory
     options = {"plan": plan, "quality": "fast", "scheme": "most", "threads": 8, "max_memory": memory}

@@ -157,7 +157,7 @@ def test_lanes_are_contracted_alike(sizes: tuple[int, int, int, int, int], seed:
     close(native.contract_lanes(p, w), reference.contract_lanes(p, w), 1e-5)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(nodes())
 def test_backends_agree(node: Node) -> None:
     check_same(*node)

@@ -220,10 +220,9 @@ def test_volumes_whose_axes_are_in_another_order(names: list[str]) -> None:
     same(compressed(turned, ", ".join(names), "R=3"), replace(SMALL, time=1.5))
 
 
-def test_software_that_would_not_finish_is_refused(material: synthetic.Dataset) -> None:
+def test_software_that_would_not_finish_is_refused() -> None:
     device = adapter()
-    plan = "R=3,3,4,4 / R=3,2,4,4 C=4,3,4,4 K=2 / R=3,2,4,4 C=3,3,4,4 K=2"
-    model = compressed(material, "light+rgb, view, y, x", plan)
+    model = random_model(replace(configuration("WH4"), sizes=(20, 16, 40, 36)))
     turns = loop_turns(model, (3, 3, 2, 2, 3), 3)
     assert turns < MOST_TURNS, "one light is finished"
     many = replace(SMALL, lights=tuple(Light(45 * n, 40) for n in range(8)))
