@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from functools import cache
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,8 +14,7 @@ from hmkcta.fit import EFFORTS
 from hmkcta.hierarchy import Run, backfit, descend, fit_nodes, whole
 from hmkcta.plan import parse_plan
 from hmkcta.synthetic import light_field, material, volume
-
-REAL = Path(__file__).parents[2] / "shared" / "data"
+from real_data import real_data
 
 #: Like WH4 of the paper's table 2: HOSVD, then two levels of clusters, for a tensor 24 x 12 x 48 x 48.
 WH4_LIKE = "R=4,4,6,6 / R=2,2,3,3 C=3,2,3,3 K=2 / R=1,1,2,2 C=2 K=2"
@@ -162,10 +160,7 @@ SETS = [
 
 @pytest.mark.parametrize(("name", "axes", "least"), SETS, ids=[row[0] for row in SETS])
 def test_real_data_at_a_hundredth_of_their_bytes(name: str, axes: tuple[str, ...], least: float) -> None:
-    path = REAL / f"{name}.npz"
-    if not path.exists():
-        pytest.skip(f"{path} is not there: real data are not part of the project (shared/data/README.md)")
-    with np.load(path) as archive:
+    with np.load(real_data(f"{name}.npz")) as archive:
         values = archive["values"]
     size = 4 * values.size // 100 + 8192
     model = compress(values, axes=axes, size=size)

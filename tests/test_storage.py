@@ -1,4 +1,4 @@
-"""Sizes of the paper's tables 1 to 4, from their parameters alone (design.md, section 3)."""
+"""Sizes of the paper's tables 1 to 4, from their parameters alone."""
 
 from __future__ import annotations
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks.data import SHEET_FILE
 from numpy.typing import NDArray
 
 from hmkcta.errors import HmkctaError
@@ -25,8 +26,7 @@ from hmkcta.synthetic import (
 from hmkcta.synthetic.jet import advect
 from hmkcta.synthetic.layers import Layer
 from hmkcta.synthetic.microfacet import evaluate
-
-STEEL = Path(__file__).parents[2] / "shared" / "data" / "steel_svbrdf_parameters.npz"
+from real_data import real_data
 
 
 def small(kind: str, seed: int = 0) -> Dataset:
@@ -241,9 +241,7 @@ def test_unfit_destination_is_refused(out: Any) -> None:
 
 @pytest.mark.parametrize("state", ["new", "rusted"])
 def test_real_steel_sheet(state: str) -> None:
-    if not STEEL.exists():
-        pytest.skip(f"real data not here: {STEEL}")
-    maps, directions = load_sheet(STEEL, state)
+    maps, directions = load_sheet(real_data(SHEET_FILE), state)
     maps = maps.cropped(20, 30)
     values = svbrdf_from_parameters(maps, directions).values
     assert values.shape == (58, 58, 20, 30, 3)
