@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from hmkcta import compress, parse_plan
 from hmkcta.alternatives import alternatives
 
+pytestmark = pytest.mark.usefixtures("one_goal")
+
 
 def temperatures(mean: float) -> NDArray[np.float64]:
     """A field `[24, 28, 32]` of some ten kelvin about its mean, with noise that float16 could not tell from it."""

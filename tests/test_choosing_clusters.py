@@ -17,6 +17,8 @@ from hmkcta.choosing.tuning import tune
 from hmkcta.plan import Plan
 from hmkcta.source import prepare
 
+pytestmark = pytest.mark.usefixtures("one_goal")
+
 F32 = NDArray[np.float32]
 
 

@@ -16,6 +16,8 @@ from hmkcta.progress import nobody
 from hmkcta.rivals import _fits  # pyright: ignore[reportPrivateUsage]
 from hmkcta.source import prepare
 
+pytestmark = pytest.mark.usefixtures("one_goal")
+
 
 def rank_three() -> NDArray[np.float32]:
     """Texels y+x by lights a+b, `[40, 44, 18, 20]`, of rank three."""

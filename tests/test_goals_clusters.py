@@ -19,6 +19,8 @@ from hmkcta.errors import HmkctaError
 from hmkcta.memberships import start_candidates
 from hmkcta.source import prepare
 
+pytestmark = pytest.mark.usefixtures("one_goal")
+
 PIXELS = "y+x, band"
 
 

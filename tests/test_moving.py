@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from hmkcta import compress
+
+pytestmark = pytest.mark.usefixtures("one_goal")
 
 
 def puffs() -> NDArray[np.float32]:
