@@ -38,12 +38,10 @@ def leading_subspace(tensor: F32, n: int, rank: int, rng: np.random.Generator, e
 
     Fewer where so many leave `enough` of the squared norm or less, and it takes less to find them alone.
     """
+    if (few := _few_leading(tensor, n, rank, rng, enough)) is not None:
+        return few[0]
     matrix = unfold(tensor, n)
     rank = min(rank, *matrix.shape)
-    if enough and rank > GROWING * FEW and len(matrix) > EXACT_SIDE < matrix.shape[1]:
-        fewer = leading_subspace(tensor, n, max(FEW, rank // GROWING), rng, enough)
-        if squared_norm(tensor) - squared_norm(_projected(matrix, fewer)) <= enough:
-            return fewer
     if _is_exact(matrix, rank):
         if len(matrix) <= matrix.shape[1]:
             _, vectors = np.linalg.eigh(_gram(matrix))
@@ -56,6 +54,19 @@ def leading_subspace(tensor: F32, n: int, rank: int, rng: np.random.Generator, e
     basis = _orthonormal(sample)
     _, vectors = np.linalg.eigh(_gram(basis.T @ matrix))
     return (basis @ vectors[:, : -rank - 1 : -1]).astype(np.float32)
+
+
+def _few_leading(
+    tensor: F32, n: int, rank: int, rng: np.random.Generator, enough: float
+) -> tuple[F32, F32] | None:
+    """A quarter of so many leading singular vectors, and ``U^T A``; None where they take as long or leave too much."""
+    matrix = unfold(tensor, n)
+    rank = min(rank, *matrix.shape)
+    if not enough or rank <= GROWING * FEW or min(matrix.shape) <= EXACT_SIDE:
+        return None
+    basis = leading_subspace(tensor, n, max(FEW, rank // GROWING), rng, enough)
+    projected = _projected(matrix, basis)
+    return (basis, projected) if squared_norm(tensor) - squared_norm(projected) <= enough else None
 
 
 def _gram(matrix: NDArray[np.floating]) -> F64:
@@ -136,6 +147,10 @@ def full_core(
     Returns:
         The core, and the scale of its energies: the tensor's squared norm by that of its rotation.
     """
+    for n, limit in enumerate(limits):
+        if limit is not None and (few := _few_leading(tensor, n, limit, rng, enough)) is not None:
+            rest = [size for m, size in enumerate(tensor.shape) if m != n]
+            tensor = np.moveaxis(few[1].reshape(-1, *rest), 0, n)
     order, sizes = tensor.ndim, tensor.shape
     # A mode longer than its unfolding has columns comes first, as the tensor is smaller afterwards.
     first = next((n for n in range(order) if sizes[n] ** 2 > tensor.size), 0)
