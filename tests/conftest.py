@@ -27,7 +27,7 @@ def small_slabs(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def one_goal(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Plans of the goal that is asked for have to do, without what the other goal leads to, which may hide them."""
+    """Plans of the goal that is asked for have to do: steps of the other goal, which may hide them, are left out."""
     monkeypatch.setattr("hmkcta.both_goals.STEPS", 0)
 
 

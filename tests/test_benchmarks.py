@@ -74,7 +74,8 @@ def test_kernels_are_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     assert all(row.rate > 0 and (row.of_sgemm(LIMITS) or 0) > 0 for row in rows)
 
 
-def test_data_is_made_once_and_whole(tmp_path: Path) -> None:
+def test_data_is_made_once_and_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(data.SHEET_VARIABLE, raising=False)
     volume, sheet = tmp_path / "volume.npy", tmp_path / "sheet.npy"
     data.turbulence(volume, (6, 8, 10), 3)
     assert data.sheet(sheet, 4, 5, None) == "synthetic sheet"

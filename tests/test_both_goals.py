@@ -11,7 +11,9 @@ import pytest
 from numpy.typing import NDArray
 
 from hmkcta import Model, both_goals, compress
+from hmkcta.choosing.blocks import Samples, samples_of
 from hmkcta.hmkfile import encode
+from hmkcta.source import Source
 from test_goals_anew import Told
 
 
@@ -70,6 +72,33 @@ def test_where_rounding_does_not_tell_plans_apart_none_is_chosen_for_the_other_g
         of_kernel(**goal, quality=quality, journal=journal)
     assert journal.names[0] == "plan"
     assert any("other" in name for name in journal.names[1:]) == other
+
+
+@pytest.mark.parametrize(("used", "most"), [(0.0, 1), (1.0, both_goals.STEPS)])
+def test_the_other_goal_is_left_where_it_has_little_to_gain(
+    used: float, most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(both_goals, "USED", used)
+    journal = Told(tmp_path / "a")
+    with journal:
+        of_kernel(size=5020, journal=journal)
+    assert sum("other" in name for name in journal.names) == most
+
+
+def test_what_choices_share_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = list[Samples]()
+
+    def counted(source: Source) -> Samples:
+        made.append(samples_of(source))
+        return made[-1]
+
+    for module in ("hmkcta.encode", "hmkcta.choosing.trial"):
+        monkeypatch.setattr(f"{module}.samples_of", counted)
+    together = encoded(of_kernel(size=5020))
+    assert len(made) == 1
+    monkeypatch.setattr("hmkcta.encode.SHARED", 0)
+    assert encoded(of_kernel(size=5020)) == together
+    assert len(made) > 2
 
 
 def test_another_goal_is_resumed(tmp_path: Path) -> None:

@@ -17,8 +17,6 @@ from hmkcta.plan import LevelSpec, Plan
 from hmkcta.synthetic import volume
 from hmkcta.synthetic.dataset import Dataset
 
-pytestmark = pytest.mark.usefixtures("one_goal")
-
 MODES = (("y",), ("x",))
 BRICKS, MERGED = "R<=160,16,28 grid=x:", "time+x, z, y"
 

@@ -190,7 +190,7 @@ def compress(
                                    device=device.described, **asdict(wanted)))
 
         @cache
-        def samples() -> Samples | None:  # of all choices; larger ones would take memory while plans are fitted
+        def samples() -> Samples | None:  # of all choices; they and the values stay while plans are fitted
             return samples_of(source) if prod(source.shape) <= SHARED else None
 
         def chosen(name: str, aim: float | None = None, **others: Any) -> list[Plan]:

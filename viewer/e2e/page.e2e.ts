@@ -256,7 +256,7 @@ describe.runIf(there)("the page in Chromium", () => {
     expect(await page.getByRole("alert").textContent()).toContain("found no graphics adapter");
     const before = ends.length;
     expect(await status()).toEqual([false, ""]);
-    await expect.poll(() => ends.length, { timeout: 10_000 }).toBeGreaterThan(before);
+    await expect.poll(() => ends.length, { timeout: 30_000 }).toBeGreaterThan(before);
     await page.waitForTimeout(200);
     expect(ends.at(-1)).toBeLessThan(whole.length - 1);
     expect(await status(), "when more of the file has come").toEqual([false, ""]);

@@ -64,31 +64,36 @@ class Blocks:
 class Samples:
     """What is looked at of a source, whatever the goal: its values, where they are held, and samples of blocks.
 
-    Samples are by grid and size; the last are kept, as candidates of one grid follow one another.
+    Samples are by grid, size and room; the last are kept, as candidates of one grid follow one another.
     """
 
     def __init__(self, source: Source, values: F32 | None, detail: Detail) -> None:
         self.values = values
         self._data = (source, values, detail)
-        self._last = OrderedDict[tuple[tuple[int, ...], int], Blocks]()
+        self._last = OrderedDict[tuple[tuple[int, ...], int, int], Blocks]()
         self._known = dict[Any, Any]()
         self._lock = Lock()
 
     def once(self, key: Hashable, find: Callable[[], T]) -> T:
-        """What was found under the key before, for this goal or another, or is now: little, for all of it is kept."""
+        """The value under a key, found once for all goals of the source; twice, and alike, if two threads ask at once.
+
+        The key names all that it depends on besides the source and the seed. It is kept as long as the samples are, and
+        so has to be small.
+        """
         if key not in self._known:
             self._known[key] = find()
         return cast("T", self._known[key])
 
     def of(self, grid: tuple[int, ...], sample: int, room: float, kept: float) -> Blocks:
         """As `sampled_blocks`; of those before it `kept` elements stay."""
+        key = grid, sample, int(min(UNTHINNED * sample, room))
         with self._lock:
-            if (found := self._last.get((grid, sample))) is not None:
-                self._last.move_to_end((grid, sample))
+            if (found := self._last.get(key)) is not None:
+                self._last.move_to_end(key)
                 return found
         found = sampled_blocks(*self._data, grid, sample, room)
         with self._lock:
-            self._last[grid, sample] = found
+            self._last[key] = found
             while sum(blocks.values.size for blocks in self._last.values()) > kept:
                 self._last.popitem(last=False)
         return found

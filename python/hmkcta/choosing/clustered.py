@@ -158,7 +158,7 @@ def _judged(
     def reached_by() -> F64:
         return np.minimum.reduce(list(in_order(left_by, dimensions, threads)))
 
-    reached = trial.samples.once((organisation, len(rows), count, limit, dimensions), reached_by)
+    reached = trial.samples.once((organisation, few, len(rows), count, limit, dimensions), reached_by)
     left = np.concatenate([[energy], reached[choices.entry]])
     kept = pareto(choices.nbytes, left)
     spend = partial(best_of_one, choices.nbytes[kept], left[kept])

@@ -73,8 +73,8 @@ class Trial:
 
     Bytes are not spent beyond a `ceiling` in dB of the transformed values, which is how an SNR is a goal: what reaches
     it is worth the more, the fewer bytes it takes, an octave as much as a dB. `samples` and `energy` are the source's,
-    `room` the most elements of a sample, `memory` what the fit may take, if that sets
-    bounds; `bits` are those of a number in the file.
+    `room` the most elements of a sample, `memory` what the fit may take, if that sets bounds; `bits` are those of a
+    number in the file.
     """
 
     source: Source
@@ -307,7 +307,7 @@ class Trial:
 
     def beside(self, candidate: Candidate) -> float:
         """Bytes of the candidate's file besides what `choices_of` counts of its nodes."""
-        # Of each candidate, as digits that one of its kind had first depend on threads.
+        # Of each candidate, not of each kind: which of a kind came first, and so its digits, would depend on threads.
         return self.samples.once(candidate, partial(bytes_beside, self.source, candidate, self.seed))
 
 
