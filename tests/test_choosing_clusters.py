@@ -52,9 +52,9 @@ def test_what_moves_is_judged_by_rows_that_tell_of_all() -> None:
 
 def test_a_look_at_few_rows_leaves_nothing_behind_for_a_closer_one() -> None:
     """Both are of as many rows, where there are two columns, and not of the same."""
-    rng, modes = np.random.default_rng(0), (("y", "x"), ("part",))
-    source = prepare(rng.standard_normal((512, 600, 2), np.float32), ["y", "x", "part"], "identity", None)
-    fresh, again = (trial_of(source, 2_000_000, None, 4096, 0) for _ in range(2))
+    values, modes = np.random.default_rng(0).standard_normal((512, 1024, 2), np.float32), (("y", "x"), ("part",))
+    source = prepare(values, ["y", "x", "part"], "identity", None)
+    fresh, again = (trial_of(source, 3_000_000, None, 4096, 0) for _ in range(2))
     assert list(clustered(again, modes, few=True))
     assert list(clustered(again, modes)) == list(clustered(fresh, modes))
 
