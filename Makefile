@@ -34,7 +34,7 @@ test: .venv/.installed page test-crates test-viewer
 	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 8 --dist worksteal
 
 test-crates:
-	@for crate in $(CRATES); do cargo test --quiet --manifest-path $$crate || exit 1; done
+	@for crate in $(CRATES); do MAKEFLAGS= cargo test --quiet --manifest-path $$crate || exit 1; done
 
 test-viewer: .venv/.installed page
 	$(WITH_NODE) npm run --silent test
@@ -49,7 +49,7 @@ check-python: .venv/.installed
 check-crates:
 	@for crate in $(CRATES); do \
 	  cargo fmt --check --manifest-path $$crate && \
-	  cargo clippy --quiet --all-targets --manifest-path $$crate -- --deny warnings || exit 1; done
+	  MAKEFLAGS= cargo clippy --quiet --all-targets --manifest-path $$crate -- --deny warnings || exit 1; done
 
 check-viewer: viewer/node_modules/.installed
 	$(WITH_NODE) npm run --silent check
