@@ -42,7 +42,7 @@ Way = tuple[LevelSpec, LabelsOf]
 #: Most entries of the table of choices of a node, and of one alone in its level.
 TABLE_ENTRIES, LONE_ENTRIES = 60_000, 400_000
 #: Ways, and blocks of one, are examined side by side that have no more elements together.
-BESIDE = 1 << 23
+BESIDE = 1 << 25
 
 
 @dataclass
