@@ -60,12 +60,12 @@ def _few_leading(
     tensor: F32, n: int, rank: int, rng: np.random.Generator, enough: float
 ) -> tuple[F32, F32] | None:
     """A quarter of so many leading singular vectors, and ``U^T A``; None where they take as long or leave too much."""
-    matrix = unfold(tensor, n)
-    rank = min(rank, *matrix.shape)
-    if not enough or rank <= GROWING * FEW or min(matrix.shape) <= EXACT_SIDE:
+    shape = tensor.shape[n], tensor.size // max(1, tensor.shape[n])
+    rank = min(rank, *shape)
+    if not enough or rank <= GROWING * FEW or min(shape) <= EXACT_SIDE:
         return None
     basis = leading_subspace(tensor, n, max(FEW, rank // GROWING), rng, enough)
-    projected = _projected(matrix, basis)
+    projected = _projected(unfold(tensor, n), basis)
     return (basis, projected) if squared_norm(tensor) - squared_norm(projected) <= enough else None
 
 
@@ -168,7 +168,7 @@ def full_core(
     # Rotations keep the norm: what float32 sums lose of it would look like error, or hide it.
     scale = squared_norm(tensor) / max(squared_norm(core), 1e-300)
     for at in left:
-        basis = leading_subspace(core, at, limits[turn[at]] or 0, rng, enough)
+        basis = leading_subspace(core, at, limits[turn[at]] or 0, rng)  # few do not do, or had been found above
         others = [size for n, size in enumerate(core.shape) if n != at]
         core = np.moveaxis(_projected(unfold(core, at), basis).reshape(-1, *others), 0, at)
     back = sorted(range(order), key=turn.__getitem__)
