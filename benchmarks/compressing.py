@@ -66,7 +66,7 @@ def _forget(path: Path) -> None:
 
 def _fit(case: Case) -> dict[str, float | int | None]:
     import hmkcta
-    from hmkcta import fit
+    from hmkcta.fitting import fit
     from hmkcta.readers import open_array
 
     fit.EFFORTS["medium"] = replace(fit.EFFORTS["medium"], backfits=case.backfits)

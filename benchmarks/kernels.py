@@ -21,8 +21,8 @@ from benchmarks.work import accumulate_flops, pair_flops, project_flops, sweep_f
 from hmkcta.backends import Device, Kernels, native, reference
 from hmkcta.backends.cuda import Cuda
 from hmkcta.cells import Cells, empty_cells
+from hmkcta.fitting.projection import passes, project
 from hmkcta.plan import LevelSpec
-from hmkcta.projection import passes, project
 
 #: Seconds and runs spent on a kernel at least, for the best run to be found.
 SECONDS, RUNS = 0.5, 3

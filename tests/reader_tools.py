@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hmkcta import memory
 from hmkcta.errors import HmkctaError, Kind
 from hmkcta.readers import open_array
+from hmkcta.support import memory
 
 #: No two axes of one size, no two elements of one value, all below 128.
 VALUES = np.arange(60, dtype=np.float32).reshape(3, 4, 5)

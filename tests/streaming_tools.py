@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from hmkcta import Model, compress, predict
+from hmkcta import Model, compress
+from hmkcta.streaming import budget
 
 WH4_LIKE = "R=3,3,4,4 / R=2,2,2,2 C=2,2,3,3 K=2 / R=1,1,2,2 C=2 K=2"
 MODES = "light+rgb, view, y, x"
@@ -14,6 +15,6 @@ MODES = "light+rgb, view, y, x"
 
 def fitted(data: Any, monkeypatch: pytest.MonkeyPatch, workset: int, plan: str = WH4_LIKE, **options: Any) -> Model:
     """With tensors of up to `workset` elements held in memory."""
-    monkeypatch.setattr(predict, "WORKSET", workset)
+    monkeypatch.setattr(budget, "WORKSET", workset)
     settings: dict[str, Any] = {"scheme": "most", "quality": "fast", "threads": 2, "organisation": MODES, **options}
     return compress(data.values, plan, axes=data.axes, **settings)

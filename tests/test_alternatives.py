@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from hmkcta import compress, parse_plan
-from hmkcta.alternatives import alternatives
+from hmkcta.comparing.alternatives import alternatives
 
 pytestmark = pytest.mark.usefixtures("one_goal")
 

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dense_reference import energy, snr
-from hmkcta import HmkctaError, compress, predict
+from hmkcta import HmkctaError, compress
+from hmkcta.streaming import budget
 
 #: Beyond so many dB float32, in which a model is decoded, rounds visibly.
 ROUNDED = 110.0
@@ -59,15 +60,15 @@ def level(draw: st.DrawFn, modes: list[list[str]], kept: list[bool], *, own: boo
 
 
 @pytest.mark.filterwarnings("ignore::hmkcta.GoalMissed")
-@pytest.mark.parametrize("workset", [predict.WORKSET, 100])
+@pytest.mark.parametrize("workset", [budget.WORKSET, 100])
 @settings(max_examples=120, deadline=None)
 @given(wanted())
 def test_any_plan_is_followed_or_refused(workset: int, wanted: Wanted) -> None:
     rng = np.random.default_rng(wanted.seed)
     values = np.where(rng.random(wanted.shape) < 0.7, rng.standard_normal(wanted.shape), 0).astype(np.float32)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(predict, "WORKSET", workset)
-        patch.setattr(predict, "SMALLEST", min(workset, predict.SMALLEST))
+        patch.setattr(budget, "WORKSET", workset)
+        patch.setattr(budget, "SMALLEST", min(workset, budget.SMALLEST))
         try:
             model = compress(values, wanted.plan, axes=[f"a{n}" for n in range(values.ndim)], threads=1,
                              organisation=wanted.organisation, quality="fast", seed=wanted.seed, **wanted.goal)

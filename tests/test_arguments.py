@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 import hmkcta
 from hmkcta import Axis, HmkctaError, Journal, LevelSpec, Plan, compress, parse_plan, plan_checks
 from hmkcta import backends as kernels
-from hmkcta.executors import thread_count
 from hmkcta.hmkfile import DEFAULT_LIMITS
 from hmkcta.plan import HIGHEST_RANK
 from hmkcta.plan_checks import check_plan
 from hmkcta.render import Camera, Light, Scene, render
 from hmkcta.render.layout import lay_out
 from hmkcta.serve import serve
-from hmkcta.source import described as describe_source
+from hmkcta.streaming.source import described as describe_source
+from hmkcta.support.executors import thread_count
 
 WAVE: NDArray[np.float64] = np.add.outer(np.sin(np.arange(20) / 3), np.arange(18.0) / 9)
 

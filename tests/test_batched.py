@@ -23,8 +23,8 @@ from hmkcta.backends.batches import MOST_PADDED, Batch, projection_batches, swee
 from hmkcta.backends.cuda import arrays
 from hmkcta.cells import Cells, dense_basis
 from hmkcta.errors import HmkctaError
+from hmkcta.fitting.search import all_products
 from hmkcta.plan import LevelSpec
-from hmkcta.search import all_products
 from test_kernels import (
     LARGE,
     SCALES,

@@ -15,14 +15,15 @@ from numpy.typing import NDArray
 
 import hmkcta
 from cli_tools import refused, report, run, smooth
-from hmkcta import HmkctaError, Model, choose_plan, compress, parse_plan, predict
+from hmkcta import HmkctaError, Model, choose_plan, compress, parse_plan
 from hmkcta.backends import reference
 from hmkcta.cells import Cells, round_cores
+from hmkcta.comparing.follow import Task, follow
 from hmkcta.filesize import planned_bytes
-from hmkcta.follow import Task, follow
 from hmkcta.narrow import BASIS_NUMBERS, CORE_NUMBERS, narrowed, widened
 from hmkcta.plan import LevelSpec, Plan, parse_level
-from hmkcta.source import prepare
+from hmkcta.streaming import budget
+from hmkcta.streaming.source import prepare
 from hmkcta.synthetic import Dataset, volume
 from random_models import random_model
 from test_kernels import random_cells
@@ -158,7 +159,7 @@ def test_streamed_levels_of_bytes_are_as_good(text: str, monkeypatch: pytest.Mon
     def little(*_: object) -> int:
         return jet().values.size // 2
 
-    monkeypatch.setattr("hmkcta.follow.memory_limit", little)
+    monkeypatch.setattr("hmkcta.comparing.follow.memory_limit", little)
     outside = fitted(plan=text)
     assert outside.snr > inside.snr - 0.3
     assert outside.snr == pytest.approx(measured(outside), abs=1e-3)
@@ -228,7 +229,7 @@ def test_what_misses_its_snr_in_bytes_is_tried_with_two(monkeypatch: pytest.Monk
         followed.append(task.plan)
         return follow(replace(task, plan=replace(task.plan, snr=15.0)) if task.plan.levels[-1].bits == 8 else task)
 
-    monkeypatch.setattr("hmkcta.followed.follow", weak)
+    monkeypatch.setattr("hmkcta.comparing.followed.follow", weak)
     with pytest.warns(UserWarning, match="another is tried"):
         model = fitted(snr=25.0, quality="fast")
     assert model.snr >= 25
@@ -336,12 +337,12 @@ def test_the_command_line_asks_for_bits_and_shows_them(tmp_path: Path) -> None:
 def test_what_memory_does_not_hold_has_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
     """At as many bytes they come to more, also streamed, and where worksets are small for want of memory."""
     options: dict[str, Any] = {"size": 8_000, "quality": "fast"}
-    monkeypatch.setattr(predict, "SMALLEST", 1000)
-    monkeypatch.setattr(predict, "WORKSET", jet().values.size // 3)
+    monkeypatch.setattr(budget, "SMALLEST", 1000)
+    monkeypatch.setattr(budget, "WORKSET", jet().values.size // 3)
     model = fitted(**options)
     assert {level.bits for level in choose_plan(jet().values, axes=jet().axes, **options).levels} == {8}
     assert model.snr > fitted(**options, bits=16).snr + 1
-    monkeypatch.setattr(predict, "WORKING", 2000)
-    scarce = predict.PROCESS + predict.WORKING * jet().values.size // 4
+    monkeypatch.setattr(budget, "WORKING", 2000)
+    scarce = budget.PROCESS + budget.WORKING * jet().values.size // 4
     plan = choose_plan(jet().values, axes=jet().axes, max_memory=scarce, **options)
     assert {level.bits for level in plan.levels} == {8}

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hmkcta import Model, both_goals, compress
+from hmkcta import Model, compress
 from hmkcta.choosing.blocks import Samples, samples_of
+from hmkcta.comparing import both_goals
 from hmkcta.hmkfile import encode
-from hmkcta.source import Source
+from hmkcta.streaming.source import Source
 from test_goals_anew import Told
 
 

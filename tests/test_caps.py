@@ -15,16 +15,16 @@ from cli_tools import smooth
 from hmkcta import choose_plan, compress
 from hmkcta.choosing.caps import Ranks, Room, capped, check_room, room_of
 from hmkcta.choosing.trial import OUT_OF_REACH, trial_of
+from hmkcta.comparing.follow import Task
+from hmkcta.comparing.rivals import follow_any
 from hmkcta.errors import HmkctaError
-from hmkcta.fit import EFFORTS
-from hmkcta.follow import Task
-from hmkcta.hierarchy import Run
+from hmkcta.fitting.fit import EFFORTS
+from hmkcta.fitting.hierarchy import Run
+from hmkcta.fitting.workset import check_worksets
 from hmkcta.plan import LevelSpec, Plan, parse_plan
-from hmkcta.predict import memory_limit
-from hmkcta.progress import nobody
-from hmkcta.rivals import follow_any
-from hmkcta.source import described, prepare
-from hmkcta.workset import check_worksets
+from hmkcta.streaming.budget import memory_limit
+from hmkcta.streaming.source import described, prepare
+from hmkcta.support.progress import nobody
 
 #: Bytes of memory that choosing a plan takes at the least; so three million elements are held.
 LEAST = 252_000_000
@@ -135,15 +135,15 @@ def test_a_further_plan_that_memory_does_not_hold_takes_no_model_away(cube: NDAr
 def test_a_fit_does_not_begin_with_what_choosing_its_plan_took() -> None:
     program = """
 from hmkcta import compress
-import hmkcta.follow, numpy as np
+import hmkcta.comparing.follow, numpy as np
 from pathlib import Path
 def resident():
     return next(int(line.split()[1]) for line in Path("/proc/self/status").open() if line.startswith("RssAnon"))
 pieces = [np.ones(12_000) for _ in range(2000)]
 held, full = pieces[::50], resident()
 del pieces
-begun, fit = [], hmkcta.follow.fit_to_goal
-hmkcta.follow.fit_to_goal = lambda *given: (begun.append(resident()), fit(*given))[1]
+begun, fit = [], hmkcta.comparing.follow.fit_to_goal
+hmkcta.comparing.follow.fit_to_goal = lambda *given: (begun.append(resident()), fit(*given))[1]
 waves = np.sin(np.add.outer(np.arange(40), np.arange(30) ** 2))
 compress(waves.astype(np.float32), snr=20, quality="fast")
 print(full - begun[0])

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from dense_reference import energy, snr, tucker_product
 from hmkcta import HmkctaError, choose_plan, compress, parse_plan
-from hmkcta.allocation import allocate, choices_of, merged, pareto, ration, spectrum
 from hmkcta.axes import Organisation
 from hmkcta.choosing.candidates import Candidate
 from hmkcta.choosing.growth import growth_of
@@ -21,11 +20,12 @@ from hmkcta.choosing.racing import racing_of
 from hmkcta.choosing.spectra import cores
 from hmkcta.choosing.trial import Trial, trial_of
 from hmkcta.choosing.tuning import _near_best  # pyright: ignore[reportPrivateUsage]
-from hmkcta.fit import EFFORTS
+from hmkcta.fitting.fit import EFFORTS
+from hmkcta.fitting.tucker import core_energies, full_core
 from hmkcta.grids import allowed, few_grids, single_grids, uncut_grids
-from hmkcta.source import prepare
+from hmkcta.ranks.allocation import allocate, choices_of, merged, pareto, ration, spectrum
+from hmkcta.streaming.source import prepare
 from hmkcta.synthetic import light_field
-from hmkcta.tucker import core_energies, full_core
 
 SHAPES = [(5, 6, 7), (60, 3, 4), (3, 4, 60), (4, 9), (9, 4), (7,), (1, 5, 1), (3, 3, 3, 3)]
 

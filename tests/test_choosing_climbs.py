@@ -14,9 +14,9 @@ from hmkcta.choosing.climbing import climbed
 from hmkcta.choosing.judging import CARES, Search
 from hmkcta.choosing.trial import Trial, trial_of
 from hmkcta.choosing.tuning import _settled  # pyright: ignore[reportPrivateUsage]
-from hmkcta.fit import EFFORTS
-from hmkcta.progress import nobody
-from hmkcta.source import prepare
+from hmkcta.fitting.fit import EFFORTS
+from hmkcta.streaming.source import prepare
+from hmkcta.support.progress import nobody
 
 PLAIN = (("axis0",), ("axis1",), ("axis2",))
 MERGED = (("axis0", "axis1"), ("axis2",))

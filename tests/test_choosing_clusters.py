@@ -15,7 +15,7 @@ from hmkcta.choosing.clustered import clustered
 from hmkcta.choosing.trial import trial_of
 from hmkcta.choosing.tuning import tune
 from hmkcta.plan import Plan
-from hmkcta.source import prepare
+from hmkcta.streaming.source import prepare
 
 pytestmark = pytest.mark.usefixtures("one_goal")
 

@@ -357,7 +357,7 @@ def test_nothing_heavy_is_imported() -> None:
 
 @pytest.mark.parametrize(("words", "heavy"), [
     (("--help",), {"numpy"}), (("--version",), {"scipy", "hmkcta.model"}),
-    (("info",), {"rich", "hmkcta.fit", "hmkcta.readers"}),
+    (("info",), {"rich", "hmkcta.fitting.fit", "hmkcta.readers"}),
 ])
 def test_a_command_loads_what_it_needs(words: tuple[str, ...], heavy: set[str], packed: Path) -> None:
     before = f"import atexit\natexit.register(lambda: sys.stderr.write(str({heavy} & set(sys.modules))))"

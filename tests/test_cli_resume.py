@@ -23,7 +23,7 @@ from hmkcta.cli.app import may_go_on
 from hmkcta.cli.options import WORDS
 from hmkcta.errors import Kind
 from hmkcta.journal import NODES
-from hmkcta.recordlog import RecordLog
+from hmkcta.support.recordlog import RecordLog
 from resume_tools import DATA, LEVELS, MODES, After, Stop
 
 
@@ -135,7 +135,7 @@ def deaf(*a, **k):
 c.compress = deaf
 """
 DEAF_NODE = """
-import hmkcta.hierarchy as h, numpy as np
+import hmkcta.fitting.hierarchy as h, numpy as np
 def deaf(*a, **k):
     open({ready!r}, "w").close()
     np.linalg.svd(np.random.default_rng(1).random((4000, 4000)))

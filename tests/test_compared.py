@@ -10,13 +10,14 @@ import pytest
 
 import hmkcta
 from cli_tools import report, run, saved, smooth
-from hmkcta import Model, follow
-from hmkcta.fit import EFFORTS
-from hmkcta.followed import fitted_with, further
-from hmkcta.hierarchy import Run
+from hmkcta import Model
+from hmkcta.comparing import follow
+from hmkcta.comparing.followed import fitted_with, further
+from hmkcta.fitting.fit import EFFORTS
+from hmkcta.fitting.hierarchy import Run
 from hmkcta.plan import Plan, parse_plan
-from hmkcta.progress import OF_PLAN, Compared
-from hmkcta.source import prepare
+from hmkcta.streaming.source import prepare
+from hmkcta.support.progress import OF_PLAN, Compared
 
 MODES = (("z",), ("y",), ("x",))
 #: Stages of choosing a plan, for the other goal once more.
@@ -32,7 +33,7 @@ def told_while(monkeypatch: pytest.MonkeyPatch, **goal: Any) -> tuple[list[tuple
         followed.append(task.plan)
         return follow.follow(task)
 
-    monkeypatch.setattr("hmkcta.followed.follow", noted)
+    monkeypatch.setattr("hmkcta.comparing.followed.follow", noted)
     hmkcta.compress(smooth(12, 14, 16), axes="z, y, x", threads=1,
                     progress=lambda stage, _: told.append((stage, followed[-1] if followed else None)), **goal)
     return told, followed

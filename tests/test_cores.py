@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from hmkcta.backends import Kernels, native, reference
 from hmkcta.cells import Cells, dense_basis
+from hmkcta.fitting.search import all_products
 from hmkcta.plan import LevelSpec
-from hmkcta.search import all_products
 from test_kernels import LARGE, Node, energy, model_of, nodes, random_cells, smooth_data
 
 F32 = NDArray[np.float32]

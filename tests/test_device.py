@@ -18,11 +18,12 @@ from benchmarks import kernels
 import hmkcta
 from cli_tools import refused, report, run, saved
 from cupy_stand_in import CUDARuntimeError, StandIn
-from hmkcta import backends, predict, streamed
+from hmkcta import backends
 from hmkcta.backends import batched, cuda, find_device, reference
 from hmkcta.errors import HmkctaError
-from hmkcta.executors import Pool
 from hmkcta.plan import LevelSpec
+from hmkcta.streaming import budget, streamed
+from hmkcta.support.executors import Pool
 from resume_tools import DATA, LEVELS, MODES, After, Stop
 from test_batched import kernels_of
 from test_kernels import check_same, random_cells, smooth_data
@@ -119,7 +120,7 @@ def test_all_kernels_are_called_on_the_device(gpu: StandIn, monkeypatch: pytest.
 def test_a_streamed_fit_on_the_device_is_as_good(gpu: StandIn, monkeypatch: pytest.MonkeyPatch) -> None:
     del gpu
     monkeypatch.setattr(streamed, "SLAB", 15_000)
-    monkeypatch.setattr(predict, "WORKSET", DATA.values.size // 3)
+    monkeypatch.setattr(budget, "WORKSET", DATA.values.size // 3)
     device = find_device("cuda")
     found, expected = (fitted(TWO_LEVELS, where) for where in (device, "cpu"))
     assert abs(found.snr - expected.snr) < 0.02

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from hmkcta import predict
 from hmkcta.errors import HmkctaError
+from hmkcta.streaming import budget
 from streaming_tools import WH4_LIKE, fitted
 
 pytestmark = pytest.mark.usefixtures("small_slabs")
@@ -29,7 +29,7 @@ def test_blocks_that_share_no_element_are_fitted_as_in_memory(
     """To the byte, whatever the threads, and without joint rows, which would take numbers for every row and cell."""
     files: list[bytes] = []
     for share, threads in [(1, 2), (3, 1), (3, 3)]:
-        monkeypatch.setattr("hmkcta.workset.solve_rows", None)
+        monkeypatch.setattr("hmkcta.fitting.workset.solve_rows", None)
         model = fitted(cloth, monkeypatch, cloth.values.size // share, plan, threads=threads, **goal)
         model.save(tmp_path / f"{share},{threads}.hmk")
         files.append((tmp_path / f"{share},{threads}.hmk").read_bytes())
@@ -86,8 +86,8 @@ def test_back_fitting_of_blocks_is_as_in_memory(cloth: Any, monkeypatch: pytest.
 
 
 def test_a_model_that_memory_does_not_hold_is_refused(cloth: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(predict, "SMALLEST", 1000)
-    monkeypatch.setattr("hmkcta.adaptive.MODEL", 1e6)
-    memory = predict.PROCESS + predict.WORKING * cloth.values.size // 3
+    monkeypatch.setattr(budget, "SMALLEST", 1000)
+    monkeypatch.setattr("hmkcta.ranks.adaptive.MODEL", 1e6)
+    memory = budget.PROCESS + budget.WORKING * cloth.values.size // 3
     with pytest.raises(HmkctaError, match=r"memory for a model of .*--max-memory"):
         fitted(cloth, monkeypatch, cloth.values.size // 3, "R<=8 grid=y:2,x:3", snr=14.5, max_memory=memory)

@@ -7,14 +7,14 @@ import pytest
 from numpy.typing import NDArray
 
 from hmkcta import compress
-from hmkcta.alternatives import with_clusters_times
-from hmkcta.fit import EFFORTS
-from hmkcta.follow import Task
-from hmkcta.hierarchy import Run
+from hmkcta.comparing.alternatives import with_clusters_times
+from hmkcta.comparing.follow import Task
+from hmkcta.comparing.rivals import _fits  # pyright: ignore[reportPrivateUsage]
+from hmkcta.fitting.fit import EFFORTS
+from hmkcta.fitting.hierarchy import Run
 from hmkcta.plan import parse_plan
-from hmkcta.progress import nobody
-from hmkcta.rivals import _fits  # pyright: ignore[reportPrivateUsage]
-from hmkcta.source import prepare
+from hmkcta.streaming.source import prepare
+from hmkcta.support.progress import nobody
 
 pytestmark = pytest.mark.usefixtures("one_goal")
 

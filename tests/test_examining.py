@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from hmkcta import compress, examining
+from hmkcta import compress
+from hmkcta.ranks import examining
 from streaming_tools import MODES, fitted
 
 pytestmark = pytest.mark.usefixtures("small_slabs")

@@ -12,11 +12,11 @@ import pytest
 
 from hmkcta import compress
 from hmkcta.errors import HmkctaError
-from hmkcta.fit import EFFORTS
+from hmkcta.fitting.fit import EFFORTS
 from hmkcta.forecast import forecast
 from hmkcta.plan import parse_plan
-from hmkcta.predict import SMALLEST, memory_limit
 from hmkcta.readers import open_array
+from hmkcta.streaming.budget import SMALLEST, memory_limit
 from memory_tools import runs, taken, write_waves
 
 SIZES = (40,) * 4
@@ -183,8 +183,8 @@ def test_nodes_are_fitted_one_after_another_where_memory_has_no_room_for_two(wav
 def test_memory_that_is_free_but_for_little_leaves_enough_elements(monkeypatch: pytest.MonkeyPatch) -> None:
     """Half of what is free may be less than the model takes, though all of it has room."""
     plan = parse_plan("R=2 / R=6 C=4,4,8,8 K=2", MODES)
-    monkeypatch.setattr("hmkcta.memory.available_memory", lambda: 420_000_000)
-    monkeypatch.setattr("hmkcta.predict.available_memory", lambda: 420_000_000)
+    monkeypatch.setattr("hmkcta.support.memory.available_memory", lambda: 420_000_000)
+    monkeypatch.setattr("hmkcta.streaming.budget.available_memory", lambda: 420_000_000)
     assert memory_limit(plan, SIZES, None) >= SMALLEST
 
 

@@ -14,7 +14,7 @@ import pytest
 
 from dense_reference import energy, snr
 from hmkcta import GoalMissed, HmkctaError, Model, Plan, choose_plan, compress
-from hmkcta.follow import Task, follow
+from hmkcta.comparing.follow import Task, follow
 from hmkcta.synthetic import light_field, material, volume
 from hmkcta.synthetic.dataset import Dataset
 
@@ -321,7 +321,7 @@ def test_where_a_plan_misses_its_snr_another_is_tried(monkeypatch: pytest.Monkey
         followed.append(task.plan)
         return follow(replace(task, plan=replace(task.plan, snr=20.0)) if len(followed) == 1 else task)
 
-    monkeypatch.setattr("hmkcta.followed.follow", weak)
+    monkeypatch.setattr("hmkcta.comparing.followed.follow", weak)
     with pytest.warns(UserWarning, match=r"a plan chosen for 40 dB came to 2\d\.\d+: another is tried, R="):
         model = fitted("material", snr=40.0, bits=16, quality="fast")
     assert model.snr >= 40

@@ -10,14 +10,15 @@ import pytest
 from numpy.typing import NDArray
 
 from dense_reference import energy, snr
-from hmkcta import adaptive, compress
+from hmkcta import compress
 from hmkcta.axes import name_axes
 from hmkcta.choosing.clustered import clustered
 from hmkcta.choosing.trial import trial_of
 from hmkcta.cli.notes import notes
 from hmkcta.errors import HmkctaError
-from hmkcta.memberships import start_candidates
-from hmkcta.source import prepare
+from hmkcta.fitting.memberships import start_candidates
+from hmkcta.ranks import adaptive
+from hmkcta.streaming.source import prepare
 
 pytestmark = pytest.mark.usefixtures("one_goal")
 

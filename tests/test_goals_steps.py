@@ -11,8 +11,8 @@ import pytest
 
 from hmkcta import HmkctaError, Model, choose_plan, compress, parse_plan
 from hmkcta.axes import Axis
-from hmkcta.finer import LARGE, finer, is_far_beyond
-from hmkcta.hierarchy import fit_nodes
+from hmkcta.comparing.finer import LARGE, finer, is_far_beyond
+from hmkcta.fitting.hierarchy import fit_nodes
 from hmkcta.plan import LevelSpec, Plan
 from hmkcta.synthetic import volume
 from hmkcta.synthetic.dataset import Dataset
@@ -96,7 +96,7 @@ def test_no_fit_is_wasted_where_ranks_are_large_steps(monkeypatch: pytest.Monkey
         fits.append(1)
         fit_nodes(*arguments)
 
-    monkeypatch.setattr("hmkcta.adaptive.fit_nodes", counted)
+    monkeypatch.setattr("hmkcta.ranks.adaptive.fit_nodes", counted)
     model = fitted(plan=BRICKS + "5", organisation=MERGED, snr=36.0)
     assert 36.5 < model.snr < 37
     assert len(fits) == 1
@@ -119,7 +119,7 @@ def test_far_beyond_its_goal_a_plan_is_tried_with_other_blocks(
     goal: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("hmkcta.encode.SMALL", 0)
-    monkeypatch.setattr("hmkcta.finer.USED", 1.0)
+    monkeypatch.setattr("hmkcta.comparing.finer.USED", 1.0)
     goal = goal | {"bits": 16, "quality": "fast"}  # which compares no rivals
     plain = fitted(plan=choose_plan(dataset().values, axes=dataset().axes, threads=1, **goal), quality="fast")
     model = fitted(**goal)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmkcta import compress
-from hmkcta.alternatives import FEW_NODES, joined
+from hmkcta.comparing.alternatives import FEW_NODES, joined
 from hmkcta.plan import parse_plan
 
 VOLUME = (("time",), ("y",), ("x",))

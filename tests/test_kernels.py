@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from hmkcta.backends import Kernels, native, reference
+from hmkcta.backends.coding import Dictionary
 from hmkcta.cells import Cells, dense_basis
-from hmkcta.coding import Dictionary
 from hmkcta.errors import HmkctaError
+from hmkcta.fitting.projection import Projection
+from hmkcta.fitting.search import all_products
 from hmkcta.plan import LevelSpec
-from hmkcta.projection import Projection
-from hmkcta.search import all_products
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

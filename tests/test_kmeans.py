@@ -10,11 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hmkcta import backends, memberships
+from hmkcta import backends
 from hmkcta.backends import native, reference
+from hmkcta.backends.kmeans import most_rows
 from hmkcta.errors import HmkctaError
-from hmkcta.kmeans import most_rows
-from hmkcta.memberships import balanced_clusters, uniform_blocks
+from hmkcta.fitting import memberships
+from hmkcta.fitting.memberships import balanced_clusters, uniform_blocks
 
 F64 = NDArray[np.float64]
 Rows = tuple[F64, int, float | None, int]

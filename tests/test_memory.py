@@ -18,14 +18,14 @@ from cli_tools import report, run, smooth
 from hmkcta import Axis, compress
 from hmkcta.axes import mode_sizes
 from hmkcta.errors import HmkctaError
-from hmkcta.executors import thread_count
 from hmkcta.filesize import predicted_bytes
-from hmkcta.fit import EFFORTS
+from hmkcta.fitting.fit import EFFORTS
 from hmkcta.forecast import forecast, peak_memory
-from hmkcta.memory import drop_pages, looked_at
 from hmkcta.plan import parse_plan
 from hmkcta.readers import open_array
-from hmkcta.source import Source, described, prepare
+from hmkcta.streaming.source import Source, described, prepare
+from hmkcta.support.executors import thread_count
+from hmkcta.support.memory import drop_pages, looked_at
 from memory_tools import printed, runs, taken, write_waves
 
 SIDE = 72
@@ -220,7 +220,7 @@ def test_less_memory_than_anything_needs_is_refused(waves: Path) -> None:
 def test_an_array_is_looked_at_by_so_many_threads_within_one_slab(
     monkeypatch: pytest.MonkeyPatch, threads: int
 ) -> None:
-    monkeypatch.setattr("hmkcta.source.SLAB", 1 << 18)
+    monkeypatch.setattr("hmkcta.streaming.source.SLAB", 1 << 18)
     extent, workers, sizes = Source.extent, set[int](), list[int]()
 
     def watched(source: Source, part: tuple[slice, ...]) -> tuple[float, float]:
@@ -275,7 +275,7 @@ LOOK = """
 import sys
 import numpy as np
 from hmkcta.forecast import peak_memory
-from hmkcta.source import described, prepare
+from hmkcta.streaming.source import described, prepare
 array = np.load(sys.argv[1], mmap_mode="r").transpose([int(n) for n in sys.argv[2]])
 source = described(array)
 prepare(array[:2, :2, :2, :2], None, "identity", None, 1)
@@ -301,7 +301,7 @@ def test_a_look_at_a_mapped_file_keeps_little_of_it(waves: Path, turn: str, step
 def test_what_is_read_piece_by_piece_is_what_is_there(
     turn: tuple[int, ...], most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hmkcta.memory.LOOKED_AT", most)
+    monkeypatch.setattr("hmkcta.support.memory.LOOKED_AT", most)
     np.save(tmp_path / "a.npy", np.random.default_rng(0).random((40, 50, 300)))
     array = np.load(tmp_path / "a.npy", mmap_mode="r").transpose(turn)
     parts = [(), (slice(3, 30),), (slice(None, None, 7), slice(2, None, 3)), (slice(None), slice(0, 1)), (slice(9, 9),)]
@@ -318,7 +318,7 @@ def test_freed_memory_is_kept_for_what_comes_next_unless_the_user_says_otherwise
 import resource
 from concurrent.futures import ThreadPoolExecutor
 import numpy as np
-from hmkcta.memory import keep_freed_memory
+from hmkcta.support.memory import keep_freed_memory
 keep_freed_memory(2)
 def faults():
     return resource.getrusage(resource.RUSAGE_SELF).ru_minflt

@@ -15,14 +15,14 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 from numpy.typing import NDArray
 
-from hmkcta import memory
 from hmkcta import model as model_module
 from hmkcta.axes import Organisation, name_axes, organise, separate
 from hmkcta.decode import decode_elements
 from hmkcta.errors import HmkctaError, Kind
-from hmkcta.memory import available_memory
 from hmkcta.model import Model
 from hmkcta.model import open as open_model
+from hmkcta.support import memory
+from hmkcta.support.memory import available_memory
 from hmkcta.transform import Transform
 from random_models import Shapes, random_model
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from hmkcta.backends import reference
+from hmkcta.fitting.projection import project_one
 from hmkcta.plan import LevelSpec
-from hmkcta.projection import project_one
 from test_kernels import close, random_cells, smooth_data
 
 

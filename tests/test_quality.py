@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from hmkcta import Model, compress
-from hmkcta.fit import EFFORTS
-from hmkcta.hierarchy import Run, backfit, descend, fit_nodes, whole
+from hmkcta.fitting.fit import EFFORTS
+from hmkcta.fitting.hierarchy import Run, backfit, descend, fit_nodes, whole
 from hmkcta.plan import parse_plan
 from hmkcta.synthetic import light_field, material, volume
 from real_data import real_data

@@ -14,7 +14,7 @@ import hmkcta
 from cli_tools import smooth
 from hmkcta import HmkctaError, Journal, Model
 from hmkcta.journal import NODES, PLAN, RUN
-from hmkcta.recordlog import RecordLog
+from hmkcta.support.recordlog import RecordLog
 from resume_tools import DATA, LEVELS, MODES, After, Stop
 
 #: Every kind of step: levels with back-fitting, a scheme found by trial, ranks of their own for both goals, a plan.
@@ -200,7 +200,7 @@ def test_the_memory_of_the_first_run_decides(tmp_path: Path, monkeypatch: pytest
     """What is streamed follows from the memory that was free when the run began, not from what is free now."""
     options = CASES["levels"]
     with monkeypatch.context() as patch:
-        patch.setattr("hmkcta.predict.WORKSET", 5000)
+        patch.setattr("hmkcta.streaming.budget.WORKSET", 5000)
         reference = file_of(fitted(**options), tmp_path)
         interrupted(tmp_path, 40, **options)
     assert resumed(tmp_path, **options)[0] == reference
@@ -209,7 +209,7 @@ def test_the_memory_of_the_first_run_decides(tmp_path: Path, monkeypatch: pytest
 
 def test_what_was_cut_into_blocks_is_cut_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Levels below blocks of a streamed tensor read it in the order of these, also where their cells are recalled."""
-    monkeypatch.setattr("hmkcta.predict.WORKSET", 5000)
+    monkeypatch.setattr("hmkcta.streaming.budget.WORKSET", 5000)
     options = {"plan": "R=2,1,2,2 grid=y:2,x:2 / R=2,1,2,2 / R=1"}
     reference, calls = file_of(fitted(**options), tmp_path), calls_of(**options)
     for share in (0.3, 0.6, 0.95):

@@ -13,7 +13,7 @@ from hmkcta.choosing.candidates import Candidate, bytes_beside, clusters_of
 from hmkcta.choosing.detail import Detail, detail_of
 from hmkcta.choosing.organisations import organisations
 from hmkcta.choosing.trial import trial_of
-from hmkcta.source import prepare
+from hmkcta.streaming.source import prepare
 from test_choosing import noise
 
 #: Nothing happens anywhere.

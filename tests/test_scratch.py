@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hmkcta.errors import HmkctaError
-from hmkcta.pieces import Piece, put
-from hmkcta.scratch import Scratch
+from hmkcta.streaming.pieces import Piece, put
+from hmkcta.streaming.scratch import Scratch
 
 
 @settings(max_examples=60, deadline=None)

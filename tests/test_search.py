@@ -14,14 +14,15 @@ from numpy.typing import NDArray
 
 from dense_reference import energy, node_rows, unfold
 from hmkcta import backends as kernels
-from hmkcta import compress, projection
-from hmkcta import fit as fitting
+from hmkcta import compress
 from hmkcta.cells import Cells, dense_basis, empty_cells
-from hmkcta.fit import EFFORTS, fit_level, left_by
-from hmkcta.memberships import start_candidates
+from hmkcta.fitting import fit as fitting
+from hmkcta.fitting import projection
+from hmkcta.fitting.fit import EFFORTS, fit_level, left_by
+from hmkcta.fitting.memberships import start_candidates
+from hmkcta.fitting.search import OVER_RELAXED, all_products, choose_rows, extend, refit_cores, right_sides
+from hmkcta.fitting.subdivision import CAP, subdivide
 from hmkcta.plan import GRAM_CELLS, OPTIMAL_SUBSETS, LevelSpec, parse_level
-from hmkcta.search import OVER_RELAXED, all_products, choose_rows, extend, refit_cores, right_sides
-from hmkcta.subdivision import CAP, subdivide
 from test_special_cases import MODES, shuffled, smooth
 
 F32 = NDArray[np.float32]

@@ -26,7 +26,7 @@ from dense_reference import (
 from hmkcta import Model, compress
 from hmkcta.axes import organise
 from hmkcta.cells import Cells, dense_basis
-from hmkcta.fit import EFFORTS, fit_level, left_by
+from hmkcta.fitting.fit import EFFORTS, fit_level, left_by
 from hmkcta.plan import LevelSpec, parse_level
 from random_models import Shapes, random_model
 

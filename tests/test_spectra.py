@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dense_reference import energy
 from hmkcta.choosing.spectra import FIRST, WIDER, captured, cores, energies, ladders
-from hmkcta.tucker import core_energies
+from hmkcta.fitting.tucker import core_energies
 
 
 def noise(*shape: int) -> NDArray[np.float32]:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import prod
 
 import pytest
 
 from hmkcta import compress
 from hmkcta.plan import LevelSpec, parse_plan
-from hmkcta.storage import paper_bytes
 from hmkcta.synthetic import material
 
 MODES = (("light", "rgb"), ("view",), ("x",), ("y",))
@@ -60,6 +60,32 @@ SMALLER_IN_THE_TABLE: list[tuple[str, Sequence[int], str, float, float]] = [
     ("jet MK-CTA", TURBULENT_JET, "R=1,1,1,* C=36,36,64,1 K=3", 32.08, 23.56),
     ("jet", TURBULENT_JET, "R=2,2,2,* / R=1,1,1,* C=6,6,8,1 K=2 / R=1,1,1,* C=6,6,8,1 K=2", 29.50, 23.53),
 ]
+
+
+def paper_bytes(levels: Sequence[LevelSpec], sizes: Sequence[int]) -> int:
+    """Bytes of all cores and bases, 2 a number and nothing else, where no node is clamped and none is empty:
+    ``2 sum_l [S_l PC prod R_n + sum_n rows_n K_n PC_-n R_n]``.
+
+    Every cell of a level becomes a node of the next, so a level has ``S_l = prod PC`` nodes, which own each row of mode
+    n ``prod PC_-n`` times, both products over the levels above. An undecomposed mode has its size for R and no basis.
+
+    Args:
+        levels: of a plan.
+        sizes: of the modes; the paper's colour is folded into the light mode.
+    """
+    numbers, nodes, owners = 0, 1, [1] * len(sizes)
+    for level in levels:
+        ranks = [size if rank is None else rank for rank, size in zip(level.ranks, sizes, strict=True)]
+        others = [level.cells // clusters for clusters in level.clusters]
+        numbers += nodes * level.cells * prod(ranks)
+        numbers += sum(
+            size * owner * mixture * other * rank
+            for size, owner, mixture, other, rank in zip(sizes, owners, level.mixture, others, level.ranks, strict=True)
+            if rank is not None
+        )
+        nodes *= level.cells
+        owners = [owner * other for owner, other in zip(owners, others, strict=True)]
+    return 2 * numbers
 
 
 def levels_of(text: str) -> tuple[LevelSpec, ...]:

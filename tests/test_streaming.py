@@ -15,22 +15,23 @@ import pytest
 from numpy.typing import NDArray
 
 from hmkcta import backends as kernels
-from hmkcta import compress, predict, streamed, workset
+from hmkcta import compress
 from hmkcta.errors import HmkctaError
-from hmkcta.fit import EFFORTS
+from hmkcta.fitting import workset
+from hmkcta.fitting.fit import EFFORTS
+from hmkcta.fitting.hierarchy import Run, backfit, descend, fit_nodes, whole
+from hmkcta.fitting.projection import project_one
+from hmkcta.fitting.search import project_model, right_sides
+from hmkcta.fitting.workset import projected, sides
 from hmkcta.forecast import forecast
-from hmkcta.hierarchy import Run, backfit, descend, fit_nodes, whole
 from hmkcta.measure import measure
 from hmkcta.metrics import squared_norm
 from hmkcta.plan import LevelSpec, parse_plan
-from hmkcta.projection import project_one
 from hmkcta.readers import open_array
-from hmkcta.scratch import Scratch
-from hmkcta.search import project_model, right_sides
-from hmkcta.source import Source, prepare
-from hmkcta.streamed import Streamed
+from hmkcta.streaming import budget, streamed
+from hmkcta.streaming.scratch import Scratch
+from hmkcta.streaming.source import Source, prepare
 from hmkcta.synthetic import volume
-from hmkcta.workset import projected, sides
 from streaming_tools import MODES, WH4_LIKE, fitted
 from test_kernels import random_cells
 
@@ -41,8 +42,7 @@ pytestmark = pytest.mark.usefixtures("small_slabs")
 
 def set_cached(monkeypatch: pytest.MonkeyPatch, *, cached: bool) -> None:
     """Whether the source is taken to stay in the system's cache."""
-    most = 1 << 62 if cached else -1
-    monkeypatch.setattr(streamed, "stays_cached", most.__ge__)
+    monkeypatch.setattr(streamed, "stays_cached", lambda _: cached)
 
 
 @pytest.fixture(params=["collected", "reordered"])
@@ -118,7 +118,7 @@ def test_back_fitting_lowers_the_error(cloth: Any) -> None:
     source = prepare(cloth.values, cloth.axes, "identity", None)
     plan = parse_plan(WH4_LIKE, source.organisation(MODES))
     run = Run(EFFORTS["fast"], 0, 2, lambda _stage, _fraction: None)
-    tree = whole(Streamed(source, plan.organisation, 2, cloth.values.size // 3))
+    tree = whole(streamed.Streamed(source, plan.organisation, 2, cloth.values.size // 3))
     for number, spec in enumerate(plan.levels):
         if number:
             descend(tree, "most", run, once=True)
@@ -179,13 +179,13 @@ def test_long_undecomposed_modes_are_fitted_on_a_part(
 ) -> None:
     """Bases from every few rows of the mode, cores from all of them."""
     held: list[int] = []
-    sample = Streamed.sample
+    sample = streamed.Streamed.sample
 
-    def noted(self: Streamed, steps: Sequence[int], without: int | None = None) -> F32:
+    def noted(self: streamed.Streamed, steps: Sequence[int], without: int | None = None) -> F32:
         held.append((found := sample(self, steps, without)).size)
         return found
 
-    monkeypatch.setattr(Streamed, "sample", noted)
+    monkeypatch.setattr(streamed.Streamed, "sample", noted)
     inside = fitted(cloth, monkeypatch, cloth.values.size, plan, organisation=organisation)
     assert not held
     outside = fitted(cloth, monkeypatch, cloth.values.size // 5, plan, organisation=organisation)
@@ -202,8 +202,8 @@ def test_ranks_of_a_matrix_that_memory_does_not_hold(cloth: Any, monkeypatch: py
 
 def test_what_memory_cannot_hold_is_refused_before_the_work(cloth: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Overlapping cells are fitted with all rows of an undecomposed mode; `plan` says so as well."""
-    plan, limit = "R=2,2,* C=2,2,1 K=2", predict.PROCESS + predict.WORKING * cloth.values.size // 2
-    monkeypatch.setattr(predict, "SMALLEST", 1000)
+    plan, limit = "R=2,2,* C=2,2,1 K=2", budget.PROCESS + budget.WORKING * cloth.values.size // 2
+    monkeypatch.setattr(budget, "SMALLEST", 1000)
     options: dict[str, Any] = {"organisation": "light+rgb, view, y+x", "max_memory": limit}
     with pytest.raises(HmkctaError, match=r"memory for level 1 .*raise --max-memory"):
         fitted(cloth, monkeypatch, cloth.values.size // 5, plan, **options)
@@ -228,9 +228,9 @@ def test_a_flat_level_of_many_cells_is_fitted_in_place(cloth: Any, monkeypatch: 
     inside = fitted(cloth, monkeypatch, cloth.values.size, flat)
     outside = fitted(cloth, monkeypatch, cloth.values.size // 3, flat)
     assert outside.snr == pytest.approx(inside.snr, abs=0.02)
-    monkeypatch.setattr(predict, "FLAT", 50)
+    monkeypatch.setattr(budget, "FLAT", 50)
     with pytest.raises(HmkctaError, match="36 cells"):
-        fitted(cloth, monkeypatch, cloth.values.size // 3, flat, max_memory=predict.PROCESS + 2_100_000)
+        fitted(cloth, monkeypatch, cloth.values.size // 3, flat, max_memory=budget.PROCESS + 2_100_000)
 
 
 def test_many_cells_that_share_no_element_want_no_products_of_bases() -> None:
@@ -238,9 +238,9 @@ def test_many_cells_that_share_no_element_want_no_products_of_bases() -> None:
     modes, sizes = (("light", "rgb"), ("view",), ("y",), ("x",)), (174, 58, 400, 380)
     flat, few = (parse_plan(f"R=2,2,3,3 C={clusters}", modes) for clusters in ("12,9,16,16", "4,3,4,4"))
     assert flat.levels[0].products_bytes > 100e9
-    assert predict.memory_limit(flat, sizes, 10_000_000_000) == prod(sizes)
+    assert budget.memory_limit(flat, sizes, 10_000_000_000) == prod(sizes)
     assert forecast(flat, sizes, EFFORTS["medium"], 2, 10_000_000_000).memory < 10_000_000_000
-    assert predict.memory_limit(few, sizes, 1_000_000_000) < prod(sizes)
+    assert budget.memory_limit(few, sizes, 1_000_000_000) < prod(sizes)
 
 
 def test_cells_that_share_no_element_are_fitted_in_place(cloth: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -264,7 +264,7 @@ def source(cloth: Any) -> Source:
 def test_sub_tensors_too_large_to_be_cut_are_refused_before_anything_is_fitted(
     cloth: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hmkcta.follow.fit_nodes", None)
+    monkeypatch.setattr("hmkcta.comparing.follow.fit_nodes", None)
     with pytest.raises(HmkctaError, match="more clusters"):
         fitted(cloth, monkeypatch, cloth.values.size // 8, "R=1 C=1,1,1,2 K=1 / R=1 C=2 K=1 / R=1")
 
@@ -315,7 +315,7 @@ def test_projections_are_summed_over_slabs_and_pieces(source: Source) -> None:
     spec = LevelSpec((2, 2, 2, 3), (2, 1, 3, 2), (2, 1, 2, 1))
     ones = (1, 1, 1, 1)
     cells, first = random_cells(tensor.shape, spec, 1), random_cells(tensor.shape, LevelSpec(ones, ones, ones), 5)
-    residual = Streamed(source, organisation, 2, tensor.size // 3)
+    residual = streamed.Streamed(source, organisation, 2, tensor.size // 3)
     residual.change(0, first)
     left = tensor.copy()
     kernels.accumulate(first, left, -1.0)
@@ -355,7 +355,7 @@ def test_projections_of_undecomposed_modes_stay_small(source: Source, monkeypatc
     monkeypatch.setattr(workset, "project_one", watched)
     for n in (0, 2):
         b = right_sides(cells, kernels.project_cells(cells, tensor, n), n)
-        found = sides(Streamed(source, organisation, 2, tensor.size // 3), 0, cells, n, [1] * 4)
+        found = sides(streamed.Streamed(source, organisation, 2, tensor.size // 3), 0, cells, n, [1] * 4)
         np.testing.assert_allclose(found, b, rtol=1e-4, atol=1e-4 * np.abs(b).max())
     assert len(sizes) > 4
     assert max(sizes) <= most
@@ -390,7 +390,7 @@ def test_a_mapped_file_is_read_in_slabs(cloth: Any, monkeypatch: pytest.MonkeyPa
     np.save(tmp_path / "cloth.npy", cloth.values)
     mapped = open_array(tmp_path / "cloth.npy")
     assert isinstance(mapped, np.memmap)
-    monkeypatch.setattr(predict, "WORKSET", mapped.size // 3)
+    monkeypatch.setattr(budget, "WORKSET", mapped.size // 3)
     models = [
         compress(array, WH4_LIKE, axes=cloth.axes, organisation=MODES, scheme="most", quality="fast")
         for array in (cloth.values, mapped)

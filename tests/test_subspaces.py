@@ -7,9 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from hmkcta import compress
-from hmkcta.memberships import start_candidates
+from hmkcta.fitting.memberships import start_candidates
+from hmkcta.fitting.subspaces import ROWS, subspace_clusters
 from hmkcta.plan import parse_level
-from hmkcta.subspaces import ROWS, subspace_clusters
 
 F32 = NDArray[np.float32]
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .slabs import slabs
+from .support.slabs import slabs
 
 #: Attributes that hold fill values.
 FILLS = ("_FillValue", "missing_value")

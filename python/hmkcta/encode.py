@@ -18,25 +18,25 @@ import numpy as np
 from . import backends as kernels
 from .axes import Axis, check_kind, check_organisation, format_organisation, mode_sizes
 from .backends import Device
-from .both_goals import follow_both
 from .choosing.blocks import SHARED, Samples, samples_of
 from .choosing.tuning import tune
+from .comparing.both_goals import follow_both
+from .comparing.finer import SMALL, finer
+from .comparing.follow import Task, follow
 from .errors import GoalMissed, expect, invalid, shown
-from .executors import thread_count
-from .finer import SMALL, finer
-from .fit import EFFORTS
-from .follow import Task, follow
+from .fitting.fit import EFFORTS
+from .fitting.hierarchy import Run
 from .goals import check_goal, misses
-from .hierarchy import Run
 from .hmkfile import KINDS
 from .journal import Journal, decisive
-from .memory import keep_freed_memory
 from .model import Model
 from .narrow import BITS
 from .plan import SCHEMES, LevelSpec, Plan, parse_plan
-from .predict import check_least_memory
-from .progress import Progress, nobody
-from .source import Source, prepare
+from .streaming.budget import check_least_memory
+from .streaming.source import Source, prepare
+from .support.executors import thread_count
+from .support.memory import keep_freed_memory
+from .support.progress import Progress, nobody
 
 #: Default goal: 1/100 of the float32 bytes, and no more than this SNR, beyond which eyes and 8-bit screens see nothing.
 DEFAULT_RATIO, DEFAULT_SNR = 100, 50.0

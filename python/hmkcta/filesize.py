@@ -8,11 +8,11 @@ from math import isinf, prod
 
 from ._version import __version__
 from .axes import Axis, Organisation, mode_sizes
+from .fitting.memberships import block_sizes
 from .hmkfile import ArrayInfo, coords_info, coords_name, file_size, level_schema, narrowest, prefix
-from .memberships import block_sizes
 from .packed import LevelBounds, LevelQuality, Metadata
 from .plan import LevelSpec, Plan
-from .source import Source
+from .streaming.source import Source
 
 #: Stand-in for figures of quality that are not measured yet; the header has room for any.
 UNKNOWN = LevelQuality(1.0, 1.0, 1.0)
@@ -69,7 +69,7 @@ def predicted_bytes(plan: Plan, source: Source, kind: str | None = None, seed: i
 
     >>> import numpy as np
     >>> from hmkcta.plan import parse_plan
-    >>> from hmkcta.source import described
+    >>> from hmkcta.streaming.source import described
     >>> source = described(np.zeros((72, 24, 96, 96)), ["light", "view", "y", "x"])
     >>> predicted_bytes(parse_plan("R=4,4,6,6", [(axis.name,) for axis in source.axes]), source) // 1024
     9

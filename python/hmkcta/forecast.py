@@ -10,15 +10,16 @@ from math import inf, prod
 from pathlib import Path
 
 from .choosing.judging import CARES
-from .disjoint import JUDGING
-from .finer import LARGE
-from .fit import EFFORTS, Effort
+from .comparing.finer import LARGE
+from .fitting.disjoint import JUDGING
+from .fitting.fit import EFFORTS, Effort
+from .fitting.memberships import ROUNDS, ROWS, ROWS_EACH
+from .fitting.subdivision import CAP
+from .fitting.workset import check_worksets, fitting_bytes, projected_share, workset, worksets
 from .measure import SLAB as MEASURED
 from .measure_streamed import slab_within
-from .memberships import ROUNDS, ROWS, ROWS_EACH
-from .memory import stays_cached
 from .plan import LevelSpec, Plan
-from .predict import (
+from .streaming.budget import (
     FLAT,
     MODEL,
     ROW,
@@ -34,10 +35,9 @@ from .predict import (
     room_beside,
     sampled_together,
 )
-from .source import SLAB as CHECKED
-from .streamed import SLAB
-from .subdivision import CAP
-from .workset import check_worksets, fitting_bytes, projected_share, workset, worksets
+from .streaming.source import SLAB as CHECKED
+from .streaming.streamed import SLAB
+from .support.memory import stays_cached
 
 #: Bytes for each element of a tensor in memory: its residual lasts, the rest is `WORKING`; a saved residual for goals.
 _RESIDUAL, _SAVED = 4, 4
@@ -86,7 +86,7 @@ class Forecast:
     a chosen one is compared with. Seconds are for a server core, within a factor; those for others are a guess.
 
     >>> from hmkcta.plan import parse_plan
-    >>> from hmkcta.fit import EFFORTS
+    >>> from hmkcta.fitting.fit import EFFORTS
     >>> modes = (("light",), ("view",), ("y",), ("x",))
     >>> plan = parse_plan("R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2 / R=2,2,3,3 C=3,3,4,4 K=2", modes)
     >>> cost = forecast(plan, (174, 58, 400, 380), EFFORTS["fast"], threads=2, memory=1_400_000_000)

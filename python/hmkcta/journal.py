@@ -31,8 +31,8 @@ from .errors import DISK_FULL, HmkctaError, Kind
 from .hmkfile import published
 from .hmkfile.reasons import fault
 from .plan import LevelSpec, Plan
-from .recordlog import Busy, RecordLog, in_use
-from .source import Source
+from .streaming.source import Source
+from .support.recordlog import Busy, RecordLog, in_use
 
 RUN, PLAN, NODES = "run.json", "plan.json", "nodes.log"
 #: Seconds beyond which no process merely looks whether another is at work.

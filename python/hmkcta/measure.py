@@ -12,12 +12,12 @@ from .axes import mode_rows, organise
 from .conventions import meant
 from .decode import add_level
 from .errors import invalid
-from .memory import drop_pages
 from .metrics import noise_at, snr_db
 from .model import Model
 from .packed import LevelQuality
-from .progress import Progress
-from .slabs import slabs
+from .support.memory import drop_pages
+from .support.progress import Progress
+from .support.slabs import slabs
 from .transform import from_json
 
 F64 = NDArray[np.float64]

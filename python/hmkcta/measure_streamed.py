@@ -13,15 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import backends as kernels
-from .executors import in_order
-from .hierarchy import Hierarchy, Node
+from .fitting.hierarchy import Hierarchy, Node
 from .measure import Sums
 from .metrics import in_float64, snr_db, squared_norm
 from .packed import LevelQuality
-from .pieces import Left, Rows, places_of, split
-from .progress import Progress
-from .source import Source
-from .streamed import Streamed
+from .streaming.pieces import Left, Rows, places_of, split
+from .streaming.source import Source
+from .streaming.streamed import Streamed
+from .support.executors import in_order
+from .support.progress import Progress
 from .transform import Transform
 
 F32 = NDArray[np.float32]

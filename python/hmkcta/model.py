@@ -19,10 +19,10 @@ from .decode import decode_block, decode_elements
 from .errors import expect, invalid
 from .hmkfile import DEFAULT_LIMITS, Limits, encoded_size, load, save
 from .indexing import Index, Selection, cut, occurring, positions, select
-from .memory import available_memory, check_memory, format_bytes
 from .packed import LevelBounds, LevelQuality, Metadata, PackedLevel
 from .plan import LevelSpec, Plan, multiply_adds
-from .slabs import slabs
+from .support.memory import available_memory, check_memory, format_bytes
+from .support.slabs import slabs
 from .transform import from_json, nearest
 
 Floats = NDArray[np.float32]

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .cells import round_cores
-from .hierarchy import Node
+from .fitting.hierarchy import Node
 from .packed import LevelBounds, PackedLevel
-from .pieces import places_of
+from .streaming.pieces import places_of
 
 Ragged = list[NDArray[Any]]
 

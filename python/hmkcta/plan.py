@@ -42,7 +42,7 @@ class LevelSpec:
     """R_n (None: undecomposed), C_n and K_n of one level, and how its residual is subdivided for the next.
 
     `grid` lists axes that are cut into equal blocks, which then are the clusters; with `own` set every node gets
-    ranks of its own up to R, by one Lagrange multiplier over the level (`allocation.py`), as the plan's goal allows.
+    ranks of its own up to R, by one Lagrange multiplier over the level (`ranks.allocation`), as the plan's goal allows.
     `fewest` are numbers of blocks for axes of the grid: of so many up to those of the grid the goal takes what pays.
     `cuts` lists axes that each such node may be cut along into so many equal blocks, or a divisor of that, as pays: its
     cells, which then all have the same ranks. `bits` are those of each core and basis number in the file, and

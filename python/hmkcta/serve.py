@@ -30,8 +30,8 @@ from .errors import HmkctaError, Kind, expect
 from .hmkfile import encode, is_hmk
 from .model import open as open_model
 from .packed import Metadata
-from .progress import Progress
 from .readers import open_array
+from .support.progress import Progress
 from .verbatim import check_shape, verbatim
 
 HOST = "127.0.0.1"

@@ -16,7 +16,7 @@ from .axes import deorganise, organise
 from .errors import HmkctaError, Kind, invalid
 from .metrics import snr_db
 from .packed import LevelBounds, LevelQuality, Metadata, PackedLevel
-from .source import as_array
+from .streaming.source import as_array
 
 #: What the viewer's GPU image may take, less than the 640 MiB of its five pages.
 MOST_BYTES = 512 << 20

@@ -17,11 +17,11 @@ from warnings import warn
 from numpy.typing import NDArray
 
 from ..cells import F32, Cells, Products
-from ..coding import U16
 from ..errors import invalid
-from ..kmeans import Labels
 from . import reference
+from .coding import U16
 from .device import Device, Kernels
+from .kmeans import Labels
 from .reference import F64, Rows
 
 __all__ = ["Device", "Kernels", "accumulate", "cluster_rows", "code_rows", "collect", "contract_lanes",

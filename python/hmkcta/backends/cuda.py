@@ -21,13 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cells import F32, Cells, Products, empty_cells
-from ..coding import U16
 from ..errors import HmkctaError, Kind
-from ..kmeans import Labels
 from ..plan import LevelSpec
 from . import batched, reference
 from .batched import Arrays
+from .coding import U16
 from .device import Device, Kernels
+from .kmeans import Labels
 from .reference import F64, Rows
 
 T = TypeVar("T")

@@ -9,8 +9,8 @@ from typing import Any, Protocol
 from numpy.typing import NDArray
 
 from ..cells import F32, Cells, Products
-from ..coding import U16
-from ..kmeans import Labels
+from .coding import U16
+from .kmeans import Labels
 from .reference import F64, Rows
 
 

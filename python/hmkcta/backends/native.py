@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from .. import _native
 from ..cells import F32, Cells, Products, check_shape
-from ..coding import U16
 from ..errors import invalid
-from ..kmeans import Labels, most_rows
 from . import reference
+from .coding import U16
+from .kmeans import Labels, most_rows
 from .reference import Rows
 
 F64 = NDArray[np.float64]

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..axes import Axis, Organisation, axis_order
-from ..slabs import thinning
-from ..source import Source
+from ..streaming.source import Source
+from ..support.slabs import thinning
 from .detail import Detail, detail_of
 
 F32 = NDArray[np.float32]

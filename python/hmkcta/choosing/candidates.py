@@ -9,11 +9,11 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
-from ..allocation import empty_node_bytes, node_bytes, row_bytes
 from ..axes import Axis, Organisation, mode_sizes
 from ..filesize import planned_bytes
 from ..plan import MOST_RANKS, MOST_RANKS_ALONE, LevelSpec, Plan, clusters_of_grid
-from ..source import Source
+from ..ranks.allocation import empty_node_bytes, node_bytes, row_bytes
+from ..streaming.source import Source
 
 
 @dataclass(frozen=True)

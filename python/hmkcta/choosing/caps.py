@@ -11,12 +11,12 @@ from functools import lru_cache
 from math import prod
 
 from ..axes import Organisation, mode_sizes
+from ..fitting.workset import FEWEST, next_step, workset, workset_steps
 from ..grids import few_grids
-from ..memory import available_memory, check_memory, memory_budget
 from ..plan import LevelSpec, Plan
-from ..predict import FLAT, MODEL, PROCESS, WORKING, is_streamed, joint_bytes, part_sizes, workset_limit
-from ..source import Source
-from ..workset import FEWEST, next_step, workset, workset_steps
+from ..streaming.budget import FLAT, MODEL, PROCESS, WORKING, is_streamed, joint_bytes, part_sizes, workset_limit
+from ..streaming.source import Source
+from ..support.memory import available_memory, check_memory, memory_budget
 from .candidates import clusters_of
 from .organisations import organisations
 

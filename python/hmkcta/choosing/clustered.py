@@ -13,13 +13,13 @@ from math import log2, prod
 import numpy as np
 from numpy.typing import NDArray
 
-from ..allocation import best_of_one, choices_of, pareto
 from ..axes import Organisation, mode_sizes
-from ..executors import in_order
-from ..memberships import CANDIDATES, FEW_COLUMNS, balanced_clusters, normalised, row_features, some_dimensions
+from ..fitting.memberships import CANDIDATES, FEW_COLUMNS, balanced_clusters, normalised, row_features, some_dimensions
+from ..fitting.subspaces import subspace_clusters
 from ..plan import MOST_RANKS
-from ..slabs import thinning
-from ..subspaces import subspace_clusters
+from ..ranks.allocation import best_of_one, choices_of, pareto
+from ..support.executors import in_order
+from ..support.slabs import thinning
 from .blocks import organised
 from .candidates import Candidate
 from .judging import Ranked, Search, worth_of

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..axes import Axis, Organisation
-from ..lazy import lazy
+from ..support.lazy import lazy
 from .blocks import Blocks, halved, organised, split
 from .growth import Growth, growth_of
 from .spectra import Values, cores

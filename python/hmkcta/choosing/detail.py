@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..grids import SMALLEST_EDGE
-from ..slabs import thinning
-from ..source import Source
+from ..streaming.source import Source
+from ..support.slabs import thinning
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 from math import inf, prod
 
 from ..axes import Organisation
-from ..executors import in_order
-from ..fit import EFFORTS
-from ..progress import Told, nobody
+from ..fitting.fit import EFFORTS
+from ..support.executors import in_order
+from ..support.progress import Told, nobody
 from .candidates import Candidate
 from .trial import Kinds, Trial
 

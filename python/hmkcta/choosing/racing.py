@@ -12,7 +12,7 @@ from math import inf
 
 from ..axes import Organisation
 from ..grids import allowed, changed, few_grids, fewer, more, single_grids, uncut_grids
-from ..progress import Progress, Told, share_of
+from ..support.progress import Progress, Told, share_of
 from .candidates import Candidate
 from .climbing import SURELY_WORSE, WORTHWHILE
 from .judging import Choice, Ranked, Search, worth_of

@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..allocation import Choices, best_of_one, choices_of, pareto, plausible, ration
 from ..axes import Organisation, mode_sizes
-from ..executors import in_order
 from ..filesize import planned_bytes
 from ..grids import divisors
 from ..metrics import noise_at, snr_db
 from ..narrow import LEFT
 from ..plan import MOST_RANKS_ALONE
-from ..predict import is_precise
-from ..source import Source
+from ..ranks.allocation import Choices, best_of_one, choices_of, pareto, plausible, ration
+from ..streaming.budget import is_precise
+from ..streaming.source import Source
+from ..support.executors import in_order
 from .blocks import Blocks, Samples, organised, parts_of, samples_of, split
 from .candidates import Candidate, bytes_beside, clusters_of, plan_of
 from .caps import Ranks, Room, capped

@@ -1,7 +1,7 @@
 """A plan for a goal, found by trial: organisation first, then blocks and undecomposed modes.
 
 A candidate is an organisation of the axes into modes, a grid that cuts axes into equal blocks, and the modes left
-undecomposed. Its worth is what the last level's choice of ranks (`allocation.py`) reaches on a sample of its blocks.
+undecomposed. Its worth is what the last level's choice of ranks (`ranks.allocation`) reaches on a sample of its blocks.
 Matrix PCA (two modes, no grid), HOSVD (no grid) and bricks (a grid, nothing merged) are among the candidates, and at
 the end local PCA (`clustered.py`). For an SNR they are judged as for a size: by the bytes that the best of them takes.
 """
@@ -17,13 +17,13 @@ from math import inf, log10, prod
 from ..axes import Organisation, folded, mode_sizes
 from ..errors import invalid
 from ..filesize import planned_bytes
-from ..fit import EFFORTS
+from ..fitting.fit import EFFORTS
+from ..fitting.hierarchy import Run
 from ..grids import SMALLEST_EDGE, changed, coarser, few_grids
-from ..hierarchy import Run
 from ..plan import Plan
-from ..predict import is_streamed, sampled_together, workset_limit
-from ..progress import Progress, share_of
-from ..source import Source
+from ..streaming.budget import is_streamed, sampled_together, workset_limit
+from ..streaming.source import Source
+from ..support.progress import Progress, share_of
 from . import blocks
 from .candidates import Candidate, plan_of
 from .caps import Room, capped, check_room, room_of

@@ -15,7 +15,7 @@ from typing import Any, cast
 import click
 
 from ..errors import ForeignFile, HmkctaError, Kind
-from ..temporaries import remove_all
+from ..support.temporaries import remove_all
 from .failure import EXIT_CODES, Exit, Failure
 from .interrupt import Interrupted, interruptible
 from .options import CONTEXT, VERBOSE, WORDS, examples_first

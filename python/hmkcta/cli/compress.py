@@ -10,9 +10,9 @@ import click
 from numpy.typing import NDArray
 
 from ..backends import Device, find_device
-from ..both_goals import UP_TO
+from ..comparing.both_goals import UP_TO
+from ..comparing.finer import USED
 from ..encode import compress
-from ..finer import USED
 from ..goals import misses
 from ..hmkfile import check_output
 from ..model import Model

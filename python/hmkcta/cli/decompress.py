@@ -12,10 +12,10 @@ import numpy as np
 from ..errors import invalid
 from ..hmkfile import check_output, published
 from ..hmkfile.reasons import fault
-from ..memory import available_memory, check_memory, format_bytes
 from ..model import Model
 from ..model import open as open_model
-from ..slabs import slabs
+from ..support.memory import available_memory, check_memory, format_bytes
+from ..support.slabs import slabs
 from ..transform import nearest
 from .options import (
     Command,

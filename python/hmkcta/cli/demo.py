@@ -13,8 +13,8 @@ import numpy as np
 
 from ..encode import compress
 from ..errors import HmkctaError, Kind
-from ..memory import format_bytes
 from ..model import Model
+from ..support.memory import format_bytes
 from .options import Command, quiet_option, verbose_option
 from .output import decibels, mebibytes, seconds, table, warnings_as_notes
 from .progress import Progress

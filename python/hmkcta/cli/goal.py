@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..axes import check_kind, format_organisation, name_axes
 from ..errors import invalid
-from ..fit import EFFORTS
+from ..fitting.fit import EFFORTS
 from ..hmkfile import KINDS
 from ..plan import SCHEMES, Plan, multiply_adds
 from ..readers import open_array, read_coordinates

@@ -12,11 +12,11 @@ import numpy as np
 
 from ..axes import format_organisation
 from ..hmkfile import table_bytes
-from ..memory import format_bytes
 from ..model import Model
 from ..model import open as open_model
 from ..packed import PackedLevel
 from ..plan import multiply_adds
+from ..support.memory import format_bytes
 from .options import Command, file_argument, json_option, verbose_option
 from .output import decibels, emit, share, table
 

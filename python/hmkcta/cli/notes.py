@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..axes import folded
-from ..memory import drop_pages
 from ..model import Model
-from ..slabs import thinning
+from ..support.memory import drop_pages
+from ..support.slabs import thinning
 
 #: Elements that mean and deviation are told from.
 SAMPLE = 1 << 20

@@ -12,19 +12,19 @@ import click
 import numpy as np
 
 from ..axes import format_organisation, mode_sizes
-from ..both_goals import FROM, are_compared
+from ..comparing.both_goals import FROM, are_compared
 from ..encode import choose_plan, of_bits
-from ..executors import thread_count
 from ..filesize import predicted_bytes
-from ..fit import EFFORTS
+from ..fitting.fit import EFFORTS
 from ..forecast import Forecast, choosing_bytes, forecast
-from ..memory import format_bytes
 from ..plan import Plan, multiply_adds, parse_plan
 from ..plan_checks import check_plan
-from ..predict import nodes_of
-from ..scratch import scratch_folder
-from ..source import Source
-from ..source import described as describe_source
+from ..streaming.budget import nodes_of
+from ..streaming.scratch import scratch_folder
+from ..streaming.source import Source
+from ..streaming.source import described as describe_source
+from ..support.executors import thread_count
+from ..support.memory import format_bytes
 from .goal import Goal, beyond_cost, command_for, goal_from, goal_options
 from .options import Command, File, json_option, quiet_option, together, verbose_option
 from .output import emit, seconds, share, table

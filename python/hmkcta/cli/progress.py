@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from ..progress import OF_PLAN
+from ..support.progress import OF_PLAN
 from .output import seconds
 
 #: Seconds between the lines where there is no terminal.

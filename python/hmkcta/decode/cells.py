@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from ..grouping import rows_of_parts
 from ..packed import PackedLevel
+from ..support.grouping import rows_of_parts
 from .scattered import NO_TABLE, Index, Real, count
 
 Rows = dict[int, tuple[Index, Index]]

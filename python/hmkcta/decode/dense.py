@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from ..grouping import rows_of_parts, sorted_by
 from ..packed import PackedLevel
+from ..support.grouping import rows_of_parts, sorted_by
 from .cells import add_clustered_node, add_outer, tiles
 from .scattered import BATCH, NO_TABLE, Index, Real, count, level_values, undecomposed_modes
 

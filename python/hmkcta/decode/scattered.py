@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..grouping import rows_of_parts
 from ..packed import PackedLevel
+from ..support.grouping import rows_of_parts
 
 Index = NDArray[np.intp]
 Real = NDArray[np.floating[Any]]

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from ..errors import DISK_FULL
-from ..temporaries import temporary
+from ..support.temporaries import temporary
 from .reasons import fault
 
 

@@ -11,7 +11,7 @@ from typing import Any
 from numpy.typing import DTypeLike, NDArray
 
 from ..errors import expect, invalid
-from ..progress import Progress
+from ..support.progress import Progress
 from .formats import FORMATS, PAGES, format_of
 from .raw import open_raw
 from .series import natural, open_series, pictures_of

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import invalid
-from ..memory import drop_pages
+from ..support.memory import drop_pages
 from .source import Layout, io_error
 from .unpacked import Part, Unpacker, block_parts
 

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..conventions import Packing
-from ..memory import check_memory, memory_budget
-from ..progress import Progress
-from ..scratch import scratch_folder, unnamed_file
+from ..streaming.scratch import scratch_folder, unnamed_file
+from ..support.memory import check_memory, memory_budget
+from ..support.progress import Progress
 from .source import Layout, check_layout, check_numbers, io_error
 
 Part = tuple[slice, ...]

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ..decode import check_indices
 from ..errors import HmkctaError, Kind, invalid
-from ..memory import check_memory
 from ..model import Model
+from ..support.memory import check_memory
 from .device import Device, shared_device, spread
 from .prelude import PAGE_SHIFT, Options, compose, compose_picked
 from .software import MOST_TURNS, loop_turns

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..axes import Axis, Organisation, mode_sizes
 from ..cells import Cells, zero_cells
 from ..errors import invalid
-from ..hierarchy import Node
+from ..fitting.hierarchy import Node
 from ..model import Model
 from ..pack import bounds, pack_levels
 from ..packed import LevelQuality, Metadata

@@ -14,8 +14,8 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
-from . import backends as kernels
-from .cells import Cells
+from .. import backends as kernels
+from ..cells import Cells
 
 F32 = NDArray[np.float32]
 #: I_m, C_m or R_m: what an axis of a projection runs over.

@@ -7,6 +7,14 @@ from dataclasses import replace
 from itertools import filterfalse
 from math import inf, isfinite, prod
 
+from ..axes import mode_sizes
+from ..filesize import planned_bytes
+from ..fitting.fit import EFFORTS
+from ..goals import misses
+from ..model import Model
+from ..narrow import BITS
+from ..plan import LevelSpec, Plan
+from ..streaming.budget import is_streamed, memory_limit
 from .alternatives import (
     ROUNDING_FROM,
     alternatives,
@@ -17,17 +25,9 @@ from .alternatives import (
     with_bits,
     with_clusters_times,
 )
-from .axes import mode_sizes
-from .filesize import planned_bytes
 from .finer import LARGE, finer, is_far_beyond, more_blocks, parted
-from .fit import EFFORTS
 from .follow import Task
 from .followed import Followed, best_of, fitted_with, further, is_verbatim, may_be
-from .goals import misses
-from .model import Model
-from .narrow import BITS
-from .plan import LevelSpec, Plan
-from .predict import is_streamed, memory_limit
 from .second_levels import ROUNDED, below_bytes, below_rounding, deeper
 
 #: From so many dB on a second level is tried; so many dB beyond its goal is far; a second level must save a tenth.

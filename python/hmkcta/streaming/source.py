@@ -12,8 +12,8 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from . import backends as kernels
-from .axes import (
+from .. import backends as kernels
+from ..axes import (
     Axis,
     Organisation,
     checked_coords,
@@ -24,13 +24,13 @@ from .axes import (
     parse_organisation,
     separate,
 )
+from ..conventions import meant
+from ..errors import invalid, shown
+from ..support.executors import thread_count
+from ..support.memory import LOOKED_AT, drop_pages, looked_at
+from ..support.slabs import slabs
+from ..transform import Transform, parse
 from .collecting import collected
-from .conventions import meant
-from .errors import invalid, shown
-from .executors import thread_count
-from .memory import LOOKED_AT, drop_pages, looked_at
-from .slabs import slabs
-from .transform import Transform, parse
 
 F32 = NDArray[np.float32]
 #: Elements of slabs that are checked one after another, and, by many threads, at the least.

@@ -9,12 +9,10 @@ from math import inf, isfinite, prod
 import numpy as np
 from numpy.typing import NDArray
 
-from .allocation import Allocation, Spectrum, allocate, merged, trimmed
-from .cells import zero_cells
-from .errors import invalid
-from .examining import EXAMINING, Goal, Way, examined
-from .fit import Labels
-from .hierarchy import (
+from ..cells import zero_cells
+from ..errors import invalid
+from ..fitting.fit import Labels
+from ..fitting.hierarchy import (
     Hierarchy,
     LabelsOf,
     Node,
@@ -24,13 +22,15 @@ from .hierarchy import (
     restore,
     saved,
 )
-from .memberships import by_subspaces, start_candidates
-from .memory import check_memory, format_bytes, give_back_freed_memory
-from .metrics import noise_at, snr_db
-from .narrow import LEFT
-from .plan import LevelSpec
-from .predict import MODEL, PROCESS
-from .streamed import Streamed
+from ..fitting.memberships import by_subspaces, start_candidates
+from ..metrics import noise_at, snr_db
+from ..narrow import LEFT
+from ..plan import LevelSpec
+from ..streaming.budget import MODEL, PROCESS
+from ..streaming.streamed import Streamed
+from ..support.memory import check_memory, format_bytes, give_back_freed_memory
+from .allocation import Allocation, Spectrum, allocate, merged, trimmed
+from .examining import EXAMINING, Goal, Way, examined
 
 F32 = NDArray[np.float32]
 

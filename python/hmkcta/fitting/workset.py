@@ -17,20 +17,20 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from . import backends as kernels
-from .blocks import Block, thinned_cells
-from .cells import Cells
-from .errors import invalid
+from .. import backends as kernels
+from ..cells import Cells
+from ..errors import invalid
+from ..plan import LevelSpec, Plan
+from ..streaming.blocks import Block, thinned_cells
+from ..streaming.budget import PROCESS, WORKING, joint_bytes, part_sizes
+from ..streaming.pieces import Rows
+from ..streaming.streamed import Streamed
+from ..support.memory import check_memory, give_back_freed_memory
+from ..support.progress import Told, nobody
+from ..support.slabs import slabs
 from .fit import Effort, Labels, fit_level
-from .memory import check_memory, give_back_freed_memory
-from .pieces import Rows
-from .plan import LevelSpec, Plan
-from .predict import PROCESS, WORKING, joint_bytes, part_sizes
-from .progress import Told, nobody
 from .projection import project_one
 from .search import all_products, choose_rows, project_model, right_sides
-from .slabs import slabs
-from .streamed import Streamed
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

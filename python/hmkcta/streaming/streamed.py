@@ -22,17 +22,17 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from . import backends as kernels
-from .axes import Organisation, mode_sizes
+from .. import backends as kernels
+from ..axes import Organisation, mode_sizes
+from ..cells import Cells
+from ..metrics import squared_norm
+from ..support.executors import in_order
+from ..support.memory import stays_cached
+from ..support.progress import Told, nobody, share_of
+from ..support.slabs import slabs
 from .blocks import Block, Saved, left_of, settled_by, thinned_block, thinned_cells
-from .cells import Cells
-from .executors import in_order
-from .memory import stays_cached
-from .metrics import squared_norm
 from .pieces import NOTHING, Left, Piece, Rows, pieces_of, places_of, put, split
-from .progress import Told, nobody, share_of
 from .scratch import Scratch
-from .slabs import slabs
 from .source import Source
 
 F32 = NDArray[np.float32]

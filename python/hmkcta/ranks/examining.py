@@ -9,12 +9,9 @@ from math import inf, prod
 import numpy as np
 from numpy.typing import NDArray
 
-from .allocation import Spectrum, spectrum
-from .disjoint import energy_table, summed
-from .executors import in_order
-from .fit import Labels
-from .grouping import rows_of_parts
-from .hierarchy import (
+from ..fitting.disjoint import energy_table, summed
+from ..fitting.fit import Labels
+from ..fitting.hierarchy import (
     Hierarchy,
     LabelsOf,
     Node,
@@ -26,11 +23,14 @@ from .hierarchy import (
     streamed_for,
     told_within,
 )
-from .metrics import squared_norm
-from .plan import HIGHEST_RANK, LevelSpec
-from .progress import Told, share_of
-from .streamed import Streamed
-from .tucker import core_energies
+from ..fitting.tucker import core_energies
+from ..metrics import squared_norm
+from ..plan import HIGHEST_RANK, LevelSpec
+from ..streaming.streamed import Streamed
+from ..support.executors import in_order
+from ..support.grouping import rows_of_parts
+from ..support.progress import Told, share_of
+from .allocation import Spectrum, spectrum
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

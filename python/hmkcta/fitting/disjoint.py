@@ -12,17 +12,17 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from . import backends as kernels
-from .blocks import Block
-from .cells import Cells, empty_cells
-from .executors import Queue, in_order, repeatedly
+from .. import backends as kernels
+from ..cells import Cells, empty_cells
+from ..metrics import squared_norm
+from ..plan import LevelSpec
+from ..streaming.blocks import Block
+from ..streaming.pieces import Piece
+from ..streaming.streamed import Streamed
+from ..support.executors import Queue, in_order, repeatedly
+from ..support.progress import Told
 from .fit import COLD, WARM, Effort, Labels
-from .metrics import squared_norm
-from .pieces import Piece
-from .plan import LevelSpec
-from .progress import Told
 from .search import orthonormal_again
-from .streamed import Streamed
 from .tucker import core_energies
 from .workset import SAMPLED, fit_streamed, refit_streamed, workset_steps
 

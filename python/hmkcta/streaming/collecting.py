@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from . import backends as kernels
-from .memory import LOOKED_AT, drop_pages, mapped, touched
+from .. import backends as kernels
+from ..support.memory import LOOKED_AT, drop_pages, mapped, touched
 
 Rows = Sequence[NDArray[np.intp]]
 

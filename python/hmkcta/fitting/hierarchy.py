@@ -11,23 +11,23 @@ from itertools import groupby, product
 import numpy as np
 from numpy.typing import NDArray
 
-from . import backends as kernels
-from .axes import Axis, Organisation
-from .blocks import Saved, thinned_cells
-from .cells import Cells
+from .. import backends as kernels
+from ..axes import Axis, Organisation
+from ..cells import Cells
+from ..errors import invalid
+from ..journal import NoJournal
+from ..metrics import squared_norm
+from ..plan import LevelSpec
+from ..streaming.blocks import Saved, thinned_cells
+from ..streaming.budget import side_by_side
+from ..streaming.pieces import Piece, Rows, SubTensor
+from ..streaming.streamed import Streamed
+from ..support.executors import Queue, repeatedly
+from ..support.grouping import rows_of_parts
+from ..support.progress import Progress, Told
 from .disjoint import cut_as_fitted, fit_outside, refit_outside
-from .errors import invalid
-from .executors import Queue, repeatedly
 from .fit import Effort, Labels, fit_level, refit_level
-from .grouping import rows_of_parts
-from .journal import NoJournal
 from .memberships import grid_blocks
-from .metrics import squared_norm
-from .pieces import Piece, Rows, SubTensor
-from .plan import LevelSpec
-from .predict import side_by_side
-from .progress import Progress, Told
-from .streamed import Streamed
 from .subdivision import subdivide
 from .workset import SAMPLED, SMALLER, workset_steps
 

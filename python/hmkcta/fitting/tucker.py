@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from .metrics import squared_norm
+from ..metrics import squared_norm
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

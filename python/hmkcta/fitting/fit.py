@@ -15,11 +15,11 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
-from . import backends as kernels
-from .cells import Cells, empty_cells
+from .. import backends as kernels
+from ..cells import Cells, empty_cells
+from ..metrics import squared_norm
+from ..plan import LevelSpec
 from .memberships import start_candidates, strided_sample
-from .metrics import squared_norm
-from .plan import LevelSpec
 from .search import OVER_RELAXED, extend, orthonormal_again, sweep
 from .tucker import st_hosvd
 

@@ -10,10 +10,10 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
 
-from .axes import Organisation
+from ..axes import Organisation
+from ..narrow import BITS
+from ..plan import MOST_RANKS, LevelSpec, Plan
 from .finer import is_far_beyond
-from .narrow import BITS
-from .plan import MOST_RANKS, LevelSpec, Plan
 
 #: From this SNR in dB on, the error of the numbers themselves, by their bits, is not small beside what a level leaves.
 ROUNDING_FROM = {16: 55.0, 8: 33.0}

@@ -6,10 +6,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from math import inf
 
-from .errors import HmkctaError
+from ..errors import HmkctaError
+from ..model import Model
+from ..plan import Plan
 from .follow import Task, follow
-from .model import Model
-from .plan import Plan
 
 #: A task with a plan, and the model that it came to.
 Followed = tuple[Task, Model]

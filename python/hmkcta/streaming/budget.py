@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from math import prod
 
-from .memory import available_memory, check_memory, memory_budget
-from .plan import LevelSpec, Plan
+from ..plan import LevelSpec, Plan
+from ..support.memory import available_memory, check_memory, memory_budget
 
 #: Most elements of a tensor that is fitted in one piece: more elements fit it no better.
 WORKSET = 1 << 26

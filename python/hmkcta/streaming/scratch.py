@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import DISK_FULL, HmkctaError, Kind
-from .memory import format_bytes
+from ..errors import DISK_FULL, HmkctaError, Kind
+from ..support.memory import format_bytes
 
 F32 = NDArray[np.float32]
 

@@ -10,9 +10,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from math import isinf, prod
 
-from .axes import Axis
-from .grids import SMALLEST_EDGE
-from .plan import MOST_RANKS, LevelSpec, Plan
+from ..axes import Axis
+from ..grids import SMALLEST_EDGE
+from ..plan import MOST_RANKS, LevelSpec, Plan
 
 #: Arrays of up to so many elements are tried so at once: a step is large there, and trying takes a second at the most.
 #: Of more than so many a step is small, and trying takes long.

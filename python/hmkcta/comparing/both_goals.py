@@ -13,14 +13,14 @@ from dataclasses import replace
 from math import inf, prod
 from typing import Any
 
-from .errors import HmkctaError
+from ..errors import HmkctaError
+from ..model import Model
+from ..plan import Plan
+from ..streaming.source import Source
+from ..support.progress import nobody
 from .follow import Task
 from .followed import NOT_FOLLOWED, is_verbatim
-from .model import Model
-from .plan import Plan
-from .progress import nobody
 from .rivals import Choose, follow_any, is_worth
-from .source import Source
 
 #: Rounding tells plans apart from so many dB on, and up to what float32 holds.
 FROM, UP_TO = 40.0, 118.0

@@ -13,8 +13,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from . import backends as kernels
-from .cells import Cells, Products
+from .. import backends as kernels
+from ..cells import Cells, Products
 from .projection import passes, project
 
 F32 = NDArray[np.float32]

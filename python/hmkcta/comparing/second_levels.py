@@ -8,13 +8,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+from ..axes import mode_sizes
+from ..model import Model
+from ..narrow import BITS
+from ..plan import Plan
 from .alternatives import whole_plan, with_bits
-from .axes import mode_sizes
 from .follow import Task
 from .followed import Followed, further, is_verbatim, may_be
-from .model import Model
-from .narrow import BITS
-from .plan import Plan
 
 #: The first level ends at as many dB as its numbers keep of one, by their bits, and at no less than so many; up to so
 #: many dB in all the second may also be of bytes.

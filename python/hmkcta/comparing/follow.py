@@ -8,12 +8,11 @@ from math import inf, prod
 
 import numpy as np
 
-from .adaptive import Goal, fit_to_goal
-from .axes import mode_sizes
-from .errors import invalid
-from .filesize import metadata_of, undecomposed_in
-from .fit import EFFORTS
-from .hierarchy import (
+from ..axes import mode_sizes
+from ..errors import invalid
+from ..filesize import metadata_of, undecomposed_in
+from ..fitting.fit import EFFORTS
+from ..fitting.hierarchy import (
     Hierarchy,
     Run,
     ascend,
@@ -26,21 +25,22 @@ from .hierarchy import (
     thinned,
     whole,
 )
-from .hmkfile import encoded_size
-from .measure import measure_both
-from .measure_streamed import measure_streamed
-from .memory import give_back_freed_memory
-from .metrics import noise_at, snr_db
-from .model import Model
-from .pack import bounds, pack_levels
-from .packed import LevelQuality, Metadata, PackedLevel
-from .plan import SCHEMES, LevelSpec, Plan
-from .plan_checks import check_plan
-from .predict import is_streamed, memory_limit, room_beside
-from .progress import Compared
-from .source import Source
-from .streamed import Streamed
-from .workset import check_worksets
+from ..fitting.workset import check_worksets
+from ..hmkfile import encoded_size
+from ..measure import measure_both
+from ..measure_streamed import measure_streamed
+from ..metrics import noise_at, snr_db
+from ..model import Model
+from ..pack import bounds, pack_levels
+from ..packed import LevelQuality, Metadata, PackedLevel
+from ..plan import SCHEMES, LevelSpec, Plan
+from ..plan_checks import check_plan
+from ..ranks.adaptive import Goal, fit_to_goal
+from ..streaming.budget import is_streamed, memory_limit, room_beside
+from ..streaming.source import Source
+from ..streaming.streamed import Streamed
+from ..support.memory import give_back_freed_memory
+from ..support.progress import Compared
 
 #: Of the error that an SNR allows, the share below which errors of a node's ranks are not told apart.
 UNTOLD = 0.02

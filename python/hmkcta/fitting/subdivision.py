@@ -14,11 +14,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from . import backends as kernels
-from .cells import Cells, Products
-from .coding import Dictionary
+from .. import backends as kernels
+from ..backends.coding import Dictionary
+from ..cells import Cells, Products
+from ..metrics import squared_norm
 from .memberships import uniform_blocks
-from .metrics import squared_norm
 from .projection import Projection, passes, project
 from .search import all_products, project_model, right_sides
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from . import backends as kernels
-from .plan import LevelSpec
+from .. import backends as kernels
+from ..plan import LevelSpec
 from .subspaces import subspace_clusters
 
 F32 = NDArray[np.float32]

@@ -10,7 +10,7 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
-from .grouping import rows_of_parts
+from ..support.grouping import rows_of_parts
 from .scratch import Scratch
 
 F32 = NDArray[np.float32]

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from . import backends as kernels
-from .cells import Cells
+from .. import backends as kernels
+from ..cells import Cells
 from .pieces import Left, Rows
 from .scratch import Scratch
 

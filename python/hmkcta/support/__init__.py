@@ -1,0 +1,1 @@
+"""What knows nothing of tensors' models: threads, memory, progress, logs, files that must not be left behind."""
