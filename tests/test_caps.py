@@ -103,7 +103,7 @@ def test_the_search_judges_by_the_caps(cube: NDArray[np.float32]) -> None:
     free = trial_of(prepare(noise, None, "identity", None, 1), None, 30, 1_000_000, 0)
     room, held = room_of(noise.size, LEAST), list[float]()
     for memory in (None, room, Room(noise.size, 1000, 0, 0)):
-        held.append(replace(free, memory=memory).worths(MODES, (1, 1, 1), 1 << 18)[0][0])
+        held.append(replace(free, memory=memory).worths(MODES, (1, 1, 1), 1 << 18)[0].worth)
     assert held[0] > held[1] > 0 > -OUT_OF_REACH > held[2]
 
 

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from dense_reference import energy, snr, tucker_product
 from hmkcta import HmkctaError, choose_plan, compress, parse_plan
 from hmkcta.axes import Organisation
-from hmkcta.choosing.candidates import Candidate
+from hmkcta.choosing.candidates import Candidate, Scored
 from hmkcta.choosing.growth import growth_of
-from hmkcta.choosing.judging import CARES, Search
+from hmkcta.choosing.judging import CARES, Judged, Search
 from hmkcta.choosing.racing import racing_of
 from hmkcta.choosing.spectra import cores
 from hmkcta.choosing.trial import Trial, trial_of
@@ -367,8 +367,9 @@ def test_a_race_begins_with_modes_undecomposed_in_other_ways() -> None:
     search = Search(trial, trial, plain, 1, CARES[EFFORTS["medium"]], 1 << 20, 0)
     kinds = [Candidate(plain, grid, undecomposed) for grid, undecomposed in product(grids, [(0,), (), (1,)])]
     for number, grid in enumerate(grids):
-        found = [(worth, kinds[3 * number + n]) for n, worth in enumerate((30.0 - number, 29.2 + number / 2, 28.9))]
-        search.seen[plain, grid, 4608, 4000] = found
+        worths = 30.0 - number, 29.2 + number / 2, 28.9
+        found = [Scored(worth, kinds[3 * number + n]) for n, worth in enumerate(worths)]
+        search.seen[Judged(plain, grid, 4608, 4000)] = found
     racing = racing_of(search.every(list(product([plain], grids)), 4608))
     assert [(worth, each.grid, each.undecomposed) for worth, each in racing] == [
         (30.0, (1, 1, 1), (0,)),
@@ -393,8 +394,8 @@ def test_what_is_judged_next_to_the_best_is_fitted_too(
     if size < 4000:
         judged[1, 3, 4] = 29.0
     for grid, worth in judged.items():
-        alike = (worth - 0.1, Candidate(plain, grid, (0,)))
-        search.seen[plain, grid, 4608, size] = [(worth, Candidate(plain, grid)), alike]
-    search.seen[plain, (1, 4, 4), 1000, size] = [(35.0, Candidate(plain, (1, 4, 4)))]
+        alike = Scored(worth - 0.1, Candidate(plain, grid, (0,)))
+        search.seen[Judged(plain, grid, 4608, size)] = [Scored(worth, Candidate(plain, grid)), alike]
+    search.seen[Judged(plain, (1, 4, 4), 1000, size)] = [Scored(35.0, Candidate(plain, (1, 4, 4)))]
     best = Candidate(plain, (1, 1, 1), cuts=(1, 1, 2))
     assert [each.grid for each in _near_best(search, best)] == found

@@ -214,8 +214,8 @@ def _warn_of(model: Model, goal: float | None) -> None:
         said = f"the SNR is {model.snr:.2f} dB, below the {goal:g} dB asked for; the model is the best found"
         warn(said, GoalMissed, stacklevel=3)
     if model.snr <= 0:
-        plain = model.metadata.transform["name"] == "identity"
-        better = "ask for more bytes" if plain else "another transform, or the same with a larger scale"
+        changed = model.metadata.is_transformed
+        better = "another transform, or the same with a larger scale" if changed else "ask for more bytes"
         warn(f"an SNR of {model.snr:.1f} dB is no better than zeros alone. Next: {better}", stacklevel=3)
 
 

@@ -32,7 +32,7 @@ def metadata_of(
 ) -> Metadata:
     """The metadata of a file that follows the plan; `quality` of the values, `transformed` in the fitted domain."""
     facts = dict(source.fingerprint)
-    if source.value_transform.name != "identity":
+    if not source.value_transform.is_identity:
         measured = [level.snr_db for level in transformed or [UNKNOWN] * len(levels)]
         facts["transformed_snr_db"] = [None if isinf(snr) else round(snr, 6) for snr in measured]
     return Metadata(

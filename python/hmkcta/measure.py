@@ -105,7 +105,7 @@ def measure_both(model: Model, source: Any, *, nan: float | None = None, progres
     assert sums is not None
     plain, transformed = sums
     found = transformed.quality()
-    return (found if from_json(model.metadata.transform).name == "identity" else plain.quality()), found
+    return (found if from_json(model.metadata.transform).is_identity else plain.quality()), found
 
 
 def _float32_tells(sums: Sums) -> bool:
@@ -130,14 +130,14 @@ def _summed(
         tensor = organise(values, axes, metadata.organisation)
         fitted = np.asarray(transform.forward(tensor), np.float64)
         transformed.add_values(fitted)
-        if transform.name != "identity":
+        if not transform.is_identity:
             plain.add_values(tensor)
         rows = mode_rows(metadata.axes, metadata.organisation, part)
         decoded = np.zeros(tensor.shape, dtype)
         for level in range(len(model.levels)):
             add_level(model.levels, rows, decoded, level + 1)
             transformed.add_error(level, fitted - decoded)
-            if transform.name != "identity":
+            if not transform.is_identity:
                 plain.add_error(level, tensor - np.asarray(transform.inverse(decoded.astype(np.float64)), np.float64))
         drop_pages(source)
         if dtype is np.float32 and part in (parts[0], parts[-1]) and not _float32_tells(transformed):

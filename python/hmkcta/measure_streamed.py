@@ -43,7 +43,7 @@ class _Errors:
     def add_values(self, values: F32) -> None:
         """Values of the block."""
         self.transformed.add(None, squared_norm(values) * self.unit**2, count=values.size)
-        if self.transform.name != "identity":
+        if not self.transform.is_identity:
             for wide in in_float64(values):
                 self.plain.add_values(np.asarray(self.transform.inverse(wide * self.unit), np.float64))
 
@@ -52,7 +52,7 @@ class _Errors:
         noise, most = squared_norm(left) * self.unit**2, max(float(left.max()), -float(left.min())) * self.unit
         for level in levels:
             self.transformed.add(level, noise, most)
-        if self.transform.name != "identity":
+        if not self.transform.is_identity:
             for wide, error in zip(in_float64(values), in_float64(left), strict=True):
                 change = self.transform.inverse(wide * self.unit) - self.transform.inverse((wide - error) * self.unit)
                 for level in levels:
@@ -71,7 +71,7 @@ class _Errors:
         counts = node.cells.spec.clusters
         places = [places_of(part) for part in node.parts]
         # Without a value transform nobody looks at the values again.
-        kept = split(values, rows, node.parts) if self.transform.name != "identity" else None
+        kept = split(values, rows, node.parts) if not self.transform.is_identity else None
         for child, sub, own in split(left, rows, node.parts):
             old = sub if kept is None else next(kept)[1]
             below = node.children[int(np.ravel_multi_index(child, counts))]
@@ -102,7 +102,7 @@ def measure_streamed(
     The source is read once more, unless all levels were seen to leave what they do when they were fitted to pieces.
     """
     source, levels, root = residual.source, len(tree.levels), tree.levels[0][0]
-    if source.value_transform.name == "identity" and len(residual.known) == 1 + levels:
+    if source.value_transform.is_identity and len(residual.known) == 1 + levels:
         seen = _as_seen(residual.known, source)
         return seen, seen
     total = Sums(levels), Sums(levels)
@@ -111,7 +111,7 @@ def measure_streamed(
         rows, values = source.block(residual.organisation, part)
         errors = _Errors(source.value_transform, source.unit, Sums(levels), Sums(levels))
         errors.add_values(values)
-        left = values if errors.transform.name == "identity" else values.copy()
+        left = values if errors.transform.is_identity else values.copy()
         errors.below(root, 0, tuple(rows), values, left)
         return errors
 
@@ -122,4 +122,4 @@ def measure_streamed(
         total[1].merge(errors.transformed)
         progress("measuring", number / len(parts))
     transformed = total[1].quality()
-    return (transformed if source.value_transform.name == "identity" else total[0].quality()), transformed
+    return (transformed if source.value_transform.is_identity else total[0].quality()), transformed

@@ -270,7 +270,7 @@ class Model:
         """Decode straight into `out` where its numbers need neither be moved nor changed; if they do, False."""
         modes = self._in_modes(chosen.axes)
         along = [d for index in modes for d, length in enumerate(index.shape) if length > 1]
-        if along != sorted(set(along)) or self._transform.name != "identity":
+        if along != sorted(set(along)) or not self._transform.is_identity:
             return False
         if out.dtype != np.float32 or not (out.flags.c_contiguous and out.flags.aligned):
             return False

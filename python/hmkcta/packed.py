@@ -132,6 +132,11 @@ class Metadata:
     writer: str = ""
     seed: int = 0
 
+    @property
+    def is_transformed(self) -> bool:
+        """Whether levels approximate transformed values."""
+        return self.transform["name"] != "identity"
+
     def upto(self, level: int) -> Metadata:
         """Of a model of the first so many levels."""
         source, told = self.source, self.source.get("transformed_snr_db")

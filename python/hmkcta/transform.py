@@ -72,6 +72,11 @@ class Transform:
         if self.scale != 1 and not _RULES[self.name].scaled:
             raise invalid("transform-scale", f"scale of {self.name}", self.scale, "none", f"write {self.name}")
 
+    @property
+    def is_identity(self) -> bool:
+        """Whether values stay as they are."""
+        return self.name == "identity"
+
     def forward(self, values: NDArray[Any]) -> Values:
         """f of the values, of their shape; float32 stays float32, integers of 32 bits or more become float64.
 
@@ -101,7 +106,7 @@ class Transform:
         >>> Transform("sqrt").inverse(np.array([2.0, -0.1]))
         array([4., 0.])
         """
-        if self.name == "identity":
+        if self.is_identity:
             return values
         rule, largest = _RULES[self.name], np.finfo(values.dtype).max
         x = _in_float64_if_too_large(lambda x: rule.inverse(x) * x.dtype.type(self.scale), values)

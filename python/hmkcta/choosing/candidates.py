@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import prod
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +49,13 @@ class Candidate:
     def blocks(self) -> tuple[Organisation, tuple[int, ...], bool]:
         """What candidates of the same blocks share, whatever their undecomposed modes."""
         return self.organisation, self.grid, self.carried
+
+
+class Scored(NamedTuple):
+    """A candidate and what it is `worth`: dB; of those that reach an SNR, that and the octaves of bytes it spares."""
+
+    worth: float
+    candidate: Candidate
 
 
 def plan_of(source: Source, best: Candidate, snr: float | None, size: int | None, decode_cost: int) -> Plan:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from itertools import permutations
 
 from ..grids import allowed, changed, fewer, more
-from .candidates import Candidate
-from .judging import Choice, Ranked, Search, worth_of
+from .candidates import Candidate, Scored
+from .judging import Choice, Judged, Ranked, Search, worth_of
 from .trial import Kinds
 
 #: Gain in dB, or octaves of bytes, that a change of the grid must bring.
@@ -20,14 +20,14 @@ SURELY_WORSE = 5.0
 BEHIND = 0.05
 
 
-def climbed(search: Search, start: Candidate, sample: int, reached: float) -> tuple[float, Candidate]:
+def climbed(search: Search, start: Candidate, sample: int, reached: float) -> Scored:
     """Change the blocks along one axis after the other while that helps, and along two at once where it no longer does.
 
     Unless far behind what others `reached`.
     """
     now = search.best([(start.organisation, start.grid)], sample)[0]
-    around = search.seen[start.organisation, start.grid, min(sample, search.most), search.trial.size]
-    kinds = tuple(dict.fromkeys(each.undecomposed for worth, each in around if worth > now[0] - HOPELESS))
+    around = search.seen[Judged(start.organisation, start.grid, min(sample, search.most), search.trial.size)]
+    kinds = tuple(dict.fromkeys(each.undecomposed for worth, each in around if worth > now.worth - HOPELESS))
     idle, n, before = 0, 0, len(search.seen)
     own = (start.organisation, start.undecomposed)
     lost = {(axis, 1 if is_more else -1): loss
@@ -37,35 +37,35 @@ def climbed(search: Search, start: Candidate, sample: int, reached: float) -> tu
         if idle < len(start.grid):
             tried = _around(search, now, n, sample, hopeless, kinds)
         else:
-            tried = _exchanged(search, now[1], sample, kinds)
+            tried = _exchanged(search, now.candidate, sample, kinds)
             hopeless.clear()
         found = max([now, *tried], key=worth_of)
-        if found[0] > now[0] + WORTHWHILE:
+        if found.worth > now.worth + WORTHWHILE:
             now, idle = found, 0
             hopeless -= {(n, 1), (n, -1)}
         else:
             idle += 1
         n = (n + 1) % len(start.grid)
-        if n == 0 and now[0] < reached - BEHIND:
+        if n == 0 and now.worth < reached - BEHIND:
             break
     return now
 
 
 def _around(
-    search: Search, now: tuple[float, Candidate], n: int, sample: int, hopeless: set[tuple[int, int]], kinds: Kinds
+    search: Search, now: Scored, n: int, sample: int, hopeless: set[tuple[int, int]], kinds: Kinds
 ) -> Ranked:
     """Candidates with one block more or less along axis n; where that does little harm, twice or half as many.
 
     Directions that are `hopeless` are left out, and those that turn out so are added.
     """
-    worth, (modes, grid) = now[0], (now[1].organisation, now[1].grid)
+    modes, grid = now.candidate.organisation, now.candidate.grid
     shape, count = search.trial.source.shape, grid[n]
     next_to = {1: more(count, shape[n], 1), -1: fewer(count, shape[n], 1)}
     steps = [step for step, next_count in next_to.items()
              if (n, step) not in hopeless and allowed(next_count, n, grid, shape)]
     found = search.best([(modes, changed(grid, n, next_to[step])) for step in steps], sample, kinds=kinds)
-    hopeless |= {(n, step) for step, (reached, _) in zip(steps, found, strict=True) if reached < worth - HOPELESS}
-    near = [step for step, (reached, _) in zip(steps, found, strict=True) if reached > worth - STEEP]
+    hopeless |= {(n, step) for step, (reached, _) in zip(steps, found, strict=True) if reached < now.worth - HOPELESS}
+    near = [step for step, (reached, _) in zip(steps, found, strict=True) if reached > now.worth - STEEP]
     further = [more(count, shape[n]) if step > 0 else fewer(count, shape[n]) for step in near]
     many = [(modes, changed(grid, n, many)) for many in further if allowed(many, n, grid, shape)]
     return found + search.best(many, sample, kinds=kinds)

@@ -21,7 +21,7 @@ from ..ranks.allocation import best_of_one, choices_of, pareto
 from ..support.executors import in_order
 from ..support.slabs import thinning
 from .blocks import organised
-from .candidates import Candidate
+from .candidates import Candidate, Scored
 from .judging import Ranked, Search, worth_of
 from .trial import OUT_OF_REACH, Trial
 
@@ -46,33 +46,34 @@ FEWEST_ROWS = 24
 LIKELIEST = CANDIDATES[0]
 
 
-def with_clusters(search: Search, found: tuple[float, Candidate]) -> tuple[float, Candidate]:
+def with_clusters(search: Search, found: Scored) -> Scored:
     """The better of what was found and the best matrix with clusters of the data along its long mode.
 
     The next best is a rival where it is near. Of all matrices the best are looked at, and those that a few rows say to
     be the best with clusters, if not too long for it: what parts their clusters, no axis brings together.
     """
     source, worth = search.goal.source, dict[Organisation, float]()
-    for (modes, _, _, size), ranked in search.seen.items():
+    for key, ranked in search.seen.items():
+        modes = key.organisation
         if len(modes) == 2 and min(mode_sizes(source.axes, modes)) <= MOST_COLUMNS:
-            same = map(worth_of, ranked) if size == search.goal.size else ()
+            same = map(worth_of, ranked) if key.size == search.goal.size else ()
             worth[modes] = max([worth.get(modes, 0.0), *same])
-    best = sorted((modes for modes in worth if worth[modes] > found[0] - SURPASSED), key=lambda modes: -worth[modes])
+    best = sorted((modes for modes in worth if worth[modes] > found.worth - SURPASSED), key=lambda modes: -worth[modes])
     judged: Ranked = []
-    likely = _likely(search, list(worth), found[0] - LACKING)
+    likely = _likely(search, list(worth), found.worth - LACKING)
     for modes in dict.fromkeys([*best[: search.clustered], *likely]):
         for item in clustered(search.goal, modes, threads=search.threads):
             judged.append(item)
-            if modes not in likely and max(worth[modes], *map(worth_of, judged)) < found[0] - LACKING:
+            if modes not in likely and max(worth[modes], *map(worth_of, judged)) < found.worth - LACKING:
                 break
     first = max(judged, key=worth_of, default=None)
-    if first is None or first[0] < found[0] - CLOSE:
+    if first is None or first.worth < found.worth - CLOSE:
         return found
-    winner = first if first[0] > found[0] + SURELY else found
+    winner = first if first.worth > found.worth + SURELY else found
     # For an SNR a rank is a step, which some other number of clusters may have smaller.
     compared = [found, *(judged if search.goal.ceiling is not None else [first])]
     other = max((item for item in compared if item is not winner), key=worth_of)
-    search.rivals = [other[1]] if other[0] > winner[0] - CLOSE else []
+    search.rivals = [other.candidate] if other.worth > winner.worth - CLOSE else []
     return winner
 
 
@@ -95,7 +96,7 @@ def _likely(search: Search, matrices: Sequence[Organisation], least: float) -> l
 
 def clustered(
     trial: Trial, organisation: Organisation, *, few: bool = False, threads: int = 1
-) -> Iterator[tuple[float, Candidate]]:
+) -> Iterator[Scored]:
     """What the matrices of two modes are worth with so many clusters of the rows of the longer one, at the best ranks.
 
     The shorter mode is left undecomposed: each cell has columns of its own. From the first number of clusters on, twice
@@ -119,19 +120,19 @@ def clustered(
         yield from map(judged, possible[first + 1 :][-1:])
         return
     for way in (possible[first + 1 :], possible[:first][::-1]):
-        reached = begun[0]
+        reached = begun.worth
         for count in way:
             item = judged(count)
             yield item
-            if item[0] <= reached and columns > FEW_COLUMNS:
+            if item.worth <= reached and columns > FEW_COLUMNS:
                 break
-            reached = item[0]
+            reached = item.worth
 
 
 def _judged(
     trial: Trial, organisation: Organisation, rows: F32, features: F64, count: int,
     *, long: int, few: bool, threads: int,
-) -> tuple[float, Candidate]:
+) -> Scored:
     """What so many clusters of the long mode are worth, told from some of its rows: by k-means and by subspaces, as the
     fit has both; if `few`, by lines alone."""
     sizes, flags = mode_sizes(trial.source.axes, organisation), (long == 1, long == 0)
@@ -143,7 +144,7 @@ def _judged(
     choices = choices_of(steps, sizes, flags, trial.decode_cost, clusters, trial.bits)
     least = float(choices.nbytes[1])
     if (needed := trial.beside(each) + least) > trial.size:
-        return -OUT_OF_REACH - log2(needed), each
+        return Scored(-OUT_OF_REACH - log2(needed), each)
     energy = float(np.square(rows, dtype=np.float64).sum())
 
     def left_by(dimension: int) -> F64:
@@ -162,7 +163,7 @@ def _judged(
     left = np.concatenate([[energy], reached[choices.entry]])
     kept = pareto(choices.nbytes, left)
     spend = partial(best_of_one, choices.nbytes[kept], left[kept])
-    return trial.worth_and_bytes(spend, energy, 1.0, each, least)[0], each
+    return Scored(trial.worth_and_bytes(spend, energy, 1.0, each, least)[0], each)
 
 
 def _sampled_rows(trial: Trial, organisation: Organisation, long: int, fewer: int) -> F32:

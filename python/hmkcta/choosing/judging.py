@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from math import inf, prod
+from typing import NamedTuple
 
 from ..axes import Organisation
 from ..fitting.fit import EFFORTS
 from ..support.executors import in_order
 from ..support.progress import Told, nobody
-from .candidates import Candidate
+from .candidates import Candidate, Scored
 from .trial import Kinds, Trial
 
 #: Modes are left undecomposed on trial again if that came so near before, in dB or octaves of bytes.
@@ -58,10 +59,22 @@ CARES = {
     ),
 }
 
-Ranked = list[tuple[float, Candidate]]
+Ranked = list[Scored]
 Choice = tuple[Organisation, tuple[int, ...]]
-#: What was judged: organisation, grid, elements of the sample, bytes.
-Judged = tuple[Organisation, tuple[int, ...], int, int]
+
+
+class Judged(NamedTuple):
+    """What was judged: an organisation and a grid, on a sample of so many elements, by so many bytes."""
+
+    organisation: Organisation
+    grid: tuple[int, ...]
+    sample: int
+    size: int
+
+    @property
+    def means(self) -> tuple[int, int]:
+        """How it was judged."""
+        return self.sample, self.size
 
 
 @dataclass
@@ -109,7 +122,7 @@ class Search:
         so far, or, at first and at last, all that promise something.
         """
         sample, size = min(sample, self.most), self.trial.size
-        new = list(dict.fromkeys(choice for choice in choices if (*choice, sample, size) not in self.seen))
+        new = list(dict.fromkeys(choice for choice in choices if Judged(*choice, sample, size) not in self.seen))
         again = sample < min(self.care.refine, self.most)
         known = {modes: kinds or (self.kinds(modes) if again else ()) for modes, _ in new}
 
@@ -118,10 +131,10 @@ class Search:
 
         judged = in_order(judge, new, self.workers(sample))
         for number, (choice, ranked) in enumerate(zip(new, judged, strict=True), start=1):
-            self.seen[(*choice, sample, size)] = ranked
+            self.seen[Judged(*choice, sample, size)] = ranked
             told(number / len(new))
-        nothing = {choice: (0.0, Candidate(*choice, carried=False)) for choice in choices}
-        return [max(self.seen[(*each, sample, size)], key=worth_of, default=nothing[each]) for each in choices]
+        nothing = {choice: Scored(0.0, Candidate(*choice, carried=False)) for choice in choices}
+        return [max(self.seen[Judged(*each, sample, size)], key=worth_of, default=nothing[each]) for each in choices]
 
     def workers(self, sample: int) -> int:
         """How many samples are worked on side by side, as far as memory goes."""
@@ -130,19 +143,19 @@ class Search:
     def every(self, choices: Sequence[Choice], sample: int) -> Ranked:
         """All candidates with these organisations and grids, judged before on this sample."""
         key = min(sample, self.most), self.trial.size
-        return [item for choice in dict.fromkeys(choices) for item in self.seen[(*choice, *key)]]
+        return [item for choice in dict.fromkeys(choices) for item in self.seen[Judged(*choice, *key)]]
 
     def near(self, modes: Organisation, far: float) -> bool:
         """Whether the organisation was no more than so `far` behind the best on the largest sample it was judged by."""
-        last = max(key[2:] for key in self.seen if key[0] == modes)
-        found = {key: max(map(worth_of, ranked)) for key, ranked in self.seen.items() if key[2:] == last and ranked}
-        own = [worth for key, worth in found.items() if key[0] == modes]
+        last = max(key.means for key in self.seen if key.organisation == modes)
+        found = {key: max(map(worth_of, ranked)) for key, ranked in self.seen.items() if key.means == last and ranked}
+        own = [worth for key, worth in found.items() if key.organisation == modes]
         return bool(own) and max(own) > max(found.values()) - far
 
     def kinds(self, modes: Organisation) -> Kinds:
         """Sets of undecomposed modes that came near the best with some grid and sample."""
         found = dict[tuple[int, ...], None]()
-        for key in [key for key in self.seen if key[0] == modes and self.seen[key]]:
+        for key in [key for key in self.seen if key.organisation == modes and self.seen[key]]:
             ranked = self.seen[key]
             found |= {each.undecomposed: None for worth, each in ranked if worth > max(map(worth_of, ranked)) - FAR}
         return tuple(found)
@@ -175,16 +188,16 @@ class Search:
 
         That tells too little of all of them, but as much too little of each.
         """
-        every = list(dict.fromkeys(modes for modes, *_ in self.seen if len(modes) == 2))
+        every = list(dict.fromkeys(key.organisation for key in self.seen if len(key.organisation) == 2))
         if not self.care.matrices:
             return []
         whole = (1,) * len(self.trial.source.shape)
         # Grids may have cut both modes of what was seen: that says nothing of leaving one undecomposed.
         for modes in every:
-            self.seen.pop((modes, whole, min(self.care.compare[0], self.most), self.trial.size), None)
+            self.seen.pop(Judged(modes, whole, min(self.care.compare[0], self.most), self.trial.size), None)
         judged = self.best([(modes, whole) for modes in every], self.care.compare[0], kinds=((), (0,), (1,)))
         return [each.organisation for _, each in sorted(judged, key=worth_of, reverse=True)[: self.care.matrices]]
 
 
-def worth_of(item: tuple[float, Candidate]) -> float:
-    return item[0]
+def worth_of(item: Scored) -> float:
+    return item.worth

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from math import inf
 
-from .candidates import Candidate
+from .candidates import Candidate, Scored
 from .clustered import clustered
 from .judging import Search, worth_of
 
@@ -19,12 +19,12 @@ BYTES_DO, BYTES_HARDLY_DO, BYTES_FALL_SHORT = 38.0, 44.5, 52.0
 SURELY_BETTER = 0.75
 
 #: Looks for the best candidate: in a search, of a fixed organisation or any, to the end of a race where that is enough.
-Look = Callable[[Search, bool, float], tuple[float, Candidate]]
+Look = Callable[[Search, bool, float], Scored]
 
 
 def searched_by_bits(
     search: Search, look: Look, bits: int | None, fixed: bool, *, aimed: bool
-) -> tuple[Search, float, Candidate]:
+) -> tuple[Search, Scored]:
     """The best candidate whose numbers have so many bits, of a fixed organisation or any.
 
     None: eight bits, or where what these leave tells, sixteen. These are looked at in the blocks of the best, and if
@@ -35,22 +35,24 @@ def searched_by_bits(
     first = bits or (16 if aimed and BYTES_FALL_SHORT < ceiling < inf else 8)
     enough = BYTES_HARDLY_DO if bits is None and first == 8 else inf
     own = search.anew(replace(search.goal, bits=first))
-    found = own, *look(own, fixed, enough)
-    if bits is not None or first == 16 or min(found[1], ceiling) < BYTES_DO:
-        return found
+    found = look(own, fixed, enough)
+    reached = min(found.worth, ceiling)
+    if bits is not None or first == 16 or reached < BYTES_DO:
+        return own, found
     wide = search.anew(replace(search.goal, bits=16))
     # What bytes end at far up, and blocks that sixteen bits have no room for, tell nothing of the best with those.
-    same = _worth_of_same(wide.anew(wide.goal), found[2]) if min(found[1], ceiling) < enough else -inf
-    if 0.0 < same < found[1] - SURELY_BETTER:
-        return found if own.highest <= enough else _to_the_end(own, look, fixed)
-    alike = fixed or 0.0 < same < found[1]
-    wide = replace(wide, plain=found[2].organisation) if alike else wide
-    other = wide, *look(wide, alike, inf)
-    if found[1] > other[1] and own.highest > enough:
-        found = _to_the_end(own, look, fixed)
-    best, next_best = sorted((found, other), key=lambda each: -each[1])
-    best[0].rivals.append(next_best[2])  # a trial knows of rounding how large it is, not where
-    return best
+    same = _worth_of_same(wide.anew(wide.goal), found.candidate) if reached < enough else -inf
+    if 0.0 < same < found.worth - SURELY_BETTER:
+        return (own, found) if own.highest <= enough else _to_the_end(own, look, fixed)
+    alike = fixed or 0.0 < same < found.worth
+    wide = replace(wide, plain=found.candidate.organisation) if alike else wide
+    other = look(wide, alike, inf)
+    if found.worth > other.worth and own.highest > enough:
+        own, found = _to_the_end(own, look, fixed)
+    if other.worth > found.worth:
+        own, found, other = wide, other, found
+    own.rivals.append(other.candidate)  # a trial knows of rounding how large it is, not where
+    return own, found
 
 
 def _worth_of_same(search: Search, best: Candidate) -> float:
@@ -64,7 +66,7 @@ def _worth_of_same(search: Search, best: Candidate) -> float:
     return max(worth, worth_of(search.best(blocks, search.care.refine, kinds=(best.undecomposed,))[0]))
 
 
-def _to_the_end(own: Search, look: Look, fixed: bool) -> tuple[Search, float, Candidate]:
+def _to_the_end(own: Search, look: Look, fixed: bool) -> tuple[Search, Scored]:
     """The best candidate of a search that was left where a race ended."""
     own = own.anew(own.goal)
-    return own, *look(own, fixed, inf)
+    return own, look(own, fixed, inf)

@@ -13,7 +13,7 @@ from math import inf
 from ..axes import Organisation
 from ..grids import allowed, changed, few_grids, fewer, more, single_grids, uncut_grids
 from ..support.progress import Progress, Told, share_of
-from .candidates import Candidate
+from .candidates import Scored
 from .climbing import SURELY_WORSE, WORTHWHILE
 from .judging import Choice, Ranked, Search, worth_of
 from .organisations import merges, organisations
@@ -37,7 +37,7 @@ def finalists(search: Search, fixed: bool, progress: Progress, *, narrow: bool) 
     grids = few_grids(shape)
     choices = [] if fixed else _surveyed(search, grids, progress, narrow=narrow)
     choices += product([search.plain], [*grids, *uncut_grids(shape), *single_grids(shape)])
-    found = list[tuple[float, Candidate]]()
+    found = list[Scored]()
     if narrow:
         search.narrow(search.best(choices, care.survey), care.compare[0])
     for number, sample in enumerate(care.compare):
@@ -56,7 +56,7 @@ def finalists(search: Search, fixed: bool, progress: Progress, *, narrow: bool) 
 
 def near(ranked: Ranked, far: float) -> Ranked:
     """Those that are not `far` behind the best, which comes first."""
-    return [item for item in ranked if item[0] > ranked[0][0] - far]
+    return [item for item in ranked if item.worth > ranked[0].worth - far]
 
 
 def _surveyed(
@@ -84,17 +84,17 @@ def _hopeful(search: Search, every: Sequence[Organisation], grid: tuple[int, ...
     """The organisations that do not lie hopelessly behind with one grid; and the best of every number of modes."""
     judged = sorted(search.best([(modes, grid) for modes in every], search.care.survey), key=worth_of, reverse=True)
     firsts = {len(each.organisation): each.organisation for _, each in reversed(judged)}
-    ahead = (each.organisation for worth, each in judged if worth > judged[0][0] - HOPELESS)
+    ahead = (each.organisation for worth, each in judged if worth > judged[0].worth - HOPELESS)
     return list(dict.fromkeys([*ahead, *firsts.values()]))
 
 
 def racing_of(judged: Ranked) -> Ranked:
     """The best of every organisation, and of it with other modes undecomposed if near: that likes other blocks."""
-    kinds = dict[Organisation, dict[tuple[int, ...], tuple[float, Candidate]]]()
-    for worth, each in sorted(judged, key=worth_of, reverse=True):
-        own = kinds.setdefault(each.organisation, {})
-        if not own or (len(own) < KINDS and worth > next(iter(own.values()))[0] - OTHERWISE):
-            own.setdefault(each.undecomposed, (worth, each))
+    kinds = dict[Organisation, dict[tuple[int, ...], Scored]]()
+    for item in sorted(judged, key=worth_of, reverse=True):
+        own = kinds.setdefault(item.candidate.organisation, {})
+        if not own or (len(own) < KINDS and item.worth > next(iter(own.values())).worth - OTHERWISE):
+            own.setdefault(item.candidate.undecomposed, item)
     return sorted((item for own in kinds.values() for item in own.values()), key=worth_of, reverse=True)
 
 
@@ -103,12 +103,12 @@ def _raced(search: Search, racing: Ranked, sample: int, margins: tuple[float, fl
 
     In every round fewer go on.
     """
-    ended, (far, worse) = list[tuple[float, Candidate]](), margins
+    ended, (far, worse) = list[Scored](), margins
     while racing:
         before = racing
         for n in range(len(search.trial.source.shape)):
             racing = _stepped(search, racing, n, sample, worse)
-        gained = [now[0] > then[0] + WORTHWHILE for now, then in zip(racing, before, strict=True)]
+        gained = [now.worth > then.worth + WORTHWHILE for now, then in zip(racing, before, strict=True)]
         best = max(map(worth_of, racing))
         ended += [now for now, on in zip(racing, gained, strict=True) if not on]
         racing = sorted((now for now, on in zip(racing, gained, strict=True) if on), key=worth_of, reverse=True)
@@ -129,9 +129,9 @@ def _stepped(search: Search, racing: Ranked, n: int, sample: int, worse: float) 
             tried.append((number, step is more, (each.organisation, changed(each.grid, n, count))))
     found = list(racing)
     for (number, is_more, _), item in zip(tried, search.best([choice for *_, choice in tried], sample), strict=True):
-        if item[1].grid[n] < shape[n]:  # what single indices lose tells nothing of blocks
-            way = (item[1].organisation, racing[number][1].undecomposed, n, is_more)
-            search.losses[way] = max(search.losses.get(way, 0.0), racing[number][0] - item[0])
+        if item.candidate.grid[n] < shape[n]:  # what single indices lose tells nothing of blocks
+            way = (item.candidate.organisation, racing[number].candidate.undecomposed, n, is_more)
+            search.losses[way] = max(search.losses.get(way, 0.0), racing[number].worth - item.worth)
         found[number] = max(found[number], item, key=worth_of)
     return found
 

@@ -23,7 +23,7 @@ from ..streaming.budget import is_precise
 from ..streaming.source import Source
 from ..support.executors import in_order
 from .blocks import Blocks, Samples, organised, parts_of, samples_of, split
-from .candidates import Candidate, bytes_beside, clusters_of, plan_of
+from .candidates import Candidate, Scored, bytes_beside, clusters_of, plan_of
 from .caps import Ranks, Room, capped
 from .cut import Cut
 from .growth import Growth
@@ -104,7 +104,7 @@ class Trial:
 
     def worths(
         self, organisation: Organisation, grid: tuple[int, ...], sample: int, kinds: Kinds = ()
-    ) -> list[tuple[float, Candidate]]:
+    ) -> list[Scored]:
         """Every candidate with this organisation and grid: dB, and octaves of bytes beyond the ceiling.
 
         Of `kinds`, if any that the grid leaves uncut, only those that leave one of these sets of modes undecomposed.
@@ -123,20 +123,20 @@ class Trial:
             found += judged
         return found
 
-    def verbatim(self, organisation: Organisation) -> tuple[float, Candidate]:
+    def verbatim(self, organisation: Organisation) -> Scored:
         """All values as float16: two bytes each for an SNR of about 73 dB, whatever they are; or a byte for 36 dB."""
         every = tuple(range(len(organisation)))
         bits = self.bits if self.ceiling is not None and self.ceiling <= VERBATIM_8_BITS else 16
         candidate = Candidate(organisation, (1,) * len(self.source.shape), every, carried=False, bits=bits)
         nbytes = planned_bytes(plan_of(self.source, candidate, None, None, 1), self.source, seed=self.seed)
         if nbytes > self.size:
-            return -OUT_OF_REACH - log2(nbytes), candidate
+            return Scored(-OUT_OF_REACH - log2(nbytes), candidate)
         if self._caps(candidate) is None or (self.memory is not None and not self.memory.holds(nbytes)):
-            return _too_large(self.source.shape), candidate
+            return Scored(_too_large(self.source.shape), candidate)
         reached = -10 * log10(VERBATIM) if bits == 16 else VERBATIM_8_BITS
         if self.ceiling is None or reached <= self.ceiling:
-            return reached, candidate
-        return self.ceiling + log2(self.size / nbytes), candidate
+            return Scored(reached, candidate)
+        return Scored(self.ceiling + log2(self.size / nbytes), candidate)
 
     def worth(self, candidate: Candidate, sample: int, around: tuple[int, ...], workers: int = 1) -> float:
         """What a carried candidate is worth whose blocks may be cut further, each as pays; on so many threads.
@@ -226,14 +226,14 @@ class Trial:
         """Share of the energy whose ranks are beyond the goal, whatever other modes leave."""
         return 0.0 if self.ceiling is None or is_precise(self.ceiling) else UNTOLD * noise_at(self.ceiling)
 
-    def _judged(self, cut: Cut, choice: tuple[int, ...]) -> tuple[list[tuple[float, Candidate]], list[int]]:
+    def _judged(self, cut: Cut, choice: tuple[int, ...]) -> tuple[list[Scored], list[int]]:
         """Candidates that leave the chosen modes undecomposed, and the ranks of the one without blocks."""
         order = len(cut.sizes)
         flags = tuple(n in choice for n in range(order))
         one = Candidate(cut.organisation, cut.grid, choice, carried=False, bits=self.bits)
         caps = self._caps(one)
         if caps is None:
-            return [(_too_large(cut.edges), one)], [1] * order
+            return [Scored(_too_large(cut.edges), one)], [1] * order
         limits = [None if flag else limit for flag, limit in zip(flags, cut.limits, strict=True)]
         steps, meant = _steps(limits, caps, len(cut.batch), cut.growth)
         table = captured(self._core(cut, flags), steps).reshape(len(cut.batch), -1)
@@ -244,7 +244,7 @@ class Trial:
         path = partial(best_of_one, nbytes[best], left[best])
         worth, spent = self._worth(path, cut, 1.0, one, float(nbytes[1]))
         ranks = whole.ranks[best][max(1, int(np.searchsorted(nbytes[best], spent, side="right")) - 1)]
-        found = [(worth, one)]
+        found = [Scored(worth, one)]
         if self.decode_cost > 1 and (prod(cut.clusters) > 1 or (self.bits == 8 and not all(flags))):
             many = replace(one, carried=True)
             nodes = choices_of(meant, cut.edges, flags, self.decode_cost - 1, (1,) * order, self.bits)
@@ -254,7 +254,7 @@ class Trial:
             if prod(cut.clusters) == 1:
                 best = pareto(nodes.nbytes, left[0])
                 path = partial(best_of_one, nodes.nbytes[best], left[0][best])
-            found.append((self._worth(path, cut, cut.blocks.overlap, many, least, below)[0], many))
+            found.append(Scored(self._worth(path, cut, cut.blocks.overlap, many, least, below)[0], many))
         return found, [int(rank) for rank in ranks]
 
     def _caps(self, candidate: Candidate) -> Ranks | None:
@@ -322,7 +322,7 @@ def trial_of(
     """
     signal = energy = slopes = 0.0
     transform, unit = source.value_transform, np.float64(source.unit)
-    plain = transform.name == "identity" or aim is not None  # no slopes are asked for
+    plain = transform.is_identity or aim is not None  # no slopes are asked for
     for part in source.parts(SLAB):
         values = source.values(part).astype(np.float64)
         energy += float(np.square(values).sum())
@@ -374,7 +374,7 @@ def _too_large(sizes: Sequence[int]) -> float:
     return -2 * OUT_OF_REACH - log2(prod(sizes))
 
 
-def _best(found: Sequence[tuple[float, Candidate]]) -> float:
+def _best(found: Sequence[Scored]) -> float:
     return max(worth for worth, _ in found)
 
 

@@ -25,7 +25,7 @@ from ..streaming.budget import is_streamed, sampled_together, workset_limit
 from ..streaming.source import Source
 from ..support.progress import Progress, share_of
 from . import blocks
-from .candidates import Candidate, plan_of
+from .candidates import Candidate, Scored, plan_of
 from .caps import Room, capped, check_room, room_of
 from .climbing import WORTHWHILE, climbed
 from .clustered import with_clusters
@@ -90,7 +90,7 @@ def tune(
     held = not is_streamed(elements, workset_limit(memory))
     search = Search(trial, trial, plain, run.threads, care, together, care.matrices // 2 if held else 0)
     look = partial(_searched, told=run.progress, narrow=snr is not None)
-    search, worth, best = searched_by_bits(search, look, bits, organisation is not None, aimed=snr is not None)
+    search, (worth, best) = searched_by_bits(search, look, bits, organisation is not None, aimed=snr is not None)
     if trial.ceiling is None and worth > -10 * log10(VERBATIM) - ALIKE:
         together = sampled_together(elements, memory, EXACT)
         search = search.anew(replace(search.goal, ceiling=EXACT, room=2 * together))
@@ -107,16 +107,16 @@ def tune(
     if ceiling is not None and worth > (search.goal.ceiling or inf):
         snr, size = ceiling, None  # what fills the bytes beyond the ceiling reaches it with fewer
     verbatim = search.goal.verbatim(plain)
-    may_be = bits in (None, verbatim[1].bits)
-    found, best = best, verbatim[1] if may_be and verbatim[0] > worth else best
+    may_be = bits in (None, verbatim.candidate.bits)
+    found, best = best, verbatim.candidate if may_be and verbatim.worth > worth else best
     spare = [*search.rivals, *_near_best(search, best)]
     if snr is not None and not spare:
         spare = _spare(search, best)
-    if may_be and (snr is not None or worth > verbatim[0] - ROUNDED > 0):
-        spare.append(verbatim[1])
-    if best == verbatim[1]:
-        spare = search.rivals if source.value_transform.name == "identity" else [found, *search.rivals]
-    plans = _plans(search.goal, (best, *spare), snr, size, -inf if best == verbatim[1] else worth)
+    if may_be and (snr is not None or worth > verbatim.worth - ROUNDED > 0):
+        spare.append(verbatim.candidate)
+    if best == verbatim.candidate:
+        spare = search.rivals if source.value_transform.is_identity else [found, *search.rivals]
+    plans = _plans(search.goal, (best, *spare), snr, size, -inf if best == verbatim.candidate else worth)
     return _held(plans, source, room_of(elements, memory))  # anew, as what is free varies
 
 
@@ -137,7 +137,7 @@ def _more_room(shape: Sequence[int]) -> str:
 
 def _searched(
     search: Search, fixed: bool, enough: float, told: Progress, *, narrow: bool
-) -> tuple[float, Candidate]:
+) -> Scored:
     """The best candidate, of a fixed organisation or any.
 
     Where races end with more than `enough`, what they end with.
@@ -148,9 +148,9 @@ def _searched(
     shape = search.trial.source.shape
     if sum(length > 1 for length in shape) < 2:  # a vector has nothing to cut or to merge
         (search.highest, best), *_ = search.best([(search.plain, (1,) * len(shape))], search.care.refine)
-        return search.highest, best
+        return Scored(search.highest, best)
     ended = finalists(search, fixed, progress, narrow=narrow)
-    search.highest = ended[0][0]
+    search.highest = ended[0].worth
     if search.highest > enough:
         return ended[0]
     if not fixed and (narrow or len(search.plain) > FEW_AXES):  # few samples were looked at, or not all organisations
@@ -160,10 +160,10 @@ def _searched(
 
 def _neighbours(search: Search, ended: Ranked) -> Ranked:
     """Organisations that differ from those that races ended with by one axis, whole and in the blocks of the best."""
-    (_, first), axes = ended[0], search.trial.source.axes
+    first, axes = ended[0].candidate, search.trial.source.axes
     others = chain.from_iterable(moves(modes, axes) for modes in dict.fromkeys(each.organisation for _, each in ended))
     grids = dict.fromkeys([(1,) * len(first.grid), first.grid])
-    return [(-inf, replace(first, organisation=modes, grid=grid)) for modes, grid in product(others, grids)]
+    return [Scored(-inf, replace(first, organisation=modes, grid=grid)) for modes, grid in product(others, grids)]
 
 
 def _held(plans: Sequence[Plan], source: Source, room: Room | None) -> list[Plan]:
@@ -172,13 +172,13 @@ def _held(plans: Sequence[Plan], source: Source, room: Room | None) -> list[Plan
     return [plan for plan in capped_plans if plan is not None] or [plans[0]]
 
 
-def _found(search: Search, ended: Ranked, progress: Progress, *, narrow: bool) -> tuple[float, Candidate]:
+def _found(search: Search, ended: Ranked, progress: Progress, *, narrow: bool) -> Scored:
     """The best candidate; to `narrow`, of those that reach the ceiling at the bytes of the best, or nearly."""
     found = _settled(search, [candidate for _, candidate in ended], progress, narrow=narrow)
     search.settled = search.trial.size
     if not narrow:
         return with_clusters(search, found)
-    firsts = dict.fromkeys([found[1], *(candidate for _, candidate in _best_of_kinds(search)[: 2 + SPARE])])
+    firsts = dict.fromkeys([found.candidate, *(candidate for _, candidate in _best_of_kinds(search)[: 2 + SPARE])])
     search.trial = search.goal
     judged = [
         search.best([(each.organisation, each.grid)], search.care.refine, kinds=(each.undecomposed,))[0]
@@ -189,16 +189,16 @@ def _found(search: Search, ended: Ranked, progress: Progress, *, narrow: bool) -
 
 def _last_judged(search: Search, size: int) -> Ranked:
     """What was judged by so many bytes on the largest sample, the best first."""
-    most = max(key[2] for key in search.seen if key[3] == size)
-    judged = [item for key, found in search.seen.items() if key[2:] == (most, size) for item in found]
+    most = max(key.sample for key in search.seen if key.size == size)
+    judged = [item for key, found in search.seen.items() if key.means == (most, size) for item in found]
     return sorted(judged, key=worth_of, reverse=True)
 
 
 def _best_of_kinds(search: Search) -> Ranked:
     """The best candidate of every kind, of those judged by the goal's bytes on the largest sample."""
-    kinds = dict[tuple[Organisation, tuple[int, ...], bool], tuple[float, Candidate]]()
-    for worth, each in _last_judged(search, search.trial.size):
-        kinds.setdefault(each.kind, (worth, each))
+    kinds = dict[tuple[Organisation, tuple[int, ...], bool], Scored]()
+    for item in _last_judged(search, search.trial.size):
+        kinds.setdefault(item.candidate.kind, item)
     return list(kinds.values())
 
 
@@ -220,9 +220,9 @@ def _near_best(search: Search, best: Candidate) -> list[Candidate]:
     """
     if not search.settled or prod(search.goal.source.shape) > FITTED or search.care == CARES[EFFORTS["fast"]]:
         return []
-    apart = dict[tuple[Organisation, tuple[int, ...], bool], tuple[float, Candidate]]()
-    for worth, each in _last_judged(search, search.settled):
-        apart.setdefault(each.blocks, (worth, each))
+    apart = dict[tuple[Organisation, tuple[int, ...], bool], Scored]()
+    for item in _last_judged(search, search.settled):
+        apart.setdefault(item.candidate.blocks, item)
     ahead = [each for _, each in near(list(apart.values()), BESIDE)]
     bits_each = 8 * search.settled / prod(search.goal.source.shape)
     few = max(NEAR[0], min(NEAR[1], round(AT_ONE_BIT / bits_each**0.5)))
@@ -232,7 +232,7 @@ def _near_best(search: Search, best: Candidate) -> list[Candidate]:
 
 def _settled(
     search: Search, ended: Sequence[Candidate], progress: Progress, *, narrow: bool
-) -> tuple[float, Candidate]:
+) -> Scored:
     """On a large sample, climb on from the best of those that races ended with.
 
     Large blocks were thinned so far, which says little about modes left undecomposed and flatters high ranks: few
@@ -250,11 +250,11 @@ def _settled(
     if narrow and max(map(worth_of, judged)) < (search.goal.ceiling or 0.0) - SHORT:
         search.narrow(judged, search.care.refine)
         judged = search.best(again, search.care.refine, share_of(told, 1, 4))
-    best, starts = (-inf, ended[0]), _starts(judged, search.care.far)
+    best, starts = Scored(-inf, ended[0]), _starts(judged, search.care.far)
     for number, (worth, candidate) in enumerate(starts, start=1):
-        whole = _is_whole(best[1])
-        if worth > best[0] - (LAGGING if whole else LATE):
-            reached = -inf if whole else best[0]
+        whole = _is_whole(best.candidate)
+        if worth > best.worth - (LAGGING if whole else LATE):
+            reached = -inf if whole else best.worth
             best = max(best, climbed(search, candidate, search.care.refine, reached), key=worth_of)
         told(0.5 + 0.5 * number / len(starts))
     return best
@@ -269,16 +269,17 @@ def _starts(judged: Ranked, far: float) -> Ranked:
     """The best candidate, the second, and the best of another kind, if not far behind: another kind climbs further."""
     ranked = sorted(judged, key=worth_of, reverse=True)
     worth, first = ranked[0]
-    others = [item for item in ranked if (item[1].organisation, item[1].carried) != (first.organisation, first.carried)]
-    second = [item for item in ranked[1:2] if item[0] > worth - far]
-    other = [item for item in others[:1] if item[0] > worth - (LAGGING if _is_whole(first) else OTHER * far)]
+    same = first.organisation, first.carried
+    others = [item for item in ranked if (item.candidate.organisation, item.candidate.carried) != same]
+    second = [item for item in ranked[1:2] if item.worth > worth - far]
+    other = [item for item in others[:1] if item.worth > worth - (LAGGING if _is_whole(first) else OTHER * far)]
     return list(dict.fromkeys([ranked[0], *second, *other]))
 
 
-def _cut_further(search: Search, best: Candidate, progress: Progress) -> tuple[float, Candidate]:
+def _cut_further(search: Search, best: Candidate, progress: Progress) -> Scored:
     """Let each block be cut in two along axes where that helps, or in twos from blocks twice as long; and the gain."""
     if not best.carried or _is_whole(best) or search.care.cuts == 0:
-        return 0.0, best
+        return Scored(0.0, best)
     now, gained, worth = replace(best, cuts=(1,) * len(best.grid)), 0.0, search.trial.worth
     for n in reversed(range(len(best.grid))):
         tried: Ranked = []
@@ -287,12 +288,12 @@ def _cut_further(search: Search, best: Candidate, progress: Progress) -> tuple[f
             whole = blocks.FEWEST * prod(search.trial.source.shape) // prod(each.grid)
             sample = min(search.together, max(search.care.cuts, min(whole, search.care.refine)))
             mine, present = (worth(one, sample, each.grid, search.workers(sample)) for one in (each, now))
-            tried.append((mine - present, each))
-        gain, found = max(tried, key=worth_of, default=(0.0, now))
+            tried.append(Scored(mine - present, each))
+        gain, found = max(tried, key=worth_of, default=Scored(0.0, now))
         if gain > WORTHWHILE:
             now, gained = found, gained + gain
         progress("blocks cut further", 1 - n / len(best.grid))
-    return gained, now if gained else best
+    return Scored(gained, now if gained else best)
 
 
 def _cut_along(search: Search, now: Candidate, n: int) -> Iterator[Candidate]:

@@ -96,7 +96,7 @@ def _few_loud(model: Model, array: NDArray[Any]) -> list[str]:
     most = np.hypot(middle, spread)
     if not (error > HIDDEN * spread > 0 and most / ZERO > all_of_them > FEW * most):
         return []
-    helps = ("clip them" if model.metadata.transform["name"] != "identity" else
+    helps = ("clip them" if model.metadata.is_transformed else
              f"--transform asinh:{most:.1g}, which gives small values more weight, "
              "or clip the large ones")
     return [f"half of the values are off by {error:.2g} or more, though half of them lie within {spread:.2g} of their "

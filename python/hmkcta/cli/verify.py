@@ -68,8 +68,8 @@ def _report(
     model: Model, measured: tuple[LevelQuality, ...], transformed: tuple[LevelQuality, ...]
 ) -> list[dict[str, Any]]:
     """The SNR of transformed values is null where there is no transform, as `compress --json` has it."""
-    plain = model.metadata.transform["name"] == "identity"
-    return [{"level": number, "snr_db": found.snr_db, "transformed_snr_db": None if plain else inner.snr_db,
+    changed = model.metadata.is_transformed
+    return [{"level": number, "snr_db": found.snr_db, "transformed_snr_db": inner.snr_db if changed else None,
              "rmse": found.rmse, "max_abs_error": found.max_abs_error, "snr_db_in_file": said.snr_db}
             for number, (said, found, inner) in enumerate(zip(model.quality, measured, transformed, strict=True), 1)]
 

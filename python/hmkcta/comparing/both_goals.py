@@ -61,7 +61,7 @@ def follow_both(
 
 def are_compared(source: Source) -> bool:
     """Whether its models, if plans are compared at all, are compared with those of the other goal: from some dB on."""
-    return prod(source.shape) <= SMALL and source.value_transform.name == "identity"
+    return prod(source.shape) <= SMALL and source.value_transform.is_identity
 
 
 def _other_goal(plan: Plan, model: Model, ceiling: float | None) -> dict[str, Any] | None:

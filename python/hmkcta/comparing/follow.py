@@ -97,7 +97,7 @@ def follow(task: Task) -> Model:
             if met:
                 break
     # Back-fitting lowers the error of transformed values, with which that of the values themselves may rise.
-    kept = met and task.source.value_transform.name != "identity"
+    kept = met and not task.source.value_transform.is_identity
     if rounds and len(tree.levels) > 1 and not kept:
         for number in range(rounds):
             backfit(tree, run, last=number == rounds - 1)
@@ -125,7 +125,7 @@ def _begun(task: Task) -> tuple[Hierarchy, Goal]:
         return _snr(task, tree, energy)
 
     snr = task.plan.snr
-    plain = source.value_transform.name == "identity"  # else the SNR that ranks promise says little of the values'
+    plain = source.value_transform.is_identity  # else the SNR that ranks promise says little of the values'
     untold = UNTOLD * noise_at(snr, energy) if plain and snr is not None else 0.0
     most = task.most if plain else inf
     return tree, Goal(task.plan.size, snr, energy, file_bytes, snr_now, task.memory, untold, most)
@@ -157,7 +157,7 @@ def _best_scheme(tree: Hierarchy, below: LevelSpec, run: Run) -> str:
 def _snr(task: Task, tree: Hierarchy, energy: float) -> float:
     """SNR in dB, in the domain of the source values."""
     transform = task.source.value_transform
-    if transform.name == "identity":
+    if transform.is_identity:
         return snr_db(energy, tree.error)
     if isinstance(tree.residual, Streamed):
         return measure_streamed(tree, tree.residual, task.run.progress)[0][-1].snr_db

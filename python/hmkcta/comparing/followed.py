@@ -5,16 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from math import inf
+from typing import NamedTuple
 
 from ..errors import HmkctaError
 from ..model import Model
 from ..plan import Plan
 from .follow import Task, follow
 
-#: A task with a plan, and the model that it came to.
-Followed = tuple[Task, Model]
 #: Reasons why a plan cannot be followed, or none be chosen, that are none to end with: there is a model already.
 NOT_FOLLOWED = ("size-too-small", "memory")
+
+
+class Followed(NamedTuple):
+    """A task with a plan, and the model that it came to."""
+
+    task: Task
+    model: Model
 
 
 def fitted_with(task: Task, plans: Iterable[Plan], far: float) -> list[Followed]:
@@ -44,13 +50,13 @@ def _suiting(task: Task, plans: Iterable[Plan]) -> list[Plan]:
 def _fitted(task: Task) -> Followed:
     """The task with the model that its plan comes to."""
     told = task.compared.following(task.run.progress)
-    return task, follow(replace(task, run=replace(task.run, progress=told)))
+    return Followed(task, follow(replace(task, run=replace(task.run, progress=told))))
 
 
 def _each(task: Task, plans: Iterable[Plan], best: Followed | None, far: float = 1.0) -> Iterator[Followed]:
     """Models of the plans that can be followed, and do not take `far` more times the bytes of the best by then."""
     for plan in plans:
-        most = inf if best is None or best[1].snr < (task.plan.snr or inf) else far * best[1].nbytes
+        most = inf if best is None or best.model.snr < (task.plan.snr or inf) else far * best.model.nbytes
         try:
             found = _fitted(replace(task, plan=plan, most=most))
         except HmkctaError as error:
@@ -63,10 +69,11 @@ def _each(task: Task, plans: Iterable[Plan], best: Followed | None, far: float =
 
 def best_of(followed: Sequence[Followed]) -> Followed:
     """For a size the model of the highest SNR; for an SNR the smallest that reaches it, or the nearest if none does."""
-    snr, nearest = followed[0][0].plan.snr, max(followed, key=lambda each: each[1].snr)
+    snr, nearest = followed[0].task.plan.snr, max(followed, key=lambda each: each.model.snr)
     if snr is None:
         return nearest
-    return min((each for each in followed if each[1].snr >= snr), key=lambda each: each[1].nbytes, default=nearest)
+    reaching = (each for each in followed if each.model.snr >= snr)
+    return min(reaching, key=lambda each: each.model.nbytes, default=nearest)
 
 
 def may_be(task: Task, plan: Plan) -> bool:

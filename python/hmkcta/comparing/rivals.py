@@ -69,11 +69,11 @@ def follow_any(
     left = [plan for plan in others if plan not in rivals]
     if is_far_beyond(task.plan, model.snr, model.nbytes):
         nearer = _nearer(task, model, left)
-        again = nearer[1] is not model and is_worth(nearer[0])
+        again = nearer.model is not model and is_worth(nearer.task)
         task, model = _with_other_clusters(*nearer, STEPS[-1:], set()) if again else nearer
     if choose is not None:
         task, model = _joined(task, model)
-        (task, model), left = _chosen_anew(given, (task, model), left, choose)
+        (task, model), left = _chosen_anew(given, Followed(task, model), left, choose)
     missing = [] if task.plan.snr is None else _spare(task, model, followed, left)
     return _unless_verbatim(task, _unless_missed(task, model, missing, missed))
 
@@ -81,7 +81,7 @@ def follow_any(
 def _rivals(task: Task, others: Sequence[Plan]) -> list[Plan]:
     """Those of the others that are fitted whatever the task's plan comes to."""
     # Of values that are transformed the trial knows the errors' size, not where they will be large.
-    doubtful = task.plan.size is not None or task.source.value_transform.name != "identity" or is_worth(task)
+    doubtful = task.plan.size is not None or not task.source.value_transform.is_identity or is_worth(task)
     rivals = [plan for plan in others if task.plan.size is not None or not is_verbatim(plan)] if doubtful else []
     hardly = (task.plan.snr or 0.0) > ROUNDED[max(BITS)]  # reached by one level
     return [plan for plan in rivals if not hardly or len(plan.levels) > 1]
@@ -89,7 +89,7 @@ def _rivals(task: Task, others: Sequence[Plan]) -> list[Plan]:
 
 def _compared(given: Task, followed: list[Followed], others: Sequence[Plan]) -> tuple[Followed, list[Followed]]:
     """The best of what was followed and of plans that only fits tell from it; and all that was followed before that."""
-    own = task, model = best_of(followed)
+    task, model = own = best_of(followed)
     if is_worth(task):
         followed = [*followed, *further(task, _near(followed), own)]
         return _in_other_ways(given, own, followed, others), followed
@@ -106,13 +106,13 @@ def _in_other_ways(given: Task, own: Followed, followed: Sequence[Followed], oth
     task, model = best_of(followed)
     wide, goal = task.plan.levels[-1].bits == max(BITS), task.plan.snr or model.snr
     if goal > ROUNDED[min(BITS)] or (wide and model.snr > goal + BEYOND):
-        most, two = LESS * model.nbytes, further(task, below_bytes(task, followed), (task, model))
-        task, model = best_of([(task, model), *(each for each in two if each[1].nbytes < most)])
+        most, two = LESS * model.nbytes, further(task, below_bytes(task, followed), Followed(task, model))
+        task, model = best_of([Followed(task, model), *(each for each in two if each.model.nbytes < most)])
     if (task.plan.snr or model.snr) > NEARLY:
         plans = dict.fromkeys(below_rounding(given, others))
-        task, model = best_of([(task, model), *further(given, plans, (task, model))])
-    behind = model is own[1] or _is_behind(own[1], model, task.plan.snr, BEHIND)
-    starts = [(task, model)] if behind else [own, (task, model)]
+        task, model = best_of([Followed(task, model), *further(given, plans, Followed(task, model))])
+    behind = model is own.model or _is_behind(own.model, model, task.plan.snr, BEHIND)
+    starts = [Followed(task, model)] if behind else [own, Followed(task, model)]
     first, *finer_steps = STEPS if prod(task.source.shape) <= IN_ALL_STEPS else STEPS[-1:]
     tried = set[Plan]()
     task, model = best_of([_with_other_clusters(*start, [first], tried) for start in starts])
@@ -129,7 +129,7 @@ def _chosen_anew(given: Task, found: Followed, left: list[Plan], choose: Choose)
     first plan was chosen, do not reach an SNR after all: what is best for them need not be best for others.
     """
     (task, model), goal, bits = found, given.plan.snr, max(BITS)
-    transformed = given.source.value_transform.name != "identity"
+    transformed = not given.source.value_transform.is_identity
     if transformed and goal is not None:
         return _aimed_anew(found, goal, left, choose) if misses(model.snr, goal) or is_worth(given) else (found, left)
     fall_short = task.plan.levels[-1].bits == bits or misses(model.snr, goal)
@@ -184,7 +184,7 @@ def _near(followed: Sequence[Followed]) -> Sequence[Plan]:
     clusters of all."""
     plans, tried = dict[Plan, None](), {task.plan for task, _ in followed}
     for bits in BITS:
-        if of_bits := [each for each in followed if each[0].plan.levels[-1].bits == bits]:
+        if of_bits := [each for each in followed if each.task.plan.levels[-1].bits == bits]:
             task, model = best_of(of_bits)
             near = alternatives(task.plan, task.source.organisation(None), model.snr, model.nbytes)
             plans |= {plan: None for plan in near if may_be(task, plan) and plan not in tried}
@@ -209,14 +209,14 @@ def _is_held(task: Task) -> bool:
 
 def _unless_verbatim(task: Task, best: Model) -> Model:
     """The model, or the values as they are, as bytes or float16, where these do better."""
-    found = task, best
+    found = Followed(task, best)
     for bits in BITS:
         plan = replace(task.plan, levels=(LevelSpec.of_one_cell((None,) * len(task.plan.organisation), bits),))
         is_there = is_verbatim(best.plan) and best.plan.levels[-1].bits == bits
         tried = not is_there and may_be(task, plan) and (task.plan.snr is not None or is_worth(task))
-        if tried and _verbatim_bytes(task, plan) < (task.plan.size or found[1].nbytes):
+        if tried and _verbatim_bytes(task, plan) < (task.plan.size or found.model.nbytes):
             found = best_of([found, *further(task, [plan])])
-    return found[1]
+    return found.model
 
 
 def _verbatim_bytes(task: Task, plan: Plan) -> int:
@@ -230,41 +230,41 @@ def _nearer(task: Task, model: Model, others: Sequence[Plan]) -> Followed:
     plans = [*([] if own is None else [own]), *parted(task.plan, task.source.axes)]
     next_best = others[:1] if task.plan.snr is not None else ()
     plans += [plan for plan in next_best if not is_verbatim(plan) or model.nbytes > _verbatim_bytes(task, plan)]
-    return best_of([_filled(task, model), *further(task, plans, (task, model))])
+    return best_of([_filled(task, model), *further(task, plans, Followed(task, model))])
 
 
 def _joined(task: Task, model: Model) -> Followed:
     """The best of a model and of nodes for clusters along two axes at a time."""
     if not is_worth(task) or prod(task.source.shape) > IN_ALL_STEPS:
-        return task, model
+        return Followed(task, model)
     plans = [plan for plan in joined(task.plan, task.source.organisation(None)) if _fits(task, plan, model)]
-    found = best_of([(task, model), *further(task, plans, (task, model))])
-    return found if found[1] is model else _with_other_clusters(*found, STEPS, set())
+    found = best_of([Followed(task, model), *further(task, plans, Followed(task, model))])
+    return found if found.model is model else _with_other_clusters(*found, STEPS, set())
 
 
 def _filled(task: Task, model: Model) -> Followed:
     """With as many more blocks as a size has room for, where a rank more of all takes too much."""
-    found, size = (task, model), task.plan.size or 0
+    found, size = Followed(task, model), task.plan.size or 0
     for _ in range(FILLS):
         task, model = found
         plan = more_blocks(task.plan, task.source.axes, size / model.nbytes)
         if plan is None or not is_far_beyond(task.plan, model.snr, model.nbytes):
             break
         found = best_of([found, *further(task, [plan])])
-        if found[1] is model:
+        if found.model is model:
             break
     return found
 
 
 def _with_other_clusters(task: Task, model: Model, steps: Sequence[float], tried: set[Plan]) -> Followed:
     """The best of more clusters of the data and of fewer, in such steps while that helps; none that was `tried`."""
-    found = task, model
+    found = Followed(task, model)
     tried.add(task.plan)
     for step in steps:
         before = None
         while found is not before:
-            before, near = found, (with_clusters_times(found[0].plan, factor) for factor in (step, 1 / step))
-            plans = [plan for plan in near if plan is not None and plan not in tried and _fits(task, plan, found[1])]
+            before, near = found, (with_clusters_times(found.task.plan, factor) for factor in (step, 1 / step))
+            plans = [plan for plan in near if plan is not None and plan not in tried and _fits(task, plan, found.model)]
             tried.update(plans)
             found = best_of([found, *further(task, plans, found)])
     return found

@@ -38,7 +38,7 @@ def below_rounding(task: Task, others: Sequence[Plan]) -> Iterator[Plan]:
             continue
         enough = ROUNDED[plan.levels[-1].bits]
         goal = replace(plan, size=None, snr=enough)
-        firsts = [each for each in further(task, [goal]) if each[1].snr > SHORT]
+        firsts = [each for each in further(task, [goal]) if each.model.snr > SHORT]
         firsts += further(task, [replace(goal, snr=model.snr - 1) for _, model in firsts if model.snr < enough])
         below = [plan for plan in (deeper(*each) for each in firsts) if plan is not None]
         # Bytes do for what a level leaves, and hold some 40 dB of it.
@@ -56,8 +56,8 @@ def below_bytes(task: Task, followed: Sequence[Followed]) -> list[Plan]:
     goal = task.plan.snr
     if goal is None or not may_be(task, with_bits(task.plan, min(BITS))):
         return []
-    short = [each for each in followed if each[0].plan.levels[-1].bits == min(BITS) and each[1].snr < goal]
-    below = [deeper(*each) for each in sorted(short, key=lambda each: -each[1].snr)]
+    short = [each for each in followed if each.task.plan.levels[-1].bits == min(BITS) and each.model.snr < goal]
+    below = [deeper(*each) for each in sorted(short, key=lambda each: -each.model.snr)]
     if not any(below):
         whole = (plan for plan in (task.plan, *(each.plan for each, _ in followed))
                  if plan.levels[-1].own and all(level.cells == 1 for level in plan.levels[:-1]))

@@ -205,7 +205,7 @@ def decoder_uniform(metadata: Metadata, levels: int) -> bytes:
     if not 1 <= levels <= len(metadata.levels):
         raise invalid("level-out-of-range", "level", levels, f"1 to {len(metadata.levels)}")
     transform = from_json(metadata.transform)
-    limit = float(transform.forward(np.array(_LARGEST))) if transform.name != "identity" else 0.0
+    limit = float(transform.forward(np.array(_LARGEST))) if not transform.is_identity else 0.0
     numbers = np.array([transform.scale, limit], "<f4").tobytes()
     return np.uint32(levels).astype("<u4").tobytes() + numbers
 

@@ -103,7 +103,7 @@ class Source:
     def at(self, organisation: Organisation, rows: Sequence[NDArray[np.intp]], most: int = LOOKED_AT) -> F32:
         """The same of the tensor's elements in some rows of every mode, looking at about `most` bytes at a time."""
         modes = [[self._axis(name) for name in mode] for mode in organisation]
-        plain = self.array.dtype == np.float32 and self.value_transform.name == "identity" and self.nan is None
+        plain = self.array.dtype == np.float32 and self.value_transform.is_identity and self.nan is None
         values = collected(self.array, modes, rows, 1 / self.unit if plain else None, most)
         return self._settled(values if plain else self.transformed(values) * (1 / self.unit))
 
@@ -120,7 +120,7 @@ class Source:
         values = values if values.dtype.itemsize >= 4 and values.dtype.kind == "f" else values.astype(np.float64)
         if self.nan is not None:
             values = np.where(np.isfinite(values), values, self.nan)
-        return values if self.value_transform.name == "identity" else self.value_transform.forward(values)
+        return values if self.value_transform.is_identity else self.value_transform.forward(values)
 
     def extent(self, part: tuple[slice, ...]) -> tuple[float, float]:
         """The largest magnitude of a slab's transformed values, and the smallest but zero."""
@@ -220,7 +220,7 @@ def prepare(
         raise invalid("nan-fill", "nan", nan, f"a number, its magnitude up to {_LARGEST:.0e}")
     digest, bad, extents = _scan(source.array, nan)
     source = replace(source, nan=nan if bad else None, fingerprint={"sha256": digest})
-    if bad or source.value_transform.name != "identity" or not extents:
+    if bad or not source.value_transform.is_identity or not extents:
         workers = thread_count(threads)
         with ThreadPoolExecutor(workers) as pool:  # which hold one slab's memory together
             extents = list(pool.map(source.extent, source.parts(max(_SMALL_SLAB, SLAB // workers))))
