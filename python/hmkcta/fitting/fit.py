@@ -70,8 +70,10 @@ PASS_VISITS = 4
 #: How many Gauss-Seidel sweeps take the place of a joint one that costs more.
 IN_PLACE = 2
 
-#: Subspace iterations of a cell's mode update: at a random start, and when it is warm.
-COLD, WARM = 4, 2
+#: Subspace iterations of a cell's mode update where its bases are random.
+COLD = 4
+#: The same where they were fitted before.
+WARM = 2
 
 Labels = Sequence[NDArray[np.intp]]
 

@@ -51,7 +51,7 @@ def memory_limit(plan: Plan, sizes: Sequence[int], memory: int | None) -> int:
     check_least_memory(prod(sizes), memory, choosing=False)
     beyond = _beyond(plan, sizes, memory)
     budget = memory_budget(memory)
-    # All that is free may do where half of it does not: then no fewer rows than are enough are worked on.
+    # Where half of what is free does not suffice, all of it may: then no fewer elements than are enough are worked on.
     enough = min(prod(sizes), SMALLEST, workset_limit(budget))
     limit = max(enough, workset_limit(budget - beyond))
     number, first = next(((n, level) for n, level in enumerate(plan.levels) if level.cells > 1), (0, plan.levels[0]))
