@@ -1,4 +1,15 @@
-"""Hierarchical multiway K-clustered tensor approximation: compress visual data, decode any element on its own."""
+"""Hierarchical multiway K-clustered tensor approximation: compress visual data, decode any element on its own.
+
+`compress` makes a `Model` of an array, `Model.save` and `open` write and read its file, and indexing the model decodes.
+`parse_plan` and `choose_plan` give the `Plan` that a fit follows. What goes wrong is an `HmkctaError`, and an SNR that
+is out of reach the warning `GoalMissed`. Axes, levels and modes are named as in the paper: `docs/notation.md`.
+
+>>> import hmkcta
+>>> light_field = hmkcta.synthetic.light_field(views=2, size=8, frames=1)
+>>> model = hmkcta.compress(light_field.values, "R=2,2,8,8,1", axes=light_field.axes)
+>>> model.shape, model[0, 1, 3, 5, 0].dtype, model.decode_cost
+((2, 2, 8, 8, 1), dtype('float32'), 256)
+"""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any

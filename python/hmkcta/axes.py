@@ -43,7 +43,25 @@ _UNSEEN = ("Cc", "Cf", "Cs", "Co", "Zs", "Zl", "Zp")
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """One axis of the source array: name, size, role in `ROLES`, coordinates of its indices (or None), their unit."""
+    """One axis of the source array: what it is called, how long it is, what it means.
+
+    Args:
+        name: a word without ``+ , / =``, spaces or unseen characters; plans and organisations call the axis by it.
+        size: number of its indices.
+        role: what it stands for, one of `ROLES`; it decides how a file is shown (`compress`, argument `kind`).
+        coords: a number, or a list of up to 16, for each index: `[size]` or `[size, 1..16]`, for instance the unit
+            vectors `[size, 3]` of lights. None: there are none. `compress` checks them and the file keeps them.
+        unit: of the coordinates, such as ``degrees`` or ``unit vector``; empty: not said.
+
+    Raises:
+        HmkctaError: an argument is of another type (``argument-type``), the role is unknown (``unknown-role``), or the
+            name is empty or has a character that it may not have (``bad-axis-name``).
+
+    >>> Axis("light", 2, "light", np.array([[0, 0, 1], [0.6, 0, 0.8]]), "unit vector").coords.shape
+    (2, 3)
+    >>> Axis("gloss", 16).role
+    'other'
+    """
 
     name: str
     size: int
@@ -199,6 +217,8 @@ def checked_coords(axis: Axis) -> Axis:
 def check_modes(organisation: object) -> None:
     """Refuse modes that are not lists of names of axes; a text would be taken for a list of letters.
 
+    >>> check_modes((("light", "rgb"), ("y",), ("x",)))
+
     Raises:
         HmkctaError: reason ``argument-type``.
     """
@@ -209,7 +229,11 @@ def check_modes(organisation: object) -> None:
 
 
 def separate(axes: Sequence[Axis]) -> Organisation:
-    """The organisation with a mode for each axis."""
+    """The organisation with a mode for each axis, in array order.
+
+    >>> separate(name_axes((6, 8, 3), ["y", "x", "rgb"]))
+    (('y',), ('x',), ('rgb',))
+    """
     return tuple((axis.name,) for axis in axes)
 
 
@@ -218,12 +242,22 @@ def parse_organisation(text: str, axes: Sequence[Axis]) -> Organisation:
 
     >>> parse_organisation("light+rgb, y+x", name_axes((6, 8, 8, 3), ["light", "y", "x", "rgb"]))
     (('light', 'rgb'), ('y', 'x'))
+
+    Raises:
+        HmkctaError: reason ``organisation``: an axis is missing, repeated or unknown.
     """
     return check_organisation(tuple(tuple(a.strip() for a in mode.split("+")) for mode in text.split(",")), axes)
 
 
 def check_organisation(organisation: Organisation, axes: Sequence[Axis]) -> Organisation:
-    """Return the organisation, or say which axis is missing, repeated or unknown."""
+    """Return the organisation, every axis of which must come exactly once.
+
+    >>> check_organisation((("y", "x"), ("rgb",)), name_axes((6, 8, 3), ["y", "x", "rgb"]))
+    (('y', 'x'), ('rgb',))
+
+    Raises:
+        HmkctaError: reason ``organisation``: an axis is missing, repeated or unknown.
+    """
     listed = [name for mode in organisation for name in mode]
     known = [axis.name for axis in axes]
     if sorted(listed) != sorted(known):
@@ -238,18 +272,30 @@ def check_organisation(organisation: Organisation, axes: Sequence[Axis]) -> Orga
 
 
 def format_organisation(organisation: Organisation) -> str:
-    """The text `parse_organisation` reads."""
+    """The text that `parse_organisation` reads.
+
+    >>> format_organisation((("light", "rgb"), ("y",)))
+    'light+rgb, y'
+    """
     return ", ".join("+".join(mode) for mode in organisation)
 
 
 def axis_order(axes: Sequence[Axis], organisation: Organisation) -> tuple[int, ...]:
-    """Source axis numbers in the order in which the organisation lists them."""
+    """Source axis numbers (from 0) in the order in which the organisation lists them.
+
+    >>> axis_order(name_axes((6, 8, 3), ["y", "x", "rgb"]), (("rgb",), ("y", "x")))
+    (2, 0, 1)
+    """
     number = {axis.name: n for n, axis in enumerate(axes)}
     return tuple(number[name] for mode in organisation for name in mode)
 
 
 def mode_sizes(axes: Sequence[Axis], organisation: Organisation) -> tuple[int, ...]:
-    """The mode sizes I_1..I_N."""
+    """The mode sizes I_1..I_N (paper, section 4.2): products of the sizes of the axes that are merged.
+
+    >>> mode_sizes(name_axes((6, 8, 3), ["y", "x", "rgb"]), (("rgb",), ("y", "x")))
+    (3, 48)
+    """
     size = {axis.name: axis.size for axis in axes}
     return tuple(prod(size[name] for name in mode) for mode in organisation)
 
@@ -265,7 +311,11 @@ def organise(array: NDArray[Any], axes: Sequence[Axis], organisation: Organisati
 
 
 def deorganise(tensor: NDArray[Any], axes: Sequence[Axis], organisation: Organisation) -> NDArray[Any]:
-    """The inverse of `organise`: the tensor's elements in the source array's axes."""
+    """The inverse of `organise`: the tensor's elements in the source array's axes.
+
+    >>> deorganise(np.zeros((3, 48)), name_axes((6, 8, 3), ["y", "x", "rgb"]), (("rgb",), ("y", "x"))).shape
+    (6, 8, 3)
+    """
     order = axis_order(axes, organisation)
     split = tensor.reshape([axes[n].size for n in order])
     return split.transpose(np.argsort(order))

@@ -47,7 +47,11 @@ SMALLEST_DEFAULT, ROW_BYTES = 16384, 5
 
 @dataclass(frozen=True)
 class Wanted:
-    """What a chosen plan has to do: the arguments of `choose_plan` that say so."""
+    """What a chosen plan has to do: the arguments of `choose_plan` that say so, which `compress` describes.
+
+    >>> Wanted(snr=None, size=None, decode_cost=4096, organisation=None, max_memory=None, bits=None).ceiling
+    50.0
+    """
 
     snr: float | None
     size: int | None
@@ -80,9 +84,25 @@ def choose_plan(
     max_memory: int | None = None,
     progress: Progress | None = None,
 ) -> Plan:
-    """The plan that `compress` would follow for a goal, found by trial on a sample.
+    """The first plan that `compress` would fit for a goal, found by trial on a sample; nothing is fitted yet.
 
-    See `compress` for the arguments and what is raised.
+    `compress` also fits plans like it and keeps the best, so that its model may follow another one.
+
+    Args:
+        All of them mean what they mean for `compress`, which describes them; so does the goal where neither `snr` nor
+        `size` is given.
+
+    Returns:
+        The plan with its goal. `Plan.expected` are the bytes that an SNR is expected to take, where the sample tells.
+
+    Raises:
+        HmkctaError: as `compress`; or no plan is as small as `size`.
+
+    >>> import numpy as np
+    >>> ramp = np.add.outer(np.arange(16.0), np.arange(12.0))
+    >>> plan = choose_plan(ramp, axes="y,x", snr=40, quality="fast")
+    >>> plan.snr, plan.organisation, plan.decode_cost() <= 4096
+    (40.0, (('y',), ('x',)), True)
     """
     run = _run(quality, scheme, decode_cost, seed, threads, progress)
     snr, size = _goal(snr, size)
@@ -114,7 +134,7 @@ def compress(
     progress: Progress | None = None,
     journal: Journal | None = None,
 ) -> Model:
-    """Approximate an array by HMK-CTA.
+    """Approximate an array by HMK-CTA (paper, section 4), by a given plan or one chosen for a goal.
 
     Args:
         array: real numbers or booleans of any dtype, order and layout, 1 to 8 axes; NumPy array or memory map.
@@ -133,9 +153,9 @@ def compress(
             of explicit levels, whatever those of a `Plan` say.
         transform: value transform for high dynamic range, e.g. ``log1p``; None: identity.
         nan: value to put for NaN and infinity; None: refuse them.
-        bits: of each core and basis number in the file, 16 (float16) or 8, in all levels, none of which may say
-            another; None: as the plan says, for a chosen one eight as far as that does, up to some 40 dB, or some 40
-            more below a first level of 16.
+        bits: of each core and basis number in the file, 16 (float16) or 8, in all levels; must agree with any
+            ``bits=`` in the plan. None: as the plan says; of a chosen plan 8 where that suffices (up to about 40 dB,
+            or about 40 dB more below a 16-bit first level), else 16.
         kind: ``svbrdf``, ``lightfield``, ``volume`` or ``generic``, whose roles the axes must have; None: what their
             roles make.
         seed: the same seed makes the same file.
@@ -145,9 +165,8 @@ def compress(
         device: ``cpu``; or ``cuda``, by which the kernels work on an NVIDIA GPU, through CuPy. Where there is none
             that works it is the CPU, with a warning that says what is missing. Files of another device differ, by
             rounding. Or what `backends.find_device` found, which then keeps count of kernel calls.
-        progress: called with a stage's name and the fraction of it done. Where plans are compared by their fits the
-            name says which is fitted, ``level 1, plan 2 of 5``, of those known by then: what they come to may call for
-            more, or for fewer.
+        progress: called with a stage's name and the fraction of it done, 0 to 1. Where plans are compared by their fits
+            the name says which is fitted, ``level 1, plan 2 of 5``; the 5 are those known by then, and may grow.
         journal: keeps what is finished, so that an interrupted call can go on.
 
     Returns:
@@ -331,10 +350,14 @@ def _with_all_said(plan: Plan | str, source: Source, wanted: Wanted, scheme: str
 
 
 def of_bits(levels: Sequence[LevelSpec], bits: int | None) -> tuple[LevelSpec, ...]:
-    """The levels, all numbers of which have so many bits, if they are given.
+    """The levels with so many bits for every number; None: as they are.
+
+    >>> modes = (("y",), ("x",))
+    >>> [level.bits for level in of_bits(parse_plan("R=4 / R=2 bits=8", modes).levels, 8)]
+    [8, 8]
 
     Raises:
-        HmkctaError: a level says another number of them.
+        HmkctaError: reason ``two-bits``: a level says another number of bits.
     """
     for number, level in enumerate(levels, start=1):
         says = level.bits_written or level.bits != BITS[0]

@@ -17,7 +17,15 @@ DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 class Kind(Enum):
-    """What went wrong, with the exit code the command line ends with."""
+    """What went wrong, with the exit code the command line ends with.
+
+    Attributes:
+        label: the kind as messages and the TypeScript reader have it, e.g. ``"InvalidArgument"``.
+        exit_code: 2 for an invalid argument, 3 to 6 for the others.
+
+    >>> Kind.CORRUPTION.label, Kind.CORRUPTION.exit_code
+    ('Corruption', 4)
+    """
 
     INVALID_ARGUMENT = ("InvalidArgument", 2)
     IO = ("Io", 3)
@@ -32,7 +40,20 @@ class Kind(Enum):
 
 
 class GoalMissed(UserWarning):
-    """The SNR that was asked for is out of reach: the model is the best found."""
+    """The SNR that was asked for is out of reach: the model is the best found.
+
+    `compress` warns with it and returns that model; on the command line it is exit code 7. A filter of Python's makes
+    it an exception:
+
+    >>> import warnings
+    >>> from hmkcta import compress
+    >>> with warnings.catch_warnings():
+    ...     warnings.simplefilter("error", GoalMissed)
+    ...     compress([[2, 0], [0, 1]], "R=1", snr=30)
+    Traceback (most recent call last):
+        ...
+    hmkcta.errors.GoalMissed: the SNR is 6.99 dB, below the 30 dB asked for; the model is the best found
+    """
 
 
 class HmkctaError(Exception):
@@ -42,6 +63,9 @@ class HmkctaError(Exception):
         kind: one of `Kind`.
         reason: stable reason code in kebab case, e.g. ``"rank-too-large"``.
         where: the argument, array or JSON path at fault, e.g. ``"level/2/core"``.
+        found: the value found there, or None.
+        allowed: what is allowed instead, in words, or None.
+        hint: what to do next, or empty.
 
     >>> error = HmkctaError(Kind.INVALID_ARGUMENT, "rank-too-large", "R of mode 2",
     ...                     found="9", allowed="1 to 8", hint="lower R or write R=*")
@@ -70,7 +94,11 @@ class HmkctaError(Exception):
 
 
 class ForeignFile(HmkctaError):
-    """A file that does not begin as an `.hmk` file does: kind and reason are the format's, the sentence says so."""
+    """A file that does not begin as an `.hmk` file does: kind and reason are the format's, the sentence says so.
+
+    >>> issubclass(ForeignFile, HmkctaError)
+    True
+    """
 
 
 def _made_again(error: type[HmkctaError], sentence: str) -> HmkctaError:
@@ -78,12 +106,19 @@ def _made_again(error: type[HmkctaError], sentence: str) -> HmkctaError:
 
 
 def invalid(reason: str, where: str, found: object = None, allowed: object = None, hint: str = "") -> HmkctaError:
-    """An `InvalidArgument` error: what the caller asked for cannot be."""
+    """An `InvalidArgument` error, to be raised: what the caller asked for cannot be.
+
+    >>> print(invalid("clusters-too-small", "C of mode 1", 0, "1 or more"))
+    C of mode 1: found 0, allowed 1 or more. [InvalidArgument/clusters-too-small]
+    """
     return HmkctaError(Kind.INVALID_ARGUMENT, reason, where, found=found, allowed=allowed, hint=hint)
 
 
 def expect(name: str, value: object, types: Any, words: str, hint: str = "") -> None:
     """Refuse an argument of another type by its name, before something deep inside stumbles over it.
+
+    Raises:
+        HmkctaError: reason ``argument-type``; also for a bool where numbers are asked for.
 
     >>> expect("level", "1", int, "a whole number")
     Traceback (most recent call last):

@@ -39,45 +39,86 @@ from .streaming.source import SLAB as CHECKED
 from .streaming.streamed import SLAB
 from .support.memory import stays_cached
 
-#: Bytes for each element of a tensor in memory: its residual lasts, the rest is `WORKING`; a saved residual for goals.
-_RESIDUAL, _SAVED = 4, 4
-#: Bytes for each element of a slab that quality is measured on, and of one of a streamed tensor: the slab, what is left
-#: of it, and the parts of that.
-_MEASURING, _MEASURED_OUTSIDE = 36, 12
-#: Bytes of the interpreter with everything loaded, of which some are free again when the work begins; the share of what
-#: a stage took that its heaps keep from the next.
-_LOADED, _BASE, _KEPT = 84 * 2**20, 56 * 2**20, 0.3
-#: Bytes for each element of a slab of a source that is checked, of the next one, and of a sample that plans are judged
-#: on for a size and for an SNR, which takes float64 or many ranks; and what each further thread takes of the latter, as
-#: samples are seldom at their largest together.
-_CHECKED, _NEXT, _SAMPLED, _BESIDE = 17, 6, (18, 32), 0.6
-#: Bytes for each element of a block that shares none with others, which is fitted in place; of a workset of one cell;
-#: and of a node beside its share of the residual, where others are fitted one after another.
-_BLOCK, _ALONE, _BELOW = 8, 12, 10
-#: Copies of a slab that are made while it is read and worked on, or cut into blocks; and of its projections.
-_SLAB_COPIES, _SLAB_CUT, _SLAB_SEEN = 3.5, 2.7, 1
-#: How much larger than the average the largest sub-tensors get for each mode of two, or of more clusters, where rows
-#: have one cluster each; where they have more, subdivision has a cap.
-_UNEVEN_TWO, _UNEVEN_MORE = 1.1, 1.8
-#: Bytes that the heaps of threads keep while sub-tensors come and go, and those whose nodes choose their ranks.
-_HEAPS, _HEAPS_OWN = 20 * 2**20, 34 * 2**20
-#: Nanoseconds of one core for each element: to read, hash and look at the source; to measure it; to find a start; of a
-#: sweep; of HOOI; to have a piece, or write it and read it. One core of a 2023 server.
-_SOURCE_NS, _MEASURE_NS, _START_NS, _SWEEP_NS, _HOOI_NS, _PIECE_NS = 20.0, 15.0, 25.0, 15.0, 10.0, 10.0
-#: Of k-means for each row, cluster and start; of a sweep of cells in turn for each element of each cell.
-_ROW_NS, _VISIT_NS = 215.0, 6.5
-#: Of a joint sweep for each number of H; and to find, refine and pack each number of a model.
-_GRAM_NS, _NUMBER_NS = 80.0, 250.0
-#: Of whatever is done for a node beside work on its elements, which holds the interpreter.
+#: Bytes for each element of a tensor in memory of its residual, which lasts; the rest of `WORKING` does not.
+_RESIDUAL = 4
+#: The same of a second residual, to which each attempt at a goal goes back.
+_SAVED = 4
+#: Bytes for each element of a slab that quality is measured on.
+_MEASURING = 36
+#: The same of a streamed tensor: the slab, what is left of it, and the parts of that.
+_MEASURED_OUTSIDE = 12
+#: Bytes of the interpreter with everything loaded.
+_LOADED = 84 * 2**20
+#: Those of them that are still taken when the work begins.
+_BASE = 56 * 2**20
+#: Share of the bytes of a stage that its heaps keep from the next one.
+_KEPT = 0.3
+#: Bytes for each element of a slab of the source that is checked.
+_CHECKED = 17
+#: The same of the slab after it, which is read meanwhile.
+_NEXT = 6
+#: Bytes for each element of a sample that plans are judged on: for a size, and for an SNR (float64, or many ranks).
+_SAMPLED = (18, 32)
+#: Share of these that each further thread takes: samples are seldom at their largest together.
+_BESIDE = 0.6
+#: Bytes for each element of a block that shares none with others: it is fitted in place.
+_BLOCK = 8
+#: The same of a workset of one cell.
+_ALONE = 12
+#: The same of a node beside its share of the residual, where others are fitted one after another.
+_BELOW = 10
+#: Copies of a slab that are made while it is read and worked on.
+_SLAB_COPIES = 3.5
+#: The same while it is cut into blocks.
+_SLAB_CUT = 2.7
+#: The same of its projections.
+_SLAB_SEEN = 1
+#: How much larger than the average the largest sub-tensors get by a mode of two clusters, K = 1; for K > 1 see `CAP`.
+_UNEVEN_TWO = 1.1
+#: The same by a mode of more clusters.
+_UNEVEN_MORE = 1.8
+#: Bytes that the heaps of threads keep while sub-tensors come and go.
+_HEAPS = 20 * 2**20
+#: The same where nodes choose their ranks.
+_HEAPS_OWN = 34 * 2**20
+# Times are nanoseconds of one core of a 2023 server.
+#: For each element: to read, hash and look at the source.
+_SOURCE_NS = 20.0
+#: For each element: to measure quality.
+_MEASURE_NS = 15.0
+#: For each element: to find a start.
+_START_NS = 25.0
+#: For each element: a sweep.
+_SWEEP_NS = 15.0
+#: For each element: a round of HOOI.
+_HOOI_NS = 10.0
+#: For each element: to have a piece, or to write it and read it.
+_PIECE_NS = 10.0
+#: For each row, cluster and start: k-means.
+_ROW_NS = 215.0
+#: For each element of each cell: a sweep of cells in turn.
+_VISIT_NS = 6.5
+#: For each number of H: a joint sweep.
+_GRAM_NS = 80.0
+#: For each number of a model: to find, refine and pack it.
+_NUMBER_NS = 250.0
+#: For each node: whatever is done beside work on its elements, which holds the interpreter.
 _NODE_NS = 1.5e6
-#: To look at what nodes cut in a further way leave: for each element, and for each block, which holds the interpreter.
-_WAY_NS, _BLOCK_NS = 30.0, 7.5e5
+#: For each element: to look at what nodes leave that are cut in a further way.
+_WAY_NS = 30.0
+#: For each block of such a way: the same, which holds the interpreter.
+_BLOCK_NS = 7.5e5
 #: What each further thread does of the work of one.
 _SECOND = 0.7
-#: How many times as long as the fit of a chosen plan those of others take that it is compared with: of large arrays; of
-#: others, where it has several levels, for a size and for an SNR, and where it has one, as then numbers of clusters are
-#: tried.
-_OTHERS_OF_LARGE, _OTHERS, _OTHERS_FOR_SNR, _OTHERS_OF_ONE_LEVEL = 2, 6, 12, 20
+# How many times as long as the fit of a chosen plan takes, those take of others that it is compared with:
+#: of arrays of more than `LARGE` elements,
+_OTHERS_OF_LARGE = 2
+#: of others, for a size, where the plan has several levels,
+_OTHERS = 6
+#: the same for an SNR,
+_OTHERS_FOR_SNR = 12
+#: and where it has one level, as then numbers of clusters are tried.
+_OTHERS_OF_ONE_LEVEL = 20
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,11 @@ class Finished:
 
 
 class NoJournal:
-    """Nothing is kept: every node is fitted."""
+    """Nothing is kept: every node is fitted. `Journal` has the same methods, by which a fit asks and tells it.
+
+    >>> NoJournal().settled("answer", lambda: 42), NoJournal().step()
+    (42, 0)
+    """
 
     def plans(self, choose: Callable[[], list[Plan]], name: str = "plan") -> list[Plan]:
         """The plans that this run chose before under that name, or chooses now, the best first."""
@@ -65,11 +69,18 @@ class NoJournal:
         return 0
 
     def recall(self, step: int, node: int, sizes: Sequence[int], spec: LevelSpec) -> Finished | None:
-        """What became of a node of these sizes, to be fitted by `spec`; None: it is still to be fitted."""
+        """What became of a node; None: it is still to be fitted.
+
+        Args:
+            step: what `step` gave.
+            node: its number in its level.
+            sizes: its mode sizes I_n.
+            spec: what it is fitted by.
+        """
         del step, node, sizes, spec
 
     def keep(self, step: int, node: int, cells: Cells | None) -> None:
-        """Write down a node's cells with rounded numbers; None: it keeps those it had."""
+        """Write down a node's cells, whose numbers are rounded as stored ones are; None: it keeps those it had."""
 
 
 class Journal(NoJournal):
@@ -83,9 +94,13 @@ class Journal(NoJournal):
         resume: go on with what the folder holds; if it holds nothing, begin.
         overwrite: begin again; what the folder holds is lost.
 
+    Attributes:
+        folder: as given, a `Path`.
+        found: how many finished nodes the run began with.
+
     Raises:
         HmkctaError: `Io`, reason ``partial-exists``: the folder holds an interrupted run and neither `resume` nor
-            `overwrite` is given.
+            `overwrite` is given; ``partial-busy``: another process works on it; ``unwritable``: it is a file.
 
     >>> import tempfile, numpy as np
     >>> from hmkcta import compress
@@ -142,7 +157,10 @@ class Journal(NoJournal):
         self._log = None
 
     def begin(self, run: Mapping[str, Any]) -> None:
-        """Make the folder, or compare what it holds with this run.
+        """Make the folder, or compare what it holds with this run; `compress` calls it.
+
+        Args:
+            run: all that decides the result, of `decisive`.
 
         Raises:
             HmkctaError: `InvalidArgument`, reason ``partial-differs``, naming the fields; `Io` if another process, or
@@ -168,7 +186,11 @@ class Journal(NoJournal):
         self._steps = 0
 
     def plans(self, choose: Callable[[], list[Plan]], name: str = "plan") -> list[Plan]:
-        """The plans of the interrupted run; else those chosen now, which are written down."""
+        """The plans of the interrupted run; else those chosen now, which are written down.
+
+        Raises:
+            HmkctaError: `Corruption`, reason ``partial-damaged``: what was written down is no plan.
+        """
         content = self.settled(name, lambda: [asdict(plan) for plan in choose()])
         try:
             return [_plan(each) for each in content]
@@ -190,7 +212,11 @@ class Journal(NoJournal):
         return self._steps
 
     def recall(self, step: int, node: int, sizes: Sequence[int], spec: LevelSpec) -> Finished | None:
-        """What is written down of a node in a step."""
+        """What is written down of a node in a step.
+
+        Raises:
+            HmkctaError: `Corruption`, reason ``partial-damaged``: it is of a node of other sizes or ranks.
+        """
         assert self._log is not None
         with self._as_io():
             content = self._log.read((step, node))

@@ -48,19 +48,20 @@ class Model:
     nearest of a type of integers.
 
     Args:
-        metadata: axes, organisation, value transform, quality.
-        levels: the packed levels, one for each in `metadata.levels`.
+        metadata: axes, organisation, value transform, quality; kept as the attribute `metadata`.
+        levels: the packed levels, one for each in `metadata.levels`; kept as the attribute `levels`, a tuple.
 
-    Attributes:
-        metadata: as given.
-        levels: as given.
+    Raises:
+        HmkctaError: reason ``level-count``: there are no levels, or not as many as the metadata say.
 
     >>> from hmkcta._example import example_level, example_metadata
-    >>> m = Model(example_metadata(), [example_level()])
-    >>> m[1, ::-1]
-    array([6., 4., 2.], dtype=float32)
-    >>> float(m.sample([0.5, 1.0]))
-    3.0
+    >>> m = Model(example_metadata(), [example_level()])  # [[1, 2, 3], [2, 4, 6]] as the outer product of two vectors
+    >>> m.shape, m.ndim, m.size, len(m), str(m.dtype), m.snr, m.quality[0].rmse, m.decode_cost
+    ((2, 3), 2, 6, 2, 'float32', 90.0, 0.0001, 1)
+    >>> m[1, ::-1], float(m.sample([0.5, 1.0]))
+    (array([6., 4., 2.], dtype=float32), 3.0)
+    >>> m.reconstruct().tolist() == m.at_level(1)[...].tolist() == np.asarray(m, np.uint8).tolist()
+    True
     """
 
     def __init__(self, metadata: Metadata, levels: tuple[PackedLevel, ...] | list[PackedLevel]) -> None:
@@ -73,8 +74,6 @@ class Model:
         self._sizes: Final = mode_sizes(metadata.axes, metadata.organisation)
         order = iter(axis_order(metadata.axes, metadata.organisation))
         self._axes_of_mode: Final = [[next(order) for _ in mode] for mode in metadata.organisation]
-
-    # What it is
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -101,7 +100,7 @@ class Model:
 
     @property
     def quality(self) -> tuple[LevelQuality, ...]:
-        """SNR and errors up to each level, measured against the source when the model was made."""
+        """SNR in dB, RMSE and largest error of the first 1, 2, .. L levels, measured when the model was made."""
         return self.metadata.quality
 
     @property
@@ -116,17 +115,12 @@ class Model:
 
     @property
     def bounds(self) -> tuple[LevelBounds, ...]:
-        """The largest C, K, R of any node, a level."""
+        """The largest C_n, K_n and R_n of any node, one entry a level."""
         return self.metadata.levels
 
     @property
     def plan(self) -> Plan:
-        """The plan that the levels follow, with the largest R, C and K of any node.
-
-        >>> from hmkcta._example import example_level, example_metadata
-        >>> print(Model(example_metadata(), [example_level()]).plan)
-        R=1,1
-        """
+        """The plan that the levels follow, with the largest R, C and K of any node; blocks are named as clusters."""
         undecomposed = self.metadata.undecomposed
         levels = [
             LevelSpec(tuple(None if n in undecomposed else r for n, r in enumerate(level.ranks)), level.clusters,
@@ -138,7 +132,7 @@ class Model:
 
     @property
     def decode_cost(self) -> int:
-        """Multiply-adds for one scattered element: the sum over levels of the largest node's prod R_n K_n."""
+        """Multiply-adds for one scattered element: over levels, the sum of the largest prod R_n K_n of any node."""
         kept = [n for n in range(len(self._sizes)) if n not in self.metadata.undecomposed]
         shapes = (level.shape[:, :, kept].astype(np.int64) for level in self.levels)
         return sum(int((shape[:, 1] * shape[:, 2]).prod(axis=1).max(initial=0)) for shape in shapes)
@@ -150,7 +144,7 @@ class Model:
                 f"{multiply_adds(self.decode_cost)} an element>")
 
     def save(self, path: str | os.PathLike[str], overwrite: bool = False) -> None:
-        """Write the file, atomically.
+        """Write the file, whole or not at all; with `overwrite` also in the place of one that is there. See `open`.
 
         Raises:
             HmkctaError: there is a file already and `overwrite` is false; it cannot be written.
@@ -159,10 +153,10 @@ class Model:
         save(path, self.metadata, self.levels, overwrite=overwrite)
 
     def at_level(self, level: int) -> Model:
-        """The model of the first `level` levels, sharing this one's arrays; it can be saved as well.
+        """The model of the first `level` levels (paper, figure 7), sharing this one's arrays; it can be saved as well.
 
         Raises:
-            HmkctaError: not 1..L.
+            HmkctaError: `level` is no whole number from 1 to L.
         """
         expect("level", level, Integral, "a whole number")
         if not 1 <= level <= len(self.levels):
@@ -172,8 +166,6 @@ class Model:
         absent = (None,) * len(self._sizes)
         last = replace(self.levels[level - 1], child=None, part=absent, local=absent)
         return Model(self.metadata.upto(level), (*self.levels[: level - 1], last))
-
-    # Its elements
 
     def __getitem__(self, key: Any) -> Any:
         """Decode the elements that NumPy would return for this key, as float32 (a scalar for a single element).
@@ -292,11 +284,9 @@ class Model:
         return modes
 
     def _decode_slab(self, modes: list[Index], out: NDArray[Any]) -> None:
-        """Decode by blocks where the modes vary independently, else by one around all, or element by element.
+        """Fill `out` by blocks where the modes vary independently, else by one around all, or element by element.
 
-        Args:
-            modes: indices of each mode, broadcastable to the shape of `out`.
-            out: what to fill.
+        The indices of each mode can be broadcast to the shape of `out`.
         """
         shape = out.shape
         along = [{d for d, length in enumerate(index.shape) if length > 1} for index in modes]
@@ -382,7 +372,7 @@ def _all_finite(values: Floats) -> bool:
 
 
 def open(path: str | os.PathLike[str], verify: bool = True, limits: Limits = DEFAULT_LIMITS) -> Model:
-    """Open a file; its arrays are mapped, not read, until they are needed.
+    """Open a file as a `Model`; its arrays are mapped, not read, until they are needed.
 
     Replace a file that is open by `Model.save`, or by renaming another one, which leaves the opened one as it was.
     Writing into it changes what models decode, and cutting it short ends the process (SIGBUS), as with any map.
@@ -394,6 +384,13 @@ def open(path: str | os.PathLike[str], verify: bool = True, limits: Limits = DEF
 
     Raises:
         HmkctaError: it is missing, damaged, of a later version, or beyond the limits.
+
+    >>> import tempfile
+    >>> from hmkcta._example import example_level, example_metadata
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     Model(example_metadata(), [example_level()]).save(f"{folder}/small.hmk")
+    ...     print(open(f"{folder}/small.hmk").plan)
+    R=1,1
     """
     expect("path", path, str | bytes | os.PathLike, "the path of an .hmk file")
     return Model(*load(path, verify=verify, limits=limits))

@@ -39,17 +39,32 @@ GRAM_CELLS, GRAM_COLUMNS = 1536, 2048
 
 @dataclass(frozen=True)
 class LevelSpec:
-    """R_n (None: undecomposed), C_n and K_n of one level, and how its residual is subdivided for the next.
+    """One level of a plan: its R_n, C_n and K_n (paper, section 4.2), and how its residual is subdivided for the next.
 
-    `grid` lists axes that are cut into equal blocks, which then are the clusters; with `own` set every node gets
-    ranks of its own up to R, by one Lagrange multiplier over the level (`ranks.allocation`), as the plan's goal allows.
-    `fewest` are numbers of blocks for axes of the grid: of so many up to those of the grid the goal takes what pays.
-    `cuts` lists axes that each such node may be cut along into so many equal blocks, or a divisor of that, as pays: its
-    cells, which then all have the same ranks. `bits` are those of each core and basis number in the file, and
-    `bits_written` tells whether a text said them: by themselves, 16 may be said or left out.
+    Args:
+        ranks: reduced rank R_n of each mode; None: the mode stays undecomposed (``R=*``). With `own` the highest.
+        clusters: C_n of each mode, 1 for an undecomposed one.
+        mixture: K_n of each mode, 1 to 8, no more than C_n: how many clusters a row is in.
+        scheme: ``most``, ``least`` or ``uniform`` subdivision of the residual (paper, figure 4).
+        grid: axes that are cut into equal blocks, with how many; these blocks are the clusters.
+        own: every node gets ranks of its own up to `ranks` (``R<=``), as the plan's goal allows, by one Lagrange
+            multiplier over the level (`ranks.allocation`).
+        cuts: axes along which each such node may be cut further, with the most equal blocks (``cut<=``). A node is cut
+            into that number or a divisor of it, as pays; the blocks are its cells, all of the same ranks.
+        fewest: for axes of the grid the fewest blocks (``grid=y:3-5``); `grid` then has the most, and of the numbers
+            between the goal takes what pays.
+        bits: of each core and basis number in the file, 16 (float16) or 8.
+        bits_written: whether a text said ``bits=``, so that ``bits=16`` differs from nothing said.
 
-    >>> LevelSpec((2, 2, None), (4, 3, 1), (2, 2, 1)).search
-    'optimal'
+    Raises:
+        HmkctaError: R, C or K is out of range or of another type, they are not one for each mode, or the scheme or
+            bits are unknown.
+
+    >>> level = LevelSpec((2, 2, None), (4, 3, 1), (2, 2, 1))
+    >>> str(level), level.order, level.cells, level.search, level.decode_cost()
+    ('R=2,2,* C=4,3,1 K=2,2,1', 3, 12, 'optimal', 16)
+    >>> str(level.clamped((3, 1, 5))), LevelSpec((2, 2), (16, 1), (3, 1)).search  # of 560 sets of clusters
+    ('R=2,1,* C=3,1,1 K=2,1,1', 'greedy')
     """
 
     ranks: tuple[int | None, ...]
@@ -94,7 +109,7 @@ class LevelSpec:
 
     @classmethod
     def of_one_cell(cls, most: Sequence[int | None], bits: int = 16, scheme: str = "most") -> LevelSpec:
-        """Whose nodes are one cell with ranks of their own, up to so `most` (``R<=..``)."""
+        """A level whose nodes are one cell each (C = K = 1), with ranks of their own up to `most`: ``R<=..``."""
         ones = (1,) * len(most)
         return cls(tuple(most), ones, ones, scheme, own=True, bits=bits)
 
@@ -104,7 +119,7 @@ class LevelSpec:
         return len(self.ranks)
 
     def ways(self, organisation: Organisation) -> list[LevelSpec]:
-        """What a node may become: one spec, or one for each choice of blocks, the fewest first.
+        """What a node may become: this spec, or one for each choice of blocks, the fewest first.
 
         >>> [way.clusters for way in parse_level("R<=8 cut<=y:4", (("y",), ("x",))).ways((("y",), ("x",)))]
         [(1, 1), (2, 1), (4, 1)]
@@ -119,7 +134,7 @@ class LevelSpec:
 
     @property
     def block_counts(self) -> list[tuple[str, Sequence[int]]]:
-        """The numbers of blocks that a way may have along each axis."""
+        """The numbers of blocks along each axis among which `ways` may choose; none where there is no choice."""
         if self.fewest:
             least = dict(self.fewest)
             return [(axis, range(least.get(axis, most), most + 1)) for axis, most in self.grid]
@@ -133,8 +148,11 @@ class LevelSpec:
 
     @property
     def search(self) -> str:
-        """How cluster subsets are found: over all binom(C, K) of them, greedily where they explode, or by the fast
-        search where the Gram matrix of all cells would not fit."""
+        """How the K_n clusters of a row are found (paper, section 5: optimal search), by what the level allows.
+
+        ``optimal`` looks at all binom(C_n, K_n) sets, ``greedy`` takes one cluster after another where these are more
+        than 64. ``fast`` is for K_n > 1 and so many cells that the Gram matrix of all their bases would not fit.
+        """
         if max(self.mixture) > 1 and (self.cells > GRAM_CELLS or self.columns > GRAM_COLUMNS):
             return "fast"
         subsets = max(comb(c, k) for c, k in zip(self.clusters, self.mixture, strict=True))
@@ -147,7 +165,7 @@ class LevelSpec:
 
     @property
     def columns(self) -> int:
-        """PC R_n, all cells' basis columns of a mode, where those are most."""
+        """PC R_n: how many basis columns all cells have together in the mode where these are most."""
         return self.cells * max((rank for rank in self.ranks if rank is not None), default=0)
 
     @property
@@ -157,24 +175,20 @@ class LevelSpec:
 
     @property
     def disjoint(self) -> bool:
-        """Whether the cells are the blocks of a grid, which share no element and are parted as they are."""
+        """Whether the cells are blocks of a grid, which share no element; they are then the next level's nodes, too."""
         return self.cells > 1 and bool(self.grid) and max(self.mixture) == 1 and self.scheme != "uniform"
 
     def alone(self, sizes: Sequence[int]) -> LevelSpec:
-        """The spec of one of the cells, of these sizes, as a node of its own."""
+        """The spec by which one cell of these mode sizes is fitted as a node of its own: C = K = 1."""
         ones = (1,) * self.order
         return replace(self, clusters=ones, mixture=ones, grid=()).clamped(sizes)
 
     def decode_cost(self) -> int:
-        """Multiply-adds for one scattered element, prod R_n K_n; an undecomposed mode is only indexed.
-
-        >>> LevelSpec((2, 2, 3, 3), (4, 3, 4, 4), (2, 2, 2, 2)).decode_cost()
-        576
-        """
+        """Multiply-adds for one scattered element, prod R_n K_n (paper, section 4.3) over the decomposed modes."""
         return prod(r * k for r, k in zip(self.ranks, self.mixture, strict=True) if r is not None)
 
     def clamped(self, sizes: Sequence[int]) -> LevelSpec:
-        """The spec for a node of these sizes: C <= I, K <= C, R <= I, and R of its own what a file may have."""
+        """The spec for a node of these mode sizes: C_n <= I_n, K_n <= C_n, R_n <= I_n, and R of its own <= 1024."""
         most = HIGHEST_RANK if self.own else max(1, *sizes)
         clusters = tuple(min(c, max(i, 1)) for c, i in zip(self.clusters, sizes, strict=True))
         return LevelSpec(
@@ -209,7 +223,7 @@ def _grid_text(grid: Sequence[tuple[str, int]], fewest: Mapping[str, int]) -> st
 
 
 def clusters_of_grid(grid: Sequence[tuple[str, int]], organisation: Organisation) -> tuple[int, ...]:
-    """Blocks of each mode, of the counts along axes."""
+    """C_n of a grid: blocks of each mode, the product of the numbers along the axes that are merged in it."""
     counts = dict(grid)
     return tuple(prod(counts.get(axis, 1) for axis in mode) for mode in organisation)
 
@@ -228,6 +242,9 @@ def parse_level(text: str, organisation: Organisation, scheme: str = "most") -> 
 
     One number stands for all modes, K for those that have clusters: ``K=2`` leaves unclustered modes alone,
     ``K=2,2`` says of each what it is to be. Spaces beside ``=``, ``<=``, ``,`` and ``:`` say nothing.
+
+    Raises:
+        HmkctaError: ``plan-syntax``, ``plan-modes``, ``plan-number`` or ``plan-grid``; or what `LevelSpec` refuses.
 
     >>> modes = (("light", "rgb"), ("view",), ("y",), ("x",))
     >>> parse_level("R=2,2,3,* C=4,3,4,1 K=2", modes).mixture
@@ -310,10 +327,25 @@ def _number(key: str, word: str) -> int:
 
 @dataclass(frozen=True)
 class Plan:
-    """Levels and the organisation of axes into modes; goals that the levels with node shapes of their own are cut to.
+    """What to fit: levels, the organisation of axes into modes, and the goal to which ``R<=`` levels are cut.
 
-    `size` bounds the bytes of the whole file, `snr` is met and not much exceeded; both None: fit exactly the levels.
-    `expected` are bytes that a plan chosen for an SNR took on the sample that it was chosen on, as far as it tells.
+    `parse_plan` reads one from text, `choose_plan` finds one, `compress` follows it.
+
+    Args:
+        organisation: names of the axes of each mode.
+        levels: one `LevelSpec` for each level, the first for the whole tensor.
+        snr: SNR in dB to reach and not to exceed by much; None: no such goal.
+        size: most bytes of the whole file; None: no such goal. Without both exactly the levels are fitted.
+        expected: bytes that a plan chosen for an SNR is expected to take, by the sample it was chosen on; None: not
+            told.
+
+    Raises:
+        HmkctaError: modes are no lists of names, a level is no `LevelSpec`, or a goal is not above 0.
+
+    >>> level = LevelSpec((4, 6), (1, 1), (1, 1))
+    >>> plan = Plan((("y",), ("x", "rgb")), (level,), snr=30)
+    >>> str(plan), plan.decode_cost(), plan.snr
+    ('R=4,6', 24, 30)
     """
 
     organisation: Organisation
@@ -337,7 +369,23 @@ class Plan:
 
 
 def parse_plan(text: str, organisation: Organisation, scheme: str = "most") -> Plan:
-    """Read levels parted by ``/``; see `parse_level`."""
+    """Read a plan: levels parted by ``/``, each as `parse_level` reads it.
+
+    Args:
+        text: such as ``R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2`` (the table of plans in the README has more).
+        organisation: names of the axes of each mode.
+        scheme: ``most``, ``least`` or ``uniform`` subdivision of all levels (paper, section 4.2); of a grid ``most``.
+
+    Returns:
+        The plan, without a goal.
+
+    Raises:
+        HmkctaError: no text, no level, or a level that `parse_level` refuses.
+
+    >>> plan = parse_plan("R=4 / R=2 C=4,1 K=2", (("y",), ("x", "rgb")))
+    >>> str(plan), plan.decode_cost()  # 4 * 4 + (2 * 2) * (2 * 1)
+    ('R=4,4 / R=2,2 C=4,1 K=2,1', 24)
+    """
     expect("plan", text, str, "text such as R=4,4,6,6")
     if "=" not in text:
         is_path = "." in text

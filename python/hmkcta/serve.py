@@ -51,14 +51,28 @@ _RANGE = re.compile(r"bytes=([0-9]{0,15})-([0-9]{0,15})")
 
 @dataclass(frozen=True)
 class Resource:
-    """Something that is served: a file of the disk, or bytes."""
+    """Something that is served: a file of the disk, or bytes.
+
+    Args:
+        content_type: its MIME type.
+        path: the file; None: `data` is served.
+        data: the bytes.
+
+    >>> stream, size = Resource("text/html", data=b"page").opened()
+    >>> stream.read(), size
+    (b'page', 4)
+    """
 
     content_type: str
     path: Path | None = None
     data: bytes = b""
 
     def opened(self) -> tuple[BinaryIO, int]:
-        """A stream and its size."""
+        """A stream to read it from, and its size in bytes.
+
+        Raises:
+            OSError: the file cannot be read.
+        """
         if self.path is None:
             return BytesIO(self.data), len(self.data)
         file = self.path.open("rb")
@@ -66,16 +80,17 @@ class Resource:
 
 
 class Server:
-    """A running server; a context manager that ends it.
+    """A running server, which `serve` and `view` make; a context manager that ends it.
 
     Attributes:
         url: of the page that shows the file.
+        port: on which 127.0.0.1 is listened to.
 
     >>> import tempfile, urllib.request
-    >>> from hmkcta import synthetic, compress
-    >>> data = synthetic.light_field(views=2, size=8, frames=1)
+    >>> from hmkcta import Model
+    >>> from hmkcta._example import example_level, example_metadata
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     compress(data.values, "R=2,2,4,4,1", axes=data.axes).save(f"{folder}/small.hmk")
+    ...     Model(example_metadata(), [example_level()]).save(f"{folder}/small.hmk")
     ...     with serve(f"{folder}/small.hmk", page={"/": Resource("text/html", data=b"page")}) as server:
     ...         request = urllib.request.Request(server.url.split("?")[0] + "files/small.hmk",
     ...                                          headers={"Range": "bytes=8-8"})
@@ -104,7 +119,7 @@ class Server:
         self._thread.join()
 
     def wait(self) -> None:
-        """Serve until interrupted."""
+        """Wait while it serves, until it is closed from another thread or Ctrl-C interrupts (`KeyboardInterrupt`)."""
         while self._thread.is_alive():
             self._thread.join(0.5)
 
@@ -125,9 +140,21 @@ def serve(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | Ar
         progress: called with a stage's name and the fraction of it done, while the original is unpacked. What it raises
             ends the call before anything is served.
 
+    Returns:
+        The running server; its `url` shows the file until it is closed.
+
     Raises:
         HmkctaError: the file cannot be read or is no `.hmk` file, as `hmkcta.open` has it; the original does not fit,
             the port is taken, or the page was not built.
+
+    >>> import tempfile
+    >>> from hmkcta import Model
+    >>> from hmkcta._example import example_level, example_metadata
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     Model(example_metadata(), [example_level()]).save(f"{folder}/small.hmk")
+    ...     with serve(f"{folder}/small.hmk", page={"/": Resource("text/html", data=b"page")}) as server:
+    ...         server.url == f"http://127.0.0.1:{server.port}/?file=files/small.hmk"
+    True
     """
     expect("path", path, str | os.PathLike, "the path of an .hmk file", "save the model first: model.save(path)")
     expect("port", port, Integral, "a whole number")
@@ -156,8 +183,16 @@ def view(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | Arr
         browser: whether to open it.
         progress: as `serve` takes it.
 
+    Returns:
+        The running server, as of `serve`.
+
     Raises:
-        HmkctaError: as `serve`.
+        HmkctaError: as `serve`, before a browser is opened.
+
+    >>> view("no-such-file.hmk")  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+        ...
+    hmkcta.errors.HmkctaError: no-such-file.hmk: found No such file or directory, ... [Io/unreadable]
     """
     server = serve(path, original=original, nan=nan, port=port, progress=progress)
     if browser:
@@ -166,10 +201,10 @@ def view(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | Arr
 
 
 def installed_page() -> dict[str, Resource]:
-    """The files of the page that came with the package, by path.
+    """The files of the page that came with the package, by the path under which they are served.
 
     Raises:
-        HmkctaError: a clone whose page was never built.
+        HmkctaError: `Io`, reason ``page-missing``: a clone whose page was never built.
     """
     folder = resources.files("hmkcta").joinpath(PAGE)
     if not folder.joinpath("index.html").is_file():

@@ -50,6 +50,9 @@ def on_cpu() -> Kernels:
 
     Raises:
         HmkctaError: HMKCTA_BACKEND names no backend (``unknown-backend``) or a missing one (``missing-backend``).
+
+    >>> on_cpu().name in ("native", "reference")
+    True
     """
     wanted = os.environ.get("HMKCTA_BACKEND", "")
     if wanted not in ("", "native", "reference"):
@@ -117,17 +120,29 @@ def _kernels() -> Kernels:
 
 
 def fit_cells(cells: Cells, residual: F32, sweeps: int, iterations: int) -> None:
-    """Gauss-Seidel sweeps of HOOI over the cells, in place; see `reference.fit_cells`."""
+    """Gauss-Seidel sweeps of HOOI over the cells; they and the `residual` that they leave change in place.
+
+    See `reference.fit_cells`.
+    """
     _kernels().fit_cells(cells, residual, sweeps, iterations)
 
 
 def accumulate(cells: Cells, tensor: F32, weight: float) -> None:
-    """`tensor += weight * model`, in place."""
+    """`tensor += weight * model`, in place; the model is equation 2 of the paper, of the node's shape.
+
+    >>> import numpy as np
+    >>> from hmkcta.cells import zero_cells
+    >>> from hmkcta.plan import LevelSpec
+    >>> tensor = np.ones((2, 3), np.float32)
+    >>> accumulate(zero_cells((2, 3), LevelSpec((1, 1), (1, 1), (1, 1))), tensor, 1.0)
+    >>> tensor.tolist()
+    [[1.0, 1.0, 1.0], [1.0, 1.0, 1.0]]
+    """
     _kernels().accumulate(cells, tensor, weight)
 
 
 def project_cells(cells: Cells, tensor: F32, n: int) -> F32:
-    """`Y_n[c] = T x_{m != n} U_{m,c}^T`; see `reference.project_cells`."""
+    """`Y_n[c] = T x_{m != n} U_{m,c}^T`, `[PC, I_n, prod_{m != n} R_m]`; see `reference.project_cells`."""
     return _kernels().project_cells(cells, tensor, n)
 
 
@@ -149,12 +164,22 @@ def collect(
 
 
 def magnitudes(values: F32) -> tuple[float, float, float]:
-    """The sum of squares, the largest magnitude, and the smallest but zero; see `reference.magnitudes`."""
+    """The sum of squares, the largest magnitude, and the smallest but zero; see `reference.magnitudes`.
+
+    >>> import numpy as np
+    >>> magnitudes(np.array([0, -3, 0.5], np.float32))
+    (9.25, 3.0, 0.5)
+    """
     return _kernels().magnitudes(values)
 
 
 def gather(tensor: F32, rows: Rows) -> F32:
-    """The sub-tensor of some rows of each mode, ascending, in one piece."""
+    """The sub-tensor of some rows of each mode, ascending, in one piece.
+
+    >>> import numpy as np
+    >>> gather(np.arange(6, dtype=np.float32).reshape(2, 3), [np.array([1]), np.array([0, 2])]).tolist()
+    [[3.0, 5.0]]
+    """
     return _kernels().gather(tensor, rows)
 
 
@@ -169,7 +194,7 @@ def dense_basis(cells: Cells, n: int) -> F32:
 
 
 def dictionary_gram(cells: Cells, products: Sequence[Products | None], n: int) -> F64:
-    """Inner products of all dictionary columns of mode n; see `reference.dictionary_gram`."""
+    """H_n: inner products of all dictionary columns of mode n, `[PC R_n, PC R_n]`; see `reference.dictionary_gram`."""
     return _kernels().dictionary_gram(cells, products, n)
 
 
@@ -186,7 +211,7 @@ def orthonormalise(cells: Cells, n: int) -> None:
 def code_rows(
     h: F64, b: F64, clusters: Sequence[int], n: int, kept: U16 | None, mixture: int, search: str
 ) -> tuple[U16, F32]:
-    """The best cluster subsets of a mode's rows and their coefficients; see `coding.code_rows`."""
+    """The best K_n cluster subsets of each row of mode n, and its rows of the bases; see `coding.code_rows`."""
     return _kernels().code_rows(h, b, clusters, n, kept, mixture, search)
 
 
@@ -207,7 +232,11 @@ def set_threads(count: int) -> None:
 
 @contextmanager
 def threads(count: int, after: int = 0) -> Generator[None]:
-    """So many threads of the CPU work on large nodes inside, and `after` (0: all cores) from then on."""
+    """So many threads of the CPU work on large nodes inside, and `after` (0: all cores) from then on.
+
+    >>> with threads(1):
+    ...     pass
+    """
     set_threads(count)
     try:
         yield

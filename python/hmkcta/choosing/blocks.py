@@ -21,13 +21,20 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 T = TypeVar("T")
 
-#: Elements of a source that is held in memory, and of one whose samples are kept from one goal's choice to the next.
-HELD, SHARED = 1 << 24, 1 << 22
-#: Fewer blocks than these would be chance, and are thinned where they hold more elements than asked for; more tell no
-#: more. Where this share of them is asked for, all are looked at.
-FEWEST, MOST, NEARLY_ALL = 8, 96, 0.7
-#: A block is looked at in proportion to this power of its detail, by that of the mean one, and to a constant besides.
-POWER, FLOOR = 0.5, 0.25
+#: Most elements of a source whose values are held in memory.
+HELD = 1 << 24
+#: Most elements of a source whose samples are kept from one goal's choice to the next.
+SHARED = 1 << 22
+#: Blocks of a sample at the least: what fewer tell is chance. They are thinned to hold the elements asked for.
+FEWEST = 8
+#: Blocks of a sample at the most: further ones tell no more.
+MOST = 96
+#: Where more than this share of the blocks is asked for, all are looked at.
+NEARLY_ALL = 0.7
+#: How often blocks of some detail are drawn goes with this power of it, in multiples of the mean ..
+POWER = 0.5
+#: .. plus this constant.
+FLOOR = 0.25
 #: Blocks are thinned where they hold so many times the elements asked for.
 UNTHINNED = 4
 

@@ -31,8 +31,8 @@ class Room:
     Attributes:
         elements: of the tensor.
         limit: elements that are worked on at once.
-        allowed: bytes beyond which a plan is refused.
-        wanted: bytes to which caps are lowered where more than `allowed` would be needed.
+        allowed: bytes beyond which a plan is refused: all that is free, or what was given.
+        wanted: bytes that caps of ranks are lowered to, where a plan would need more than `allowed`.
     """
 
     elements: int

@@ -11,9 +11,11 @@ from .trial import Kinds
 
 #: Gain in dB, or octaves of bytes, that a change of the grid must bring.
 WORTHWHILE = 0.01
-#: In dB or octaves of bytes: twice as many blocks are tried where one more loses no more than the first, and none again
-#: where one loses more than the second.
-STEEP, HOPELESS = 0.05, 0.5
+#: Twice (or half) as many blocks are tried along an axis where one block more (or less) loses no more than this.
+STEEP = 0.05
+#: Where it loses more than this that way along the axis is not gone again; sets of undecomposed modes that lose more
+#: are left out of a climb.
+HOPELESS = 0.5
 #: A way along an axis that lost so much in a race is gone in no climb after it.
 SURELY_WORSE = 5.0
 #: A climb ends that is so far behind after its first round.

@@ -28,18 +28,30 @@ from .trial import OUT_OF_REACH, Trial
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-#: Numbers of clusters that may be looked at, and with which to begin.
-COUNTS, FIRST = (4, 8, 16, 32, 64), 16
-#: Most columns of the rows, rows of the sample, and elements of which they are drawn.
-MOST_COLUMNS, MOST_ROWS, DRAWN_FROM = 512, 1 << 13, 1 << 22
-#: Elements of the sample for a size and for an SNR, which takes higher ranks; a few rows of a cluster tell of few.
+#: Numbers of clusters that may be looked at.
+COUNTS = (4, 8, 16, 32, 64)
+#: The one that is looked at first.
+FIRST = 16
+#: Matrices of rows with more columns are not looked at.
+MOST_COLUMNS = 512
+#: Most rows of the sample.
+MOST_ROWS = 1 << 13
+#: Elements of the array of which these are drawn.
+DRAWN_FROM = 1 << 22
+#: Elements of the sample for a size and for an SNR, which takes higher ranks: of few rows a cluster only low ranks are
+#: told.
 SAMPLE = (1 << 20, 1 << 21)
-#: How many times fewer rows rank matrices.
+#: How many times fewer rows are looked at to tell which matrices to look at further.
 FEW = 8
-#: In dB, or octaves of bytes. Clusters must bring so much more, as they are told from a sample of rows, to matrices
-#: that lie no more than so much behind; judged so near each other, what has clusters and what has none are rivals. No
-#: more numbers of them are looked at where one cluster and what was looked at fall so much short.
-SURELY, SURPASSED, CLOSE, LACKING = 0.1, 6.0, 1.5, 8.0
+# The following are in dB, or octaves of bytes (`trial.Trial`).
+#: Clusters are taken if they bring so much more than the best without them: less may be chance, as a sample tells it.
+SURELY = 0.1
+#: Matrices that are worth so much less than the best, without clusters, are not looked at with them.
+SURPASSED = 6.0
+#: Where the best with clusters and the best without lie no further apart they are rivals, to be told apart by fits.
+CLOSE = 1.5
+#: Further numbers of clusters are not looked at where all so far, and none, are worth so much less than the best.
+LACKING = 8.0
 #: Rows of the sample that a cluster has at the least, on average.
 FEWEST_ROWS = 24
 #: How rows are normalised before k-means.

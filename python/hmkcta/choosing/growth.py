@@ -24,12 +24,13 @@ LEAST = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Growth:
-    """What thinned blocks leave at each rank, beside what every second of their rows does.
+    """How the rank for a given share of error grows with the rows of a block, told by halving the rows of thinned ones.
 
     Attributes:
-        left: of each mode the logarithm of the share of error that each rank leaves; with `halved`, of half the rows.
+        left: for each mode the logarithm of the share of error that each rank leaves of the thinned blocks.
+        halved: the same of every second of their rows.
         edges: rows of each mode of whole blocks.
-        turns: how often rows were halved from whole blocks to thinned ones.
+        turns: how often rows were halved from whole blocks to thinned ones, a real number.
     """
 
     left: tuple[F64, ...]

@@ -16,20 +16,25 @@ from .trial import Kinds, Trial
 
 #: Modes are left undecomposed on trial again if that came so near before, in dB or octaves of bytes.
 FAR = 2.0
-#: Of so many candidates the bytes for an SNR are those of the best; where none reaches it, so many dB take an octave.
-FIRSTS, AN_OCTAVE = 6, 3.0
+#: How many of the best candidates are judged anew to tell the bytes that an SNR takes.
+FIRSTS = 6
+#: Where none of them reaches it, twice the bytes are reckoned to bring so many dB.
+AN_OCTAVE = 3.0
 
 
 @dataclass(frozen=True)
 class Care:
-    """How much is looked at.
+    """How much is looked at, by effort. Elements are those of the sample that a candidate is judged on.
 
     Attributes:
-        survey: elements looked at of each candidate to rank organisations; the best `organisations` go on.
-        compare: elements to rank grids in races; the best `finalists` of each go on, and as many `matrices`.
-        refine: elements to settle the blocks, from the best; and from a second start that lies no more than `far`, in
-            dB or octaves of bytes, behind it, or one of another kind. No climb begins another round after so
-            many `steps`.
+        survey: elements to rank organisations.
+        organisations: how many of them go on to races.
+        compare: elements to rank grids, one race for each entry.
+        finalists: how many candidates go on from each race.
+        matrices: how many organisations in two modes (matrix PCA) are settled, too.
+        refine: elements to settle the blocks.
+        far: how far a second start of that may lie behind the best, in dB or octaves of bytes.
+        steps: grids that a climb may judge; beyond these it begins no further change.
         cuts: elements to find axes along which blocks are cut further, each as pays; 0: none.
     """
 
@@ -92,6 +97,8 @@ class Search:
         highest: worth that races ended with.
         settled: bytes by which blocks were settled.
         rivals: judged so near the best, and in so different a way, that only fits tell which is better.
+        losses: what more (True) or fewer blocks along an axis lost in races, by organisation and undecomposed modes.
+        seen: the candidates of each organisation and grid, on a sample of so many elements and by so many bytes.
     """
 
     goal: Trial
@@ -166,10 +173,14 @@ class Search:
         return min(prod(self.trial.source.shape), self.together)
 
     def narrow(self, judged: Ranked, sample: int) -> None:
-        """From now on judge by the bytes that the best candidate takes to reach the ceiling of the goal.
+        """From now on judge by the bytes that the best candidate takes to reach the goal's SNR (its ceiling).
 
-        With bytes to spare only what reaches it counts, which coarse grids seldom do for want of decode cost; with
-        none, whatever is nearest to it goes on.
+        By more bytes than that a candidate would count only if it reached the SNR, which coarse grids seldom do, as the
+        decode cost bounds their ranks. By just these bytes whatever comes nearest to the SNR is worth most.
+
+        Args:
+            judged: what is known so far; the best of it are judged anew by all bytes of the goal.
+            sample: elements to judge them on.
         """
         ceiling, size, nearest = self.goal.ceiling, self.trial.size, max(map(worth_of, judged))
         if ceiling is None:

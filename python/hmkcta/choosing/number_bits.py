@@ -10,26 +10,43 @@ from .candidates import Candidate, Scored
 from .clustered import clustered
 from .judging import Search, worth_of
 
-#: Up to so many dB bytes leave next to nothing more than float16 numbers, and from so many on too much. Between them
-#: both are looked at; where bytes end a race with more than so much, what they leave hides which blocks are best, and
-#: they are gone on with only if float16 numbers come to less.
-BYTES_DO, BYTES_HARDLY_DO, BYTES_FALL_SHORT = 38.0, 44.5, 52.0
-#: In the same blocks bytes are an octave better than float16 numbers where rounding tells nothing; where they are so
-#: much better, in octaves or dB, no other blocks make up for it.
+#: Below so many dB bytes leave next to nothing more than float16 numbers: these are not looked at.
+BYTES_DO = 38.0
+#: Where races with bytes end with more than so many dB, their rounding hides which blocks are best: the search with
+#: bytes goes on from there only if float16 numbers come to less.
+BYTES_HARDLY_DO = 44.5
+#: For an SNR goal above so many dB only float16 numbers are looked at.
+BYTES_FALL_SHORT = 52.0
+#: Bytes that are worth so much more than float16 numbers in the same blocks, in dB or octaves of bytes, are taken: no
+#: other blocks make up for it. Where rounding tells nothing they are worth an octave more, as they are half as many.
 SURELY_BETTER = 0.75
 
-#: Looks for the best candidate: in a search, of a fixed organisation or any, to the end of a race where that is enough.
+#: Looks for the best candidate and what it is worth: in a search, of the fixed organisation or of any; where races end
+#: with more than so many dB, what they end with is the answer.
 Look = Callable[[Search, bool, float], Scored]
 
 
 def searched_by_bits(
     search: Search, look: Look, bits: int | None, fixed: bool, *, aimed: bool
 ) -> tuple[Search, Scored]:
-    """The best candidate whose numbers have so many bits, of a fixed organisation or any.
+    """The best candidate, with numbers of 8 or of 16 bits, whichever is worth more.
 
-    None: eight bits, or where what these leave tells, sixteen. These are looked at in the blocks of the best, and if
-    not much worse there with its organisation; where they are better, or what bytes leave hides which is best, with
-    all. The best with the other bits is then a rival. Sixteen alone where an SNR that is `aimed` at is beyond bytes.
+    1. With `bits` given only those are looked at; for an SNR above 52 dB only 16. Else bytes are looked at first.
+    2. If they come to less than 38 dB, or the SNR is less, they are taken.
+    3. Else, if one of these is less than 44.5 dB, 16 bits are judged in the blocks, or with the clusters, that are best
+       with bytes. Where they are possible there but worth 0.75 less, bytes are taken.
+    4. Else 16 bits are searched: within the organisation that is best with bytes if step 3 found them worth less there,
+       among all if not. The better of the two is taken; the other one is its rival, to be told from it by a fit.
+
+    Args:
+        search: of what, and how carefully.
+        look: looks for the best candidate.
+        bits: of each number; None: either.
+        fixed: whether the organisation is given.
+        aimed: whether the goal is an SNR.
+
+    Returns:
+        The search that found the candidate, with its rivals, and the candidate with what it is worth.
     """
     ceiling = inf if search.goal.ceiling is None else search.goal.ceiling
     first = bits or (16 if aimed and BYTES_FALL_SHORT < ceiling < inf else 8)
@@ -56,8 +73,10 @@ def searched_by_bits(
 
 
 def _worth_of_same(search: Search, best: Candidate) -> float:
-    """What a search's numbers are worth in the blocks, or with clusters, that are best with others, or with none: what
-    has exact ranks needs no blocks where numbers are as exact."""
+    """What the search's numbers are worth in the blocks, or with the clusters, that are best with other numbers.
+
+    Or without any, if that is more: data of low rank need no blocks where numbers are exact enough.
+    """
     whole = [(best.organisation, (1,) * len(best.grid))]
     worth = worth_of(search.best(whole, search.care.refine)[0])
     if best.clusters:

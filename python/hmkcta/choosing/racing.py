@@ -18,17 +18,25 @@ from .climbing import SURELY_WORSE, WORTHWHILE
 from .judging import Choice, Ranked, Search, worth_of
 from .organisations import merges, organisations
 
-#: Up to so many axes all organisations are tried; of more, the best so many are merged further.
-FEW_AXES, BEAM = 5, 3
-#: Of more organisations than these those are gone on with that lie no further behind the best with one grid.
-MANY, HOPELESS = 20, 4.0
-#: A survey's grids go on that lie no further behind the best of their organisation.
+# Worths are in dB, or octaves of bytes (`trial.Trial`).
+#: Axes up to which all organisations are tried.
+FEW_AXES = 5
+#: Of more axes two modes are merged again and again: so many of the best organisations are merged further each time.
+BEAM = 3
+#: Organisations beyond which only some are looked at with all grids ..
+MANY = 20
+#: .. those that with one grid are worth at most so much less than the best.
+HOPELESS = 4.0
+#: The grids of a survey go on that are worth at most so much less than the best one of their organisation.
 ASIDE = 1.0
-#: With other modes undecomposed an organisation may lie so far behind its best, in so many ways.
-OTHERWISE, KINDS = 1.5, 2
-#: How far behind is left, and which loss along an axis is final, in a race; and where bytes for an SNR come from a
-#: survey alone.
-TRUSTED, DOUBTED = (2.0, 1.5), (inf, SURELY_WORSE)
+#: An organisation also goes on with other modes undecomposed if that is worth at most so much less.
+OTHERWISE = 1.5
+#: In how many ways it goes on at most.
+KINDS = 2
+#: In a race: how far behind the best a candidate is left, and which loss along an axis counts as final.
+TRUSTED = (2.0, 1.5)
+#: The same while the bytes that an SNR takes come from the survey alone.
+DOUBTED = (inf, SURELY_WORSE)
 
 
 def finalists(search: Search, fixed: bool, progress: Progress, *, narrow: bool) -> Ranked:

@@ -18,19 +18,30 @@ F64 = NDArray[np.float64]
 Values = NDArray[np.floating]
 Ladder = tuple[int, ...]
 
-#: Most choices of ranks of a block, and by how much a rank at most grows from one that is looked at to the next.
-FEW_CHOICES, CHOICES = 2_500, 10_000
+#: Most choices of ranks that are looked at of a block, for many blocks and for up to eight.
+FEW_CHOICES = 2_500
+CHOICES = 10_000
+#: Factors by which a rank may grow from one that is looked at to the next: the first that makes few enough choices is
+#: taken.
 GROWTH = (1.0, 1.08, 1.12, 1.16, 1.2, 1.25, 1.3, 1.35, 1.42, 1.5, 1.6, 1.8, 2.2)
 #: Squares summed at once.
 TERMS = 1024
-#: Up to this side a Gram matrix is decomposed; beyond it a subspace of the rank wanted, and so many more, is iterated.
-SIDE, BESIDE, ITERATIONS = 160, 16, 1
-#: Rank of the first subspace that is iterated where little need be left, and by how much the next ones grow.
-FIRST, WIDER = 48, 4
+#: Side of Gram matrices up to which they are decomposed; of larger ones a subspace is iterated.
+SIDE = 160
+#: How many dimensions it has beyond the rank that is wanted.
+BESIDE = 16
+#: How often it is iterated.
+ITERATIONS = 1
+#: Rank of the first such subspace where fewer ranks may be enough.
+FIRST = 48
+#: How many times as large each further one is.
+WIDER = 4
 #: Rows that are transposed at once: float32 numbers of a cache line.
 LINE = 16
-#: Columns looked at to find singular vectors, for each row of an unfolding, and at the least.
-COLUMNS, LEAST_COLUMNS = 64, 16384
+#: Columns that are looked at to find singular vectors, for each row of an unfolding.
+COLUMNS = 64
+#: Columns that are looked at at the least.
+LEAST_COLUMNS = 16384
 
 
 def ladders(limits: Sequence[int], blocks: int = 1) -> list[Ladder]:

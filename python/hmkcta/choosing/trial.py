@@ -69,12 +69,17 @@ ENOUGH = 1 << 16
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """The data and the goal: as many dB as `size` bytes and a decode cost allow.
+    """The data and the goal, by which candidates are judged: what each is *worth*.
 
-    Bytes are not spent beyond a `ceiling` in dB of the transformed values, which is how an SNR is a goal: what reaches
-    it is worth the more, the fewer bytes it takes, an octave as much as a dB. `samples` and `energy` are the source's,
-    `room` the most elements of a sample, `memory` what the fit may take, if that sets bounds; `bits` are those of a
-    number in the file.
+    That is the SNR in dB that it reaches with `size` bytes, up to the `ceiling`. What reaches the ceiling is worth that
+    many dB, and one more for each time that its bytes could be halved (an octave): so an SNR is a goal, too.
+
+    Attributes:
+        source, samples, energy: the array, samples of its blocks, and its squared norm.
+        size, bits: most bytes of the file, and bits of each number in it.
+        ceiling: SNR in dB, of the transformed values, beyond which no bytes are spent; None: there is none.
+        decode_cost: most multiply-adds for one element.
+        room, memory: most elements of a sample, and what the fit may take (None: that sets no bounds).
     """
 
     source: Source
@@ -105,9 +110,9 @@ class Trial:
     def worths(
         self, organisation: Organisation, grid: tuple[int, ...], sample: int, kinds: Kinds = ()
     ) -> list[Scored]:
-        """Every candidate with this organisation and grid: dB, and octaves of bytes beyond the ceiling.
+        """Every candidate with this organisation and grid, and what it is worth, on about so many sampled elements.
 
-        Of `kinds`, if any that the grid leaves uncut, only those that leave one of these sets of modes undecomposed.
+        With `kinds` only those that leave one of these sets of modes undecomposed, if the grid cuts none of its modes.
         """
         cut = self._cut(organisation, grid, sample)
         if not cut.energy.any():
@@ -139,7 +144,7 @@ class Trial:
         return Scored(self.ceiling + log2(self.size / nbytes), candidate)
 
     def worth(self, candidate: Candidate, sample: int, around: tuple[int, ...], workers: int = 1) -> float:
-        """What a carried candidate is worth whose blocks may be cut further, each as pays; on so many threads.
+        """What a carried candidate is worth whose blocks may each be cut further, as pays; by so many threads.
 
         The sample is of blocks of the grid `around`, of which its own are parts: candidates are compared on one.
         """
@@ -164,7 +169,7 @@ class Trial:
         return self._worth(path, cut, cut.blocks.overlap, candidate, float(nbytes[0] * weights.sum()), below)[0]
 
     def _way(self, cut: Cut, flags: tuple[bool, ...], caps: Ranks, way: Sequence[int]) -> tuple[F64, F64]:
-        """Error that each block is left with and bytes, at every choice of ranks, if all are cut in the same way."""
+        """For every choice of ranks the error left in each block, and its bytes, if all blocks are cut in this way."""
         axes, clusters = self.source.axes, clusters_of(self.source.axes, way, cut.organisation)
         parts = organised(split(cut.blocks.values, way), axes, cut.organisation)
         edges = tuple(-(-edge // count) for edge, count in zip(cut.edges, clusters, strict=True))

@@ -35,24 +35,38 @@ from .organisations import moves, organisations
 from .racing import FEW_AXES, finalists, near
 from .trial import OUT_OF_REACH, VERBATIM, Trial, trial_of
 
-#: Small samples tell up to so much too little of large blocks: what lies further behind is left. Of so many of the
-#: best that a race ends with, blocks twice as long get another chance.
-LAGGING, COARSER = 2.0, 2
-#: No climb begins so far behind what those before it reached.
+# Worths are in dB, or octaves of bytes (`trial.Trial`).
+#: By how much small samples may judge large blocks too low: what lies no further behind is looked at again.
+LAGGING = 2.0
+#: For so many of the best candidates that races end with blocks twice as long are tried, too.
+COARSER = 2
+#: A climb begins only from what is worth at most so much less than what climbs before it reached.
 LATE = 0.3
-#: Blocks that may be cut further are no fewer than these, and are cut into no more than so many parts.
-FEWEST_BLOCKS, MOST_CUTS = 4, 8
-#: A start of another kind may lie so many times as far behind.
+#: Blocks are made twice as long, to be cut where that pays, only if at least so many remain.
+FEWEST_BLOCKS = 4
+#: No further axis is cut along once a block may be cut into so many parts.
+MOST_CUTS = 8
+#: A start of another kind than the best may be so many times as far behind it as `Care.far` allows of others.
 OTHER = 2.5
-#: The values as float16, if they fit, are a rival for a size of what comes so near their SNR in dB, or beyond it.
+#: For a size the values as float16, if they fit, are a rival of a plan that comes to more than their SNR less so many
+#: dB.
 ROUNDED = 12.0
-#: Within so many dB of float16's own error plans for a size are alike: then by the bytes that they take to so many dB.
-ALIKE, EXACT = 10.0, 100.0
-#: Candidates that are judged so near the best are fitted, too, of arrays of up to so many elements: the more, the fewer
-#: bits an element is to take, as fits of low ranks take less time; no fewer and no more than these.
-BESIDE, FITTED, AT_ONE_BIT, NEAR = 1.5, 1 << 24, 2.5, (2, 8)
-#: Further plans for an SNR; where all are short of it by so many dB, the bytes to judge by are found anew.
-SPARE, SHORT = 2, 0.5
+#: For a size plans that come to more than float16's own SNR less so many dB are alike: they are judged anew ..
+ALIKE = 10.0
+#: .. by the bytes that they take to reach so many dB.
+EXACT = 100.0
+#: Candidates that are worth at most so much less than the best are fitted, too.
+BESIDE = 1.5
+#: Elements of an array up to which they are.
+FITTED = 1 << 24
+#: How many of them at one bit an element; with b bits this over sqrt(b), as fits of low ranks take less time.
+AT_ONE_BIT = 2.5
+#: The fewest and the most of them.
+NEAR = (2, 8)
+#: How many plans of other kinds follow the best one for an SNR, in case that its fit falls short.
+SPARE = 2
+#: Where all candidates are short of an SNR by more than so many dB, the bytes to judge them by are found anew.
+SHORT = 0.5
 
 
 def tune(

@@ -17,15 +17,18 @@ from .finer import is_far_beyond
 
 #: From this SNR in dB on, the error of the numbers themselves, by their bits, is not small beside what a level leaves.
 ROUNDING_FROM = {16: 55.0, 8: 33.0}
-#: Between so many dB numbers of eight bits and of sixteen may each take fewer bytes, up to the latter below a level of
-#: rank one.
-EITHER, EITHER_BELOW = (36.0, 50.0), 80.0
+#: Between these SNRs in dB either 8 or 16 bits a number may make the smaller file.
+EITHER = (36.0, 50.0)
+#: Below a level of rank one the same holds up to so many dB.
+EITHER_BELOW = 80.0
 #: Blocks of a mode up to which clusters of the data take their place: finding more takes minutes.
 FEW_CLUSTERS = 512
 #: How many times as many nodes of clusters are tried as there were clusters in a node.
 MORE_NODES = (1, 4, 16)
-#: Parts of a plan up to which nodes for clusters along two axes are tried, and with how many.
-FEW_NODES, NODES_AT_FIRST = 64, 4
+#: Cells of a plan's first level up to which nodes for clusters along two axes are tried.
+FEW_NODES = 64
+#: How many such clusters are tried first.
+NODES_AT_FIRST = 4
 
 
 def alternatives(plan: Plan, plain: Organisation, snr: float, nbytes: int) -> Iterator[Plan]:
@@ -101,8 +104,10 @@ def with_bits(plan: Plan, bits: int) -> Plan:
 
 
 def nodes_of_clusters(plan: Plan) -> Iterator[Plan]:
-    """Nodes below a level of rank one for clusters of the data along one mode, as many and more: each has ranks of its
-    own then, none where all of its rows are alike. Also with the other modes parted into their axes.
+    """For a plan of one level with clusters along one mode: plans that make nodes of such clusters, as many and more.
+
+    The first level has rank one and the clusters; below it each cluster is a node with ranks of its own, or none where
+    its rows are alike. The last plan also parts the other modes into their axes.
 
     >>> from hmkcta import parse_plan
     >>> [str(each) for each in nodes_of_clusters(parse_plan("R<=8,* C=16,1", (("y",), ("x", "rgb"))))]
@@ -167,8 +172,10 @@ def gathered(plan: Plan) -> Iterator[Plan]:
 
 
 def joined(plan: Plan, plain: Organisation) -> Iterator[Plan]:
-    """Nodes for a few clusters of the data along two axes at a time, the others modes of their own, where the plan cuts
-    what is there into few parts or none: the outline of a thing runs along two axes, and what lies outside is alike.
+    """Plans whose nodes are a few clusters of the data along two merged axes, for each two; each other axis is a mode.
+
+    Clusters along two axes follow the outline of a thing, outside which all is alike. There are none for fewer than
+    three axes, and where the plan's first level has more than 64 cells already.
 
     >>> from hmkcta import parse_plan
     >>> volume = (("time",), ("y",), ("x",))

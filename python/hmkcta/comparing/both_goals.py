@@ -1,9 +1,9 @@
-"""Compare a model with those that the other goal leads to: of a size with plans for more dB, of an SNR with plans for
-fewer bytes.
+"""Try the other goal, too: after a fit for a size plans for a higher SNR, after one for an SNR plans for fewer bytes.
 
-What is of low rank, or has few distinct values, is all but exact from some rank on. Then it is the rounding of numbers
-that tells plans apart, and each goal looks at others: an SNR at second levels for what rounding leaves, a size at what
-fills it.
+The choice for an SNR and the choice for a size do not look at the same plans: the first one tries a second level for
+what the rounding of stored numbers leaves, the other one what fills the bytes. This matters where data are of low rank
+or have few distinct values. From some rank on they are all but exact, and plans differ by rounding alone. So a plan for
+one goal may be the best for the other, and is taken if it does more for the goal that was asked for.
 """
 
 from __future__ import annotations
@@ -22,15 +22,23 @@ from .follow import Task
 from .followed import NOT_FOLLOWED, is_verbatim
 from .rivals import Choose, follow_any, is_worth
 
-#: Rounding tells plans apart from so many dB on, and up to what float32 holds.
-FROM, UP_TO = 40.0, 118.0
-#: The other goal is so many dB more, or so large a share of the bytes; and while it leads on, so often.
-FURTHER, FEWER, STEPS = 6.0, 0.95, 4
-#: It leads on no further from what exceeds an SNR by less than so many dB, or uses such a share of a size.
-EXCESS, USED = 1.0, 0.96
-#: Plans for more dB that are expected to take so many times a size are not followed.
+#: The other goal is tried from so many dB on: below, rounding does not tell plans apart.
+FROM = 40.0
+#: Highest SNR in dB that is tried as the other goal: about what float32 holds.
+UP_TO = 118.0
+#: After a fit for a size the other goal is an SNR so many dB above what it reached.
+FURTHER = 6.0
+#: After a fit for an SNR the other goal is a size of this share of its bytes.
+FEWER = 0.95
+#: How many times at most the other goal is tried, each time from the better model.
+STEPS = 4
+#: It is tried no more from a model that exceeds its SNR goal by less than so many dB.
+EXCESS = 1.0
+#: Nor from one that uses more than this share of its size.
+USED = 0.96
+#: Plans for more dB that are expected to take more than so many times the size are not fitted.
 BEYOND = 4
-#: Elements up to which it takes seconds.
+#: Elements up to which the other goal is tried: these fits take seconds.
 SMALL = 1 << 22
 
 

@@ -14,13 +14,17 @@ from ..axes import Axis
 from ..grids import SMALLEST_EDGE
 from ..plan import MOST_RANKS, LevelSpec, Plan
 
-#: Arrays of up to so many elements are tried so at once: a step is large there, and trying takes a second at the most.
-#: Of more than so many a step is small, and trying takes long.
-SMALL, LARGE = 1 << 18, 1 << 24
+#: Elements of an array up to which a chosen plan is made finer at once: a rank is a large step there, and it takes a
+#: second at the most.
+SMALL = 1 << 18
+#: Elements beyond which no plan is made finer: a rank is a small step, and to try takes long.
+LARGE = 1 << 24
 #: Axes along which numbers of blocks are tried.
 MOST_AXES = 3
-#: A goal counts as hit by up to so many dB above an SNR, or by so much of a size.
-ABOVE, USED = 0.3, 0.95
+#: An SNR goal is far exceeded by more than so many dB.
+ABOVE = 0.3
+#: A size goal is far from used where less than this share of it is.
+USED = 0.95
 
 
 def finer(plan: Plan, axes: Sequence[Axis]) -> Plan | None:

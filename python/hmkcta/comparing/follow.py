@@ -42,15 +42,27 @@ from ..streaming.streamed import Streamed
 from ..support.memory import give_back_freed_memory
 from ..support.progress import Compared
 
-#: Of the error that an SNR allows, the share below which errors of a node's ranks are not told apart.
+#: Share of the error that an SNR allows below which ranks of a node need not be told apart by their errors.
 UNTOLD = 0.02
 
 
 @dataclass(frozen=True)
 class Task:
-    """A plan to follow on a source: subdivision scheme (``auto``: the best of three), decode cost, kind of data, most
-    bytes of memory (None: half of what is free), bits of a number (None: as suits the goal), whether the organisation
-    is given, most bytes that an SNR may take, and the count of the plans that are compared with it."""
+    """A plan to follow on a source, and all that was said beside it.
+
+    Attributes:
+        source: the array.
+        plan: levels, organisation and goal.
+        scheme: subdivision of explicit levels; ``auto``: the best of the three.
+        decode_cost: most multiply-adds for one scattered element, of ranks that are chosen.
+        kind: of data, as the file has it.
+        run: effort, seed, threads and who is told.
+        memory: bytes to work in; None: half of what is free.
+        bits: of each number, if they are given; None: as suits the goal.
+        organised: whether the organisation is given, so that plans of another one are out.
+        most: bytes for the SNR beyond which the plan is given up, as another one takes less.
+        compared: counts the plans that are compared.
+    """
 
     source: Source
     plan: Plan

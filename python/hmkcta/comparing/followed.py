@@ -24,7 +24,11 @@ class Followed(NamedTuple):
 
 
 def fitted_with(task: Task, plans: Iterable[Plan], far: float) -> list[Followed]:
-    """The model of the task's own plan, and those of `further` ones that do not take `far` more times the bytes."""
+    """The task with the model of its own plan, and with those of further `plans`.
+
+    Left out are plans that cannot be followed, as `further` says; and for an SNR that the best so far reaches those
+    that promise to take more than `far` times its bytes.
+    """
     plans = _suiting(task, plans)
     task.compared.expect(1 + len(plans))
     own = _fitted(task)
@@ -32,10 +36,11 @@ def fitted_with(task: Task, plans: Iterable[Plan], far: float) -> list[Followed]
 
 
 def further(task: Task, plans: Iterable[Plan], best: Followed | None = None) -> Iterator[Followed]:
-    """Models of further plans, except those that cannot be followed: there is a model already.
+    """The task with the models of further plans, one after another, but for those that cannot be followed.
 
-    The least file of such a plan is larger than the goal, or memory does not do; it is of another organisation than
-    the one given; or it takes more bytes for the SNR than the `best`, where that is told, or one of these.
+    A plan is left out, as there is a model already, where its smallest file exceeds the size, where memory does not
+    suffice, where its organisation is not the one that was given, and where it promises to take more bytes for the SNR
+    than the `best`, if that is told, or than one of the models before it.
     """
     plans = _suiting(task, plans)
     task.compared.expect(len(plans))

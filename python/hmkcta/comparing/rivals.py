@@ -30,20 +30,28 @@ from .follow import Task
 from .followed import Followed, best_of, fitted_with, further, is_verbatim, may_be
 from .second_levels import ROUNDED, below_bytes, below_rounding, deeper
 
-#: From so many dB on a second level is tried; so many dB beyond its goal is far; a second level must save a tenth.
-NEARLY, BEYOND, LESS = 64.0, 3.0, 0.9
-#: A model that lies so many dB behind another, or takes so many times its bytes, stays there whatever the number of
-#: clusters; and if so many, also with nodes of them.
-BEHIND, FAR_BEHIND = (1.5, 1.25), (6.0, 3.0)
-#: How often blocks are made more to fill a size: tables of blocks take some of it each time.
+#: SNR in dB above which plans of two levels are tried: one level of float16 numbers may not reach it.
+NEARLY = 64.0
+#: Where a model of 16-bit numbers ends more than so many dB above an SNR goal, two levels of bytes are tried.
+BEYOND = 3.0
+#: These two levels of bytes are taken only if they need less than this share of its bytes.
+LESS = 0.9
+#: How far a model may lie behind the best, in dB for a size and in times the bytes for an SNR, for a search of other
+#: numbers of clusters to start from it as well.
+BEHIND = (1.5, 1.25)
+#: The same for nodes of its clusters to be tried. A rival that promises to take more times the bytes is not fitted.
+FAR_BEHIND = (6.0, 3.0)
+#: How many times at most the number of blocks is raised to fill a size: their tables take some of it each time.
 FILLS = 3
-#: Of nodes, those of like rows take no rank: so many at least are taken to have one.
+#: Share of the nodes below a first level that are taken to store ranks of one, where a plan's least bytes are told:
+#: nodes whose rows are alike store nothing.
 FILLED = 0.5
-#: How often plans are chosen anew, while they miss an SNR, for what that takes in dB of transformed values.
+#: How many times at most plans are chosen anew under a value transform, while they miss the SNR.
 AGAIN = 3
-#: Elements up to which numbers of clusters are told apart by fits in all steps, the first from each start.
-IN_ALL_STEPS, STEPS = 1 << 22, (1.5, 1.25, 1.125)
-
+#: Elements up to which the number of clusters is looked for in all `STEPS`; of larger arrays in the last one alone.
+IN_ALL_STEPS = 1 << 22
+#: Factors by which the number of clusters is raised and lowered, one after the other; the first one from every start.
+STEPS = (1.5, 1.25, 1.125)
 
 #: Plans chosen anew, under a name of their own, for what is said beside it: other arguments of `choose_plan`, or `aim`,
 #: what the SNR takes in dB of transformed values.
@@ -53,15 +61,28 @@ Choose = Callable[..., list[Plan]]
 def follow_any(
     task: Task, others: Sequence[Plan], missed: Callable[[str], None], choose: Choose | None = None
 ) -> Model:
-    """The model of the task's plan; where it misses its SNR, of the first further plan that does not, or the best.
+    """Fit the task's plan and others, and return the best model: `best_of` says which that is.
 
-    Further are the same plan with a level more, for what float16 or the ranks of one leave, and then the `others`;
-    `missed` is told of every plan that missed. For a size, and where that takes no more than seconds, the others are
-    rivals, of which the best is kept. It is then compared with its `alternatives`, with more and fewer clusters of the
-    data, and beyond what float16 keeps of one level with plans of two. Where ranks are such large steps that a model
-    lies far beyond its goal, the same plan with a `finer` choice of blocks is tried, and for an SNR the first of the
-    others. Small arrays are compared with nodes for clusters along two axes. Under a value transform plans are then
-    chosen anew, for what the fit told.
+    These plans are fitted, in this order:
+
+    1. The task's plan, and beside it the `others` that are rivals: for a size all of them; for an SNR, of small arrays
+       (`is_worth`) and of transformed values, all but the verbatim ones.
+    2. Of small arrays plans like the best (`alternatives`), plans of two levels where rounding leaves too much for one,
+       and more and fewer clusters of the data. Of larger ones that memory holds the best plan with bytes instead of
+       float16 numbers, and plans of two levels where a size leads beyond 64 dB.
+    3. Where the best ends far beyond its goal, as one rank more is a large step: the same plan with a `finer` choice of
+       blocks, with merged modes parted and, for an SNR, the first of the others that are left.
+    4. With `choose`, nodes for clusters along two axes, of arrays of up to 2^22 elements; and plans that are chosen
+       anew by what the fit told, under a value transform and where bytes fall short (`_chosen_anew`).
+    5. While an SNR is missed, one after another: bytes below a level of rank one, two levels of bytes, 16-bit numbers,
+       a second level, and the others that are left.
+    6. The values themselves as bytes or float16 numbers, where that may do better.
+
+    Args:
+        task: the plan, its goal and its source.
+        others: the next best plans of the choice, the best first.
+        missed: told in a sentence of every plan that is tried because the SNR is missed.
+        choose: chooses plans for other arguments; None: none are chosen anew.
     """
     rivals = _rivals(task, others)
     followed, given = fitted_with(task, rivals, FAR_BEHIND[1]), task
@@ -101,8 +122,12 @@ def _compared(given: Task, followed: list[Followed], others: Sequence[Plan]) -> 
 
 
 def _in_other_ways(given: Task, own: Followed, followed: Sequence[Followed], others: Sequence[Plan]) -> Followed:
-    """The best of what was followed, of plans of two levels where these may do better, and of other numbers of clusters
-    from there and from the best of the trial's `own` on."""
+    """The best of all that was fitted, of plans of two levels, and of the same plans with more or fewer clusters.
+
+    Two levels of bytes are tried for an SNR beyond what one keeps, or where 16-bit numbers end far above it; two levels
+    of any numbers beyond 64 dB. Numbers of clusters are looked for from the best on, and from the best of the plans of
+    the trial (`own`) unless that is far behind.
+    """
     task, model = best_of(followed)
     wide, goal = task.plan.levels[-1].bits == max(BITS), task.plan.snr or model.snr
     if goal > ROUNDED[min(BITS)] or (wide and model.snr > goal + BEYOND):
@@ -141,7 +166,11 @@ def _chosen_anew(given: Task, found: Followed, left: list[Plan], choose: Choose)
 
 
 def _aimed_anew(found: Followed, goal: float, left: list[Plan], choose: Choose) -> tuple[Followed, list[Plan]]:
-    """Plans chosen for what the SNR takes in dB of transformed values, again while they miss it."""
+    """The best of what was found and of plans chosen for other dB of the transformed values, again while these miss.
+
+    A fit tells both SNRs, of the transformed values and of the values themselves. The transformed one is raised, or
+    lowered, by what the other one lacks of the goal, or has too much.
+    """
     for number in range(2, 2 + AGAIN):
         task, model = found
         aim = model.metadata.source["transformed_snr_db"][-1] + goal - model.snr
@@ -155,7 +184,7 @@ def _aimed_anew(found: Followed, goal: float, left: list[Plan], choose: Choose) 
 
 
 def _spare(task: Task, model: Model, followed: Sequence[Followed], others: Sequence[Plan]) -> list[Plan]:
-    """Plans for an SNR that the model has missed, those of fewer bytes first."""
+    """Plans to try while an SNR is missed, those of fewer bytes first: see step 5 of `follow_any`."""
     spare, below = list(others), deeper(task, model)
     if below is not None:
         spare.insert(0, below)

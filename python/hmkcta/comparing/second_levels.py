@@ -16,11 +16,16 @@ from .alternatives import whole_plan, with_bits
 from .follow import Task
 from .followed import Followed, further, is_verbatim, may_be
 
-#: The first level ends at as many dB as its numbers keep of one, by their bits, and at no less than so many; up to so
-#: many dB in all the second may also be of bytes.
-ROUNDED, SHORT, BOTH = {16: 68.0, 8: 43.0}, 40.0, 106.0
-#: So many dB bytes keep of most values; of plans for so much, so many are tried.
-OF_BYTES, FIRSTS = 36.0, 2
+#: SNR in dB at which a first level ends, by the bits of its numbers: about what their rounding lets one level keep.
+ROUNDED = {16: 68.0, 8: 43.0}
+#: A first level that ends below so many dB gets no second one: that would have too much to do.
+SHORT = 40.0
+#: Below an SNR goal of so many dB, and for a size, the second level is tried with bytes as well.
+BOTH = 106.0
+#: SNR in dB at which a first level of bytes ends that is fitted alone: what bytes keep of most values.
+OF_BYTES = 36.0
+#: How many such first levels are fitted at most, and how many plans of two levels of bytes come of a call.
+FIRSTS = 2
 
 
 def below_rounding(task: Task, others: Sequence[Plan]) -> Iterator[Plan]:

@@ -59,14 +59,21 @@ EFFORTS = {
     "thorough": Effort(candidates=13, starts=13, sweeps=12, hooi=8, backfits=4),
 }
 
-#: Elements that starts are judged on: by what disjoint blocks capture, and by a joint sweep.
-SAMPLE, JUDGED = 2_000_000, 1 << 19
-#: What a joint sweep costs in visits to an element: each number of H, and each element; and how many Gauss-Seidel
-#: sweeps take the place of one where it costs more.
-GRAM_VISITS, PASS_VISITS, IN_PLACE = 20, 4, 2
+#: Elements that starts are judged on by what disjoint blocks capture.
+SAMPLE = 2_000_000
+#: Elements that starts are judged on by a joint sweep.
+JUDGED = 1 << 19
+#: What a joint sweep costs for each number of H, in visits of a Gauss-Seidel sweep to an element of a cell.
+GRAM_VISITS = 20
+#: The same for each element of the tensor.
+PASS_VISITS = 4
+#: How many Gauss-Seidel sweeps take the place of a joint one that costs more.
+IN_PLACE = 2
 
-#: Subspace iterations of a cell's mode update: at a random start, and when it is warm.
-COLD, WARM = 4, 2
+#: Subspace iterations of a cell's mode update where its bases are random.
+COLD = 4
+#: The same where they were fitted before.
+WARM = 2
 
 Labels = Sequence[NDArray[np.intp]]
 

@@ -36,9 +36,17 @@ F32 = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Run:
-    """What every step of a fit shares: how long to try, where chance starts, threads, whom to tell, what is done, the
-    device (``cpu`` or ``cuda``) on which the kernels work, and bytes for what nodes take while they are fitted (None:
-    as many as they like)."""
+    """What every step of a fit shares.
+
+    Attributes:
+        effort: how long to try.
+        seed: of all random starts.
+        threads: how many work at once.
+        progress: told each stage and the fraction of it done.
+        journal: keeps the nodes that are finished.
+        device: ``cpu`` or ``cuda``, where the kernels work.
+        room: bytes that nodes may take together while they are fitted; None: as many as they like.
+    """
 
     effort: Effort
     seed: int
@@ -202,7 +210,7 @@ def fit_nodes(
 ) -> None:
     """Fit the deepest level, each node by its own spec (None: it stays empty), from given disjoint memberships.
 
-    With `last` nobody wants the residual afterwards, but its norm.
+    `last`: nothing reads the residual afterwards, so that of a streamed one only its norm is kept.
     """
     _set_lasting(tree, not last)
     nodes, depth, step = tree.levels[-1], len(tree.levels), run.journal.step()
@@ -240,10 +248,8 @@ def fit_nodes(
 
 
 def _exchanged(residual: F32, old: Cells | None, new: Cells | None) -> F32:
-    """The residual, in place, with other cells: a function of the stored numbers alone, however they were found.
-
-    So what rounding adds the next level absorbs, and cells read from a journal leave what fitted ones left.
-    """
+    """The residual, in place, with `new` cells instead of `old`, by their rounded numbers alone: the next level absorbs
+    what rounding adds, and cells read from a journal leave what fitted ones left."""
     if old is not None:
         kernels.accumulate(old, residual, 1.0)
     if new is not None:
@@ -261,10 +267,7 @@ def sampled(tree: Hierarchy, node: Node, spec: LevelSpec) -> tuple[F32, list[int
 
 
 def thinned(tree: Hierarchy, spec: LevelSpec) -> Hierarchy:
-    """A small hierarchy in memory whose deepest level is the tree's first node that memory does not hold, thinned.
-
-    The tree itself if there is no such node.
-    """
+    """The tree's first node that memory does not hold, thinned to a small hierarchy in memory; without one the tree."""
     for node in tree.levels[-1]:
         outside = streamed_for(tree, node)
         if outside is not None and node.cells is not None:
@@ -277,9 +280,9 @@ def thinned(tree: Hierarchy, spec: LevelSpec) -> Hierarchy:
 
 
 def descend(tree: Hierarchy, scheme: str, run: Run, *, once: bool = False) -> None:
-    """Subdivide every node of the deepest level: its children become the next level, not yet fitted.
+    """Subdivide every node of the deepest level (paper, section 4.2); the children are the next level, not yet fitted.
 
-    With `once` that will look once at what this one leaves.
+    `once`: the next level will read the residual as it is now only once, so that it need not be written to a file.
     """
     nodes = tree.levels[-1]
 
@@ -375,12 +378,11 @@ def backfit(tree: Hierarchy, run: Run, *, last: bool = False) -> None:
 
 
 def _refitted(old: Cells, residual: F32) -> Cells | None:
-    """Rounded cells that leave less than the old ones, which leave `residual` (used up); None: there are none."""
+    """Rounded cells that leave less than `old`, which leaves `residual` (used up); None if rounding outweighs that."""
     before = squared_norm(residual)
     cells = old.copy()
     refit_level(cells, residual)
     rounded = cells.rounded()
-    # So close to the optimum that rounding outweighs the gain?
     return rounded if squared_norm(_exchanged(residual, cells, rounded)) <= before else None
 
 

@@ -17,15 +17,23 @@ from .subspaces import subspace_clusters
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-#: Columns of the row features, and elements looked at to find them; more of either changed nothing.
-FEATURES, SAMPLE = 12, 500_000
-#: Up to this side Gram matrices are decomposed exactly; beyond it so many iterations find the leading vectors.
-EXACT_SIDE, ITERATIONS = 512, 8
-#: How often k-means starts anew, and its rounds; it ends sooner where labels stay as they are.
-RESTARTS, ROUNDS = 2, 8
-#: Of more rows than these, and than so many for each cluster, some are parted: with more, errors fall by some
-#: hundredths, unless a few rows are unlike all others.
-ROWS, ROWS_EACH = 1 << 15, 256
+#: Columns of the row features; more changed nothing.
+FEATURES = 12
+#: Elements looked at to find them; more changed nothing.
+SAMPLE = 500_000
+#: Side of Gram matrices up to which they are decomposed exactly.
+EXACT_SIDE = 512
+#: Subspace iterations that find the leading vectors of larger ones.
+ITERATIONS = 8
+#: How often k-means starts anew.
+RESTARTS = 2
+#: Rounds of each start; it ends sooner where labels stay as they are.
+ROUNDS = 8
+#: Rows that k-means takes its rounds for, if there are more: with more, errors fall by some hundredths, unless a few
+#: rows are unlike all others.
+ROWS = 1 << 15
+#: Rows for each cluster that it takes at the least, if that is more.
+ROWS_EACH = 256
 #: Row normalisations f <- f |f|^(p-1) with size caps (times I/C), in the order of how often they were best.
 CANDIDATES: tuple[tuple[float, float | None], ...] = (
     (0.2, 1.2),
@@ -41,9 +49,11 @@ CANDIDATES: tuple[tuple[float, float | None], ...] = (
     (0.2, None),
     (1.0, 1.05),
 )
-#: Dimensions of the subspaces that rows are parted by where ranks are still to be chosen, and of rows of few columns.
-SOME_DIMENSIONS, FEW_DIMENSIONS = (3, 8), (1, 2, 3)
-#: So few columns are few: a rank is a large step.
+#: Dimensions of the subspaces by which rows are parted while ranks are still to be chosen.
+SOME_DIMENSIONS = (3, 8)
+#: The same for rows of few columns.
+FEW_DIMENSIONS = (1, 2, 3)
+#: Up to so many columns are few: there a rank is a large step.
 FEW_COLUMNS = 16
 
 

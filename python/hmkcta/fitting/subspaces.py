@@ -14,16 +14,24 @@ from numpy.typing import NDArray
 F32 = NDArray[np.float32]
 Labels = NDArray[np.intp]
 
-#: Coordinates of the rows, at the least, and how many more than a subspace has dimensions.
-COORDINATES, MORE = 32, 16
+#: Coordinates of the rows at the least.
+COORDINATES = 32
+#: How many more they are at the least than a subspace has dimensions.
+MORE = 16
 #: Dimensions of a subspace, at the most: rows are told apart by the leading ones.
 DIMENSIONS = 16
 #: Rows that subspaces are found with, and how many are assigned at once.
 ROWS = 1 << 12
-#: Times that subspaces are begun anew, rounds of each, and rows beside the first by which one begins, per dimension.
-RESTARTS, ROUNDS, NEAREST = 4, 12, 3
-#: Beginnings make less difference from so many subspaces on: then fewer do.
-MANY, FEWER = 48, 2
+#: How often subspaces are begun anew.
+RESTARTS = 4
+#: Rounds of each beginning.
+ROUNDS = 12
+#: Rows for each dimension, beside the first, of which a subspace begins.
+NEAREST = 3
+#: Beyond so many subspaces beginnings make less difference ..
+MANY = 48
+#: .. and are only so many.
+FEWER = 2
 
 
 def subspace_clusters(

@@ -12,11 +12,15 @@ from ..metrics import squared_norm
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-#: Up to this side a Gram matrix is decomposed exactly; beyond it by randomised subspace iteration, and already beyond
-#: the smaller one where few vectors of many are wanted.
-EXACT_SIDE, SMALL_SIDE = 768, 160
-#: Where few vectors may do, so many are found first, and then so many times as many.
-FEW, GROWING = 32, 4
+#: Side of Gram matrices up to which they are decomposed exactly; vectors of larger ones are found by randomised
+#: subspace iteration.
+EXACT_SIDE = 768
+#: The same where few vectors of many are wanted.
+SMALL_SIDE = 160
+#: Where few vectors may be enough, so many are found first.
+FEW = 32
+#: Each further attempt finds so many times as many.
+GROWING = 4
 
 
 def unfold(tensor: NDArray[np.floating], n: int) -> NDArray[np.floating]:

@@ -115,10 +115,10 @@ def worksets(plan: Plan, sizes: Sequence[int], limit: int) -> list[int]:
 
 
 def fitting_bytes(sizes: Sequence[int], level: LevelSpec, limit: int) -> int:
-    """Bytes that fitting a level to the workset of a node of these sizes takes, once that is read.
+    """Bytes that it takes to fit a level to the workset of a node of these sizes, once that is read.
 
-    They are for the workset, and for what is left of it where cells overlap, or else for the largest cell; of an HOSVD
-    also for what the first projection leaves.
+    One cell (HOSVD) takes the workset twice, and twice what the first projection leaves of it. Cells that share no
+    element take the workset and the largest of them; others the workset and its residual.
     """
     spec = level.clamped(sizes)
     steps = workset_steps(sizes, spec, limit)
@@ -170,7 +170,12 @@ def fit_streamed(
     labels: Labels | None,
     told: Told = nobody,
 ) -> Cells:
-    """Cells of level `number` (from 0), whose node is the whole tensor; arguments as of `fit_level`."""
+    """Cells of level `number` (from 0), whose node is the whole tensor; other arguments are as of `fit_level`.
+
+    They are fitted on a workset. Then come, mode by mode, the rows that it left out; of several cells those of the
+    other modes, on a denser part of the tensor; and the first ones again, on all rows of decomposed modes. Where cells
+    share no element, undecomposed modes get cores for all their rows by projection.
+    """
     spec = spec.clamped(residual.shape)
     steps = workset_steps(residual.shape, spec, residual.limit)
     turns = _turns(spec, steps)

@@ -12,13 +12,14 @@ from .reasons import fault
 
 @dataclass(frozen=True)
 class Limits:
-    """The largest values a reader takes; raise one by passing ``Limits(rank=2048)``.
+    """The largest values that `open` takes of a file; what is beyond them is a `ResourceLimit` error.
 
-    `rank` and `level_cost` bound decomposed modes only: an undecomposed mode is indexed, not summed over, and its
-    rank is bounded by its size.
+    The comments beside the fields say what each bounds. For a file that is trusted pass larger ones:
+    ``hmkcta.open(path, limits=Limits(rank=2048))``. `rank` and `level_cost` bound decomposed modes only: an
+    undecomposed mode is indexed, not summed over, and its rank is bounded by its size.
 
-    >>> Limits(rank=2048).rank
-    2048
+    >>> Limits(rank=2048).rank, Limits().rank
+    (2048, 1024)
     """
 
     order: int = 8  # modes of the tensor
@@ -40,6 +41,9 @@ DEFAULT_LIMITS = Limits()
 
 def check_limit(reason: str, where: str, found: int, allowed: int) -> None:
     """Refuse a number above its limit.
+
+    Raises:
+        HmkctaError: `ResourceLimit`, of this reason.
 
     >>> check_limit("order-limit", "hmkcta.organisation", 4, 8)
     """

@@ -36,16 +36,18 @@ F32 = NDArray[np.float32]
 
 #: How far above an SNR goal a fit may end, in dB.
 OVERSHOOT = 0.25
-#: How often a fit is repeated to land there; and where the values as they are would take less.
-ATTEMPTS, FEW_ATTEMPTS = 16, 3
-#: How far above the goal many nodes aim, in dB: their choices come in small steps.
+#: How often a fit is repeated at most to land there.
+ATTEMPTS = 16
+#: The same where the values as they are would take fewer bytes.
+FEW_ATTEMPTS = 3
+#: How far above the goal a level of several nodes aims, in dB: its choices come in small steps.
 MARGIN = 0.05
-#: How many times the bytes of another plan one must promise to take before it is given up, at first and once a fit has
-#: told how far promises are off.
+#: A plan is given up that promises more than so many times the bytes of another one: before the first fit, and after
+#: it, when it is known how far promises are off.
 PROMISED = 1.1, 1.02
-#: The search ends where promises too poor and too good lie so near each other, in dB.
+#: The search ends where a promise that was too poor and one that was good enough are so near each other, in dB.
 NARROW = 0.03
-#: The most that is reckoned with of an error that is allowed for what numbers of a byte leave.
+#: Share of the error that an SNR allows that the rounding of bytes is reckoned to take at most.
 MOST_ROUNDING = 0.3
 
 
@@ -68,7 +70,10 @@ def fit_to_goal(tree: Hierarchy, ways: Sequence[Way], goal: Goal, decode_cost: i
 def _parted_anew(
     tree: Hierarchy, ways: Sequence[Way], spectra: Sequence[Spectrum], goal: Goal, run: Run
 ) -> list[Way]:
-    """The way that promises most, with the clusters of the data that its ranks make of it: known now, unlike before."""
+    """The way that promises most, with its clusters found anew by K-subspaces of the ranks it would have.
+
+    Before the ways were examined these ranks were not known. None for blocks, single cells, and streamed tensors.
+    """
     if isinstance(tree.residual, Streamed) or not spectra or ways[0][0].cells == 1 or ways[0][0].grid:
         return []
     choices = merged(spectra, hull=False)
@@ -112,7 +117,10 @@ _NOTHING, _EVERYTHING = (-inf, -inf), (inf, inf)
 
 
 def _aimed(snr: float, now: Reached, poor: Reached, good: Reached) -> float:
-    """The promise that should reach `snr`: what has just been gained on one is gained again, or what lies between."""
+    """The promise in dB that should reach `snr`, from what the last one reached (`now`), and the nearest two around it.
+
+    These are the best that was too poor and the poorest that was good enough, or infinite.
+    """
     gained = now[1] - now[0]
     aim = snr - gained if isfinite(gained) else snr
     if poor[0] < aim < good[0] or not (isfinite(poor[1]) and isfinite(good[1])):
@@ -145,18 +153,26 @@ class _LastLevel:
         return min(energy * LEFT, MOST_ROUNDING * allowed) if self.ways[0][0].bits == 8 else 0.0
 
     def to_size(self, size: int) -> None:
-        """As much as fits into a file of `size` bytes."""
+        """As much as fits into a file of `size` bytes; a little less is tried where the file turns out larger."""
         for budget in (size, 0.995 * size, 0.98 * size):
             self._fit(self._within(budget))
             if self.goal.file_bytes(self.tree) <= size:
                 return
 
     def to_snr(self, snr: float) -> None:
-        """The fewest bytes that were found to reach `snr`; the search ends where they exceed it by little.
+        """Fit the level again and again until it just reaches `snr` dB, and keep the fit of fewest bytes that does.
 
-        What a fit gains or loses against its choices' promise, the next choice, which is nearby, is taken to gain too.
-        Where that leads out of what lies between a fit too poor and one too good, as with a value transform, it is
-        looked for between those two.
+        Choices of ranks promise an SNR, by the energies of HOSVD cores; a fit of them reaches another one. The first
+        fit is of choices that promise `snr`. What it reached beyond its promise, or short of it, the next choices are
+        taken to gain or lose as well, as they are near. Where that leads out of the interval between a promise that was
+        too poor and one that was good enough, as it may under a value transform, the next one is interpolated between
+        these two (`_aimed`).
+
+        The search ends up to `OVERSHOOT` dB above the goal, where the two promises nearly meet, where the next choices
+        were fitted before, or after `ATTEMPTS` fits. If none reached the goal, all ranks that there are are fitted.
+
+        Raises:
+            HmkctaError: reason ``size-too-small``: these choices take more bytes than another plan (`Goal.most`).
         """
         aim, best, tried, poor, good = snr, None, set[bytes](), _NOTHING, _EVERYTHING
         wasteful = self.ways[0][0].bits / 8 * sum(prod(node.sizes) for node in self.tree.levels[-1])

@@ -15,14 +15,16 @@ from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 
-#: At most so many changes off the hulls after the multiplier is found, to use what the last step along them leaves
-#: unused; none of more nodes than so many, whose last step is a small one.
-TRIMS, FEW = 8, 256
-#: Two multipliers are close enough where the bytes that they spend differ by this share.
+#: How many choices are at most changed to some off the convex hulls, once the multiplier is found: the last step along
+#: the hulls leaves some of the goal unused.
+TRIMS = 8
+#: Nodes beyond which none is changed so for a size: the last step is small then.
+FEW = 256
+#: The bisection ends where the bytes that two multipliers spend differ by this share.
 CLOSE = 0.01
-#: A choice is left out that leaves, over all nodes, so many times the error of the best that is cheaper.
+#: A choice is left out that, taken by all nodes, leaves more than so many times the error of a cheaper one.
 ASIDE = 2.0
-#: The nodes of a grid differ by a row along each mode: so many shapes, whose choices are kept.
+#: Shapes of nodes whose choices are kept: those of a grid differ by a row along each mode.
 SHAPES = 16
 
 
@@ -176,7 +178,13 @@ def pareto(nbytes: F64, error: F64) -> NDArray[np.intp]:
 
 @dataclass(frozen=True)
 class Allocation:
-    """The choice of each node and what all of them cost and leave."""
+    """The choices of all nodes.
+
+    Attributes:
+        choice: number of each node's choice in its `Spectrum`, `[nodes]`.
+        nbytes: what they take together.
+        error: squared error that they leave together.
+    """
 
     choice: NDArray[np.intp]
     nbytes: float
@@ -184,9 +192,10 @@ class Allocation:
 
 
 def allocate(spectra: Sequence[Spectrum], *, nbytes: float | None = None, error: float | None = None) -> Allocation:
-    """Choose for all nodes the most within the bytes, or the least that leaves no more than the error.
+    """Choose the ranks of all nodes: those of least error within `nbytes`, or of fewest bytes that leave up to `error`.
 
-    Steps along all hulls are taken in the order of error saved a byte, which is what one multiplier chooses.
+    All nodes begin with the first of their choices. Steps along their convex hulls are taken in the order of error
+    saved a byte, until the goal is met: that is what one Lagrange multiplier for all nodes chooses.
     """
     step_bytes = [np.diff(s.nbytes[s.steps]) for s in spectra]
     step_error = [np.diff(s.error[s.steps]) for s in spectra]

@@ -37,11 +37,13 @@ F64 = NDArray[np.float64]
 
 #: The stage before the fit.
 EXAMINING = "ranks of each node"
-#: A way to fit a node: ranks up to which, clusters, and the memberships that its cells start from.
+#: A way to fit a node: highest ranks and clusters, and the memberships that its cells start from.
 Way = tuple[LevelSpec, LabelsOf]
-#: Most entries of the table of choices of a node, and of one alone in its level.
-TABLE_ENTRIES, LONE_ENTRIES = 60_000, 400_000
-#: Ways, and blocks of one, are examined side by side that have no more elements together.
+#: Most choices of ranks in the table of a node.
+TABLE_ENTRIES = 60_000
+#: The same of a node that is the only one of its level.
+LONE_ENTRIES = 400_000
+#: Most elements of the ways, or of the blocks of one, that are examined side by side.
 BESIDE = 1 << 25
 
 
@@ -55,9 +57,9 @@ class Goal:
         energy: squared norm of the tensor.
         file_bytes: exact size of the file that a hierarchy would make.
         snr_now: SNR in dB of a hierarchy in the domain of the source values.
-        memory: bytes to work in, if they are given.
-        untold: squared error that is little beside what the SNR allows.
-        most: bytes of a model that takes no more for the SNR, if there is one: others need not be fitted.
+        memory: bytes to work in, if they are given; None: half of what is free.
+        untold: squared error that is little beside what the SNR allows: ranks that leave less need not be told apart.
+        most: bytes of another model that reaches the SNR; a plan that would take more need not be fitted.
     """
 
     size: int | None
@@ -73,7 +75,10 @@ class Goal:
 def examined(
     tree: Hierarchy, ways: Sequence[Way], goal: Goal, decode_cost: int, run: Run, first: int = 0
 ) -> list[list[Spectrum]]:
-    """Of every node its choices in each way, numbered from the `first` on; none where there is nothing to store."""
+    """For every node of the deepest level its choices of ranks, a `Spectrum` for each way to cut it into cells.
+
+    Ways are numbered from `first` on. A node in which there is nothing to store has none.
+    """
     nodes, told = tree.levels[-1], told_within(tree.levels[-1], EXAMINING, run)
     spectra: list[list[Spectrum]] = [[] for _ in nodes]
     # What is streamed shares out its own work, and where memory is given there is none for more at once.

@@ -42,7 +42,7 @@ def left_of(tensor: F32) -> Left:
 
 
 def settled_by(block: Block, levels: Sequence[Cells | None]) -> list[Left]:
-    """Take levels from a block, in place, and say what is left of it before the first of them, and after each."""
+    """Subtract the models of `levels` from a block, in place; what is left before the first of them, and after each."""
     seen = [left_of(block.tensor)]
     for cells in levels:
         if cells is not None and block.tensor.size:

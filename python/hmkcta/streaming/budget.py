@@ -16,10 +16,13 @@ SMALLEST = 1 << 20
 WORKING = 14
 #: Bytes of the process itself.
 PROCESS = 200 * 2**20
-#: Bytes for each byte of a model's float16 numbers: in float32, rounded, and packed; and further ones while it is
-#: fitted, of cells that share elements and of others: starts and sweeps keep the best beside what they try.
-MODEL, TRIED, TRIED_APART = 4, 11, 7
-#: How many times as much as inner products takes what is made of them.
+#: Bytes for each byte of a model's float16 numbers: these are held in float32, rounded, and packed.
+MODEL = 4
+#: Further ones while a node is fitted whose cells share elements: starts and sweeps keep the best beside what they try.
+TRIED = 11
+#: The same where cells share none.
+TRIED_APART = 7
+#: Bytes for each byte of the inner products M_n(c, c'), with what is made of them.
 PRODUCTS = 2
 #: Bytes of a node with its tables.
 NODE = 2500
@@ -27,12 +30,16 @@ NODE = 2500
 ROW = 192
 #: Bytes for each element of a tensor that is fitted in place, by sweeps alone.
 FLAT = 5
-#: Elements of all samples that are worked on while a plan is chosen: at most, and where memory is scarce at the least.
-TOGETHER, FEWEST = 1 << 24, 1 << 20
+#: Most elements of all samples that are worked on at once while a plan is chosen.
+TOGETHER = 1 << 24
+#: The fewest, where memory is scarce.
+FEWEST = 1 << 20
 #: Bytes of memory for each of these elements.
 EACH = 40
-#: Beyond so many dB samples are looked at in float64, and so many times fewer elements have room.
-PRECISE, WIDER = 50.0, 2
+#: SNR in dB beyond which samples are looked at in float64.
+PRECISE = 50.0
+#: How many times fewer elements of samples then have room.
+WIDER = 2
 
 
 def memory_limit(plan: Plan, sizes: Sequence[int], memory: int | None) -> int:
@@ -44,7 +51,7 @@ def memory_limit(plan: Plan, sizes: Sequence[int], memory: int | None) -> int:
     check_least_memory(prod(sizes), memory, choosing=False)
     beyond = _beyond(plan, sizes, memory)
     budget = memory_budget(memory)
-    # All that is free may do where half of it does not: then no fewer rows than are enough are worked on.
+    # Where half of what is free does not suffice, all of it may: then no fewer elements than are enough are worked on.
     enough = min(prod(sizes), SMALLEST, workset_limit(budget))
     limit = max(enough, workset_limit(budget - beyond))
     number, first = next(((n, level) for n, level in enumerate(plan.levels) if level.cells > 1), (0, plan.levels[0]))

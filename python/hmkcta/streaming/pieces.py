@@ -50,8 +50,13 @@ NOTHING = Left()
 
 @dataclass(eq=False)
 class Piece(SubTensor):
-    """A node's sub-tensor in the scratch file: where it starts; what levels above leave of it, one after the other, the
-    first of them none; and what is left of it now."""
+    """A node's sub-tensor in the scratch file.
+
+    Attributes:
+        start: number of its first element there.
+        above: what is left of it after no level, the first, the first two .. of those above.
+        left: what is left of it now.
+    """
 
     start: int
     above: list[Left] = field(default_factory=list["Left"])

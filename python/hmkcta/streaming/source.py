@@ -33,10 +33,14 @@ from ..transform import Transform, parse
 from .collecting import collected
 
 F32 = NDArray[np.float32]
-#: Elements of slabs that are checked one after another, and, by many threads, at the least.
-SLAB, _SMALL_SLAB = 1 << 22, 1 << 16
-#: Magnitudes of which the numbers that are stored, and sums of them, keep clear of float32's ends.
-_SMALLEST, _LARGEST = 1e-38, 1e32
+#: Elements of slabs that are checked one after another.
+SLAB = 1 << 22
+#: Elements at the least of slabs that many threads check at once.
+_SMALL_SLAB = 1 << 16
+#: Smallest magnitude, but for zero, that the largest of an array may have: float32 keeps few digits below.
+_SMALLEST = 1e-38
+#: Largest magnitude of an array: float32 can hold sums and products of such numbers.
+_LARGEST = 1e32
 #: What is below this share of the unit is taken for zero.
 TINY = 2.0**-60
 

@@ -55,13 +55,13 @@ class Streamed:
         organisation: of its axes into modes.
         threads: how many read and work at once.
         limit: most elements that are worked on in memory as one tensor.
-        wholes: the cells of the levels whose node is the whole tensor, as they are now.
-        stored: of those, the cells that what lies in the pieces was computed with.
+        wholes: for each level whose node is the whole tensor its model now; None: it has none.
+        stored: the models that were subtracted when the pieces were written, which `wholes` may differ from since.
         pieces: empty as long as the source is read.
         parts: what the pieces were cut by, for each mode the part of every row.
         in_source: whether the pieces are still to be collected from the source.
         lasting: False while nobody will read the pieces again: they are not written back, and gone afterwards.
-        known: what none of the levels, the first, the first two .. leave, as far as that was seen on the way.
+        known: the energy and largest magnitude left by no level, the first, the first two .., so far as passes saw it.
     """
 
     source: Source
@@ -86,9 +86,10 @@ class Streamed:
         return mode_sizes(self.source.axes, self.organisation)
 
     def terms(self, without: int | None = None) -> list[tuple[float, Cells]]:
-        """What to add to the blocks as they are read, weights and models, to have the tensor less all of `wholes`.
+        """Pairs of a weight and a model to add to blocks as they are read, to get the tensor less all of `wholes`.
 
-        All but the one numbered `without`, where given.
+        For each model that has changed: 1 and what was subtracted from what is read (`stored`), -1 and what should be
+        now. The model of the level `without` (from 0) should not be subtracted at all.
         """
         stored = [*self.stored, *[None] * (len(self.wholes) - len(self.stored))]
         changes: list[tuple[float, Cells]] = []
@@ -219,7 +220,7 @@ class Streamed:
         self, pieces: Sequence[Piece], parts: Sequence[NDArray[np.intp]], counts: Sequence[int],
         without: int | None = None, *, watched: bool = False,
     ) -> Scratch:
-        """The pieces in a scratch file; what levels leave of a source is `known` then, if that is `watched`."""
+        """The pieces in a new scratch file; if `watched`, what each level leaves is seen on the way, and `known`."""
         places, scratch = [places_of(part) for part in parts], Scratch(sum(piece.elements for piece in pieces))
 
         def write(block: Block) -> tuple[list[tuple[int, Left]], list[Left]]:
@@ -353,7 +354,6 @@ class Large(Streamed):
 
     def within(self, steps: Sequence[int] | None) -> list[Callable[[], Block]]:
         """Readers of its slabs as blocks of the tensor above."""
-
         return [partial(self._slab_above, part, steps) for part in slabs(self.shape, SLAB)]
 
     def in_blocks(self, parts: Sequence[NDArray[np.intp]], counts: Sequence[int], number: int) -> Streamed:

@@ -17,11 +17,17 @@ KINDS = ("svbrdf", "volume", "lightfield")
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """Values of one data set with an `Axis` for each array axis, and its kind, one of `KINDS`.
+    """Values of one data set with an `Axis` for each array axis, and its kind.
+
+    Args:
+        values: float32, a dimension for each axis.
+        axes: with names, sizes, roles and, for lights and views, directions as coordinates.
+        kind: what it shows, one of `KINDS`.
 
     >>> from hmkcta.axes import name_axes
-    >>> Dataset(np.zeros((2, 3), np.float32), name_axes((2, 3), ["y", "x"]), "volume").nbytes
-    24
+    >>> data = Dataset(np.zeros((2, 3), np.float32), name_axes((2, 3), ["y", "x"]), "volume")
+    >>> data.nbytes, data.names, data.axis("x").size
+    (24, ('y', 'x'), 3)
 
     Raises:
         HmkctaError: the kind is unknown, or the axes do not have the sizes of the array.
@@ -49,7 +55,11 @@ class Dataset:
         return int(self.values.nbytes)
 
     def axis(self, name: str) -> Axis:
-        """The axis of that name."""
+        """The axis of that name.
+
+        Raises:
+            HmkctaError: reason ``unknown-axis``: none has it.
+        """
         for axis in self.axes:
             if axis.name == name:
                 return axis

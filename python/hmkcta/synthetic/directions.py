@@ -21,7 +21,8 @@ LENGTH_TOLERANCE = 2e-3
 def hemisphere_directions(count: int, turn: float = 0.0, max_zenith: float = MAX_ZENITH) -> NDArray[np.float32]:
     """Unit vectors ``[count, 3]`` spread evenly by area, from the zenith (0, 0, 1) down to `max_zenith` degrees.
 
-    A Fibonacci spiral, turned by `turn` radians about the normal: zenith angles rise with the index, azimuths jump.
+    A Fibonacci spiral, turned by `turn` radians about the normal: zenith angles rise with the index, azimuths jump
+    from each to the next by the golden angle.
 
     >>> spread = hemisphere_directions(24)
     >>> spread.shape, bool(spread[:, 2].min() > np.cos(np.radians(75))), round(float(spread[0, 2]), 2)

@@ -49,6 +49,14 @@ def volume(size: int | Sequence[int] = 64, frames: int = 32, seed: int = 0) -> D
 
     The dye enters with fine structure, the eddies fold it ever finer; much of the volume around the jet stays empty.
 
+    Args:
+        size: voxels along each axis, at least 4; or of (z, y, x).
+        frames: time steps.
+        seed: the same one makes the same jet.
+
+    Raises:
+        HmkctaError: reason ``size-too-small``.
+
     >>> small = volume((4, 8, 12), frames=2)
     >>> small.names, small.values.shape
     (('time', 'z', 'y', 'x'), (2, 4, 8, 12))

@@ -42,6 +42,15 @@ def light_field(views: int = 9, size: int = 96, frames: int = 8, seed: int = 0) 
 
     Far to near: a brick wall, a ball that rolls behind foliage, foliage, a ball in front of it, a fence.
 
+    Args:
+        views: cameras in a row, and in a column.
+        size: pixels along y and along x, at least 4.
+        frames: time steps.
+        seed: the same one makes the same scene.
+
+    Raises:
+        HmkctaError: reason ``size-too-small``.
+
     >>> small = light_field(views=2, size=12, frames=2)
     >>> small.names, small.values.shape
     (('row', 'column', 'y', 'x', 'time'), (2, 2, 12, 12, 2))

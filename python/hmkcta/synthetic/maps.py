@@ -27,7 +27,17 @@ SCRATCHES = 6
 
 @dataclass(frozen=True, eq=False)
 class MaterialMaps:
-    """Per texel: `albedo`, `specular` ``[y, x, rgb]`` 0..1, unit `normal` ``[y, x, 3]``, GGX `roughness` ``[y, x]``."""
+    """Parameter maps of a material, one entry for each texel.
+
+    Args:
+        albedo: diffuse reflectance ``[y, x, rgb]``, 0..1.
+        specular: reflectance at normal incidence ``[y, x, rgb]``, 0..1.
+        normal: unit vectors ``[y, x, 3]``.
+        roughness: GGX width ``[y, x]``.
+
+    >>> brocade_maps(16).albedo.shape
+    (16, 16, 3)
+    """
 
     albedo: Array
     specular: Array
@@ -36,7 +46,7 @@ class MaterialMaps:
 
 
 def brocade_maps(size: int, seed: int = 0) -> MaterialMaps:
-    """Maps of ``size x size`` texels.
+    """Maps of ``size x size`` texels; the same `seed` makes the same ones.
 
     >>> maps = brocade_maps(16)
     >>> maps.normal.shape, maps.roughness.dtype

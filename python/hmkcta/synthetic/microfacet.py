@@ -22,6 +22,15 @@ def material(lights: int = 24, views: int = 24, size: int = 96, seed: int = 0) -
     parallax and no shadows from thread to thread. Coordinates of the axes `light` and `view` are their directions.
     The default is 63.7 MB, the paper's layout 72 x 24 x 96 x 96 once ``light+rgb`` are one mode.
 
+    Args:
+        lights: directions of light.
+        views: directions of view.
+        size: texels along y and along x, at least 2.
+        seed: the same one makes the same material.
+
+    Raises:
+        HmkctaError: reason ``size-too-small``.
+
     >>> small = material(lights=3, views=2, size=8)
     >>> small.values.shape, small.axis("view").coords.shape
     ((3, 2, 8, 8, 3), (2, 3))

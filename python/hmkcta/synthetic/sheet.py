@@ -55,15 +55,30 @@ class SheetMaps:
         return self.roughness.shape[0], self.roughness.shape[1]
 
     def cropped(self, height: int, width: int) -> SheetMaps:
-        """The upper left part of at most that many texels."""
+        """The upper left part, of at most `height` x `width` texels."""
         return SheetMaps(*(values[:height, :width] for values in (self.diffuse, self.specular, self.roughness)))
 
 
 def load_sheet(path: str | Path, state: str = "new") -> tuple[SheetMaps, Array]:
-    """Maps and directions ``[count, 3]`` from an archive with ``directions`` and ``diffuse_<state>`` and so on.
+    """Maps and directions ``[count, 3]`` from an archive of measured parameters.
+
+    Args:
+        path: an ``.npz`` file with the arrays ``directions``, ``diffuse_<state>``, ``specular_<state>`` and
+            ``roughness_<state>``.
+        state: which of the measured states to take.
 
     Raises:
-        HmkctaError: the file is not there or has no such arrays.
+        HmkctaError: `Io`, reason ``sheet-not-readable``: the file is not there or has no such arrays; or what
+            `SheetMaps` refuses.
+
+    >>> import tempfile
+    >>> grey = np.full((4, 5), 0.5)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     np.savez(f"{folder}/sheet.npz", directions=[[0, 0, 1]], diffuse_new=grey, specular_new=grey,
+    ...              roughness_new=grey)
+    ...     maps, directions = load_sheet(f"{folder}/sheet.npz")
+    >>> maps.shape, directions.shape
+    ((4, 5), (1, 3))
     """
     try:
         with np.load(path) as archive:
