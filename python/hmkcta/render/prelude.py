@@ -30,7 +30,8 @@ MOST_ROWS = 32
 #: In shaders and their uniforms: there is no such axis or mode.
 NO_AXIS = 0xFF
 
-_TRANSFORMS = {"identity": 0, "log1p": 1, "asinh": 2, "sqrt": 3}
+#: Numbers of the value transforms in `decode.wgsl`.
+TRANSFORM_NUMBERS = {"identity": 0, "log1p": 1, "asinh": 2, "sqrt": 3}
 #: A little below the largest float32.
 _LARGEST = 3.4e38
 
@@ -100,7 +101,7 @@ def prelude(metadata: Metadata, pages: int, options: Options = PLAIN, uniform: S
         f"const PICKS = {max(picks)}u;",
         f"const ROW_FIRST = {_array(first)};",
         f"const ROWS = {first[-1]}u;",
-        f"const TRANSFORM = {_TRANSFORMS[from_json(metadata.transform).name]}u;",
+        f"const TRANSFORM = {TRANSFORM_NUMBERS[from_json(metadata.transform).name]}u;",
         f"const CHANNELS = {options.channels}u;",
         *_value(options.channels),
         f"const COLOUR_AXIS = {_or_none(None if options.channels == 1 else channel_axis(metadata))}u;",
