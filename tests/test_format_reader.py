@@ -10,8 +10,8 @@ import pytest
 
 import hmkcta
 from format_reader import Reader
-from hmkcta.hmkfile.metadata import TRANSFORMS
 from hmkcta.model import Model
+from hmkcta.transform import TRANSFORMS
 from literal_decode import element
 from random_models import Shapes, random_model
 

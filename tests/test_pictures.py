@@ -214,7 +214,7 @@ def test_sheets_refuse_what_cannot_be_compared(tmp_path: Path) -> None:
 
 
 def test_missing_pillow_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "PIL", None)
+    monkeypatch.setitem(sys.modules, "PIL.Image", None)
     with pytest.raises(HmkctaError, match=r'pip install "hmkcta\[demo\]"') as caught:
         comparison_sheet(ramp(), [("level", ramp())], tmp_path / "s.png")
     assert caught.value.reason == "pillow-missing"

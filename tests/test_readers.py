@@ -12,6 +12,7 @@ import pytest
 
 from hmkcta.errors import HmkctaError, Kind
 from hmkcta.readers import open_array, read_coordinates
+from reader_tools import refusal
 
 VALUES = np.arange(24, dtype=np.float32).reshape(2, 3, 4)
 DTYPES = ["<f4", ">f4", "<f2", ">f2", "<f8", ">f8", "u1", "i1", "<i2", ">u2", "<i4", ">i4", "<i8", ">u8"]
@@ -21,14 +22,6 @@ def saved(path: Path, array: Any) -> Path:
     """The array as a `.npy` file."""
     np.save(path, array, allow_pickle=False)
     return path
-
-
-def refusal(uri: str | Path, **options: Any) -> HmkctaError:
-    """The error with which the reader refuses."""
-    with pytest.raises(HmkctaError) as caught:
-        open_array(uri, **options)
-    assert str(caught.value).endswith(f"[{caught.value.kind.label}/{caught.value.reason}]")
-    return caught.value
 
 
 @pytest.mark.parametrize("dtype", DTYPES)

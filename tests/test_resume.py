@@ -12,6 +12,7 @@ import pytest
 
 import hmkcta
 from cli_tools import smooth
+from fit_tools import file_of
 from hmkcta import HmkctaError, Journal, Model
 from hmkcta.journal import NODES, PLAN, RUN
 from hmkcta.support.recordlog import RecordLog
@@ -32,11 +33,6 @@ CASES: dict[str, dict[str, Any]] = {
 
 def fitted(**options: Any) -> Model:
     return hmkcta.compress(DATA.values, axes=DATA.axes, organisation=MODES, threads=2, **options)
-
-
-def file_of(model: Model, folder: Path) -> bytes:
-    model.save(folder / "model.hmk", overwrite=True)
-    return (folder / "model.hmk").read_bytes()
 
 
 def resumed(folder: Path, **options: Any) -> tuple[bytes, int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from gpu_tools import KINDS, Kind, adapter, job, run_in_dawn
 from hmkcta import Model
 from hmkcta.render.contract import (
+    FrameContraction,
     contractable,
     contraction_constants,
     contraction_shader,
@@ -137,9 +139,11 @@ def test_tint_contracts_the_same(tmp_path: Path) -> None:
     constants = contraction_constants(metadata, model.levels, image, options)
     starts = core_starts(model.levels, options.contracted)
     device = adapter()
-    filled = DecoderBuffers(device, model, options)
-    filled.contract(fixed(picks, still))
-    expected = device.read(filled.contracted)
+    whole = DecoderBuffers(device, model, replace(options, contracted=()))
+    contraction = FrameContraction(device, model, image, options, whole.layout, whole.pages)
+    contraction.reserve(1)
+    contraction.run(whole.bind_group(), [fixed(picks, still)])
+    expected = device.read(contraction.cores)
     fold = [("read-only-storage", fixed_rows(metadata, options.contracted, fixed(picks, still)).tobytes()),
             ("read-only-storage", parent_table(model.levels).tobytes()),
             ("storage", starts.tobytes() + bytes(expected.nbytes - starts.nbytes))]

@@ -6,15 +6,11 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from dense_reference import energy
+from fit_tools import noise
 from hmkcta.choosing.spectra import FIRST, WIDER, captured, cores, energies, ladders
 from hmkcta.fitting.tucker import core_energies
-
-
-def noise(*shape: int) -> NDArray[np.float32]:
-    return np.random.default_rng(list(shape)).standard_normal(shape, np.float32)
 
 
 @pytest.mark.parametrize("undecomposed", [(), (1,), (0, 2)], ids=str)

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hmkcta.errors import HmkctaError
-from hmkcta.transform import Transform, from_json, parse
+from hmkcta.render.prelude import TRANSFORM_NUMBERS, shader
+from hmkcta.transform import TRANSFORMS, Transform, from_json, parse
 
 ALL = [Transform(), Transform("log1p"), Transform("log1p", 0.25), Transform("asinh", 3.0), Transform("sqrt")]
 
@@ -75,6 +76,12 @@ def test_values_outside_the_domain_are_counted_and_the_first_is_named(text: str,
 def test_text_and_json_read_back(transform: Transform) -> None:
     assert parse(str(transform)) == transform
     assert from_json(transform.to_json()) == transform
+
+
+def test_shaders_undo_every_transform() -> None:
+    assert TRANSFORM_NUMBERS.keys() == TRANSFORMS.keys()
+    cases = shader("decode").partition("switch TRANSFORM {")[2].partition("default:")[0]
+    assert {name for name, number in TRANSFORM_NUMBERS.items() if f"case {number}u:" not in cases} == {"identity"}
 
 
 @pytest.mark.parametrize(("text", "reason"), [

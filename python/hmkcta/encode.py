@@ -200,7 +200,7 @@ def compress(
         source = prepare(array, axes, transform, nan, run.threads)
         check_kind(source.axes, kind or source.kind)
         if plan is not None:
-            plan = _with_all_said(plan, source, wanted, scheme)
+            plan = read_plan(plan, source, wanted, scheme)
         # Before anything is kept of a run that cannot be.
         check_least_memory(prod(source.shape), max_memory, choosing=plan is None)
         if journal is not None:
@@ -333,8 +333,17 @@ def _goal(snr: float | None, size: int | None) -> tuple[float | None, int | None
     return None if snr is None else float(snr), None if size is None else int(size)
 
 
-def _with_all_said(plan: Plan | str, source: Source, wanted: Wanted, scheme: str) -> Plan:
-    """A given plan with what the call says beside it: nothing of that is passed over."""
+def read_plan(plan: Plan | str, source: Source, wanted: Wanted, scheme: str) -> Plan:
+    """A given plan with what the call says beside it: nothing of that is passed over.
+
+    Raises:
+        HmkctaError: the text is no plan, or the plan says another organisation or other bits than the call.
+
+    >>> wanted = Wanted(snr=30.0, size=None, decode_cost=4096, organisation=None, max_memory=None, bits=8)
+    >>> plan = read_plan("R=2", prepare(np.ones((6, 4)), None, None, None, 1), wanted, "auto")
+    >>> plan.organisation, plan.levels[0].bits, plan.snr
+    ((('axis0',), ('axis1',)), 8, 30.0)
+    """
     modes = None if wanted.organisation is None else source.organisation(wanted.organisation)
     if isinstance(plan, str):
         read = parse_plan(plan, modes or source.organisation(None), "most" if scheme == "auto" else scheme)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from .axes import Axis, as_drawn
 from .errors import HmkctaError, Kind, invalid
 from .metrics import snr_db
+from .support.optional import library
 
 if TYPE_CHECKING:
     from PIL import Image, ImageDraw
@@ -324,9 +325,6 @@ def _fitted(text: str, face: Any, width: float) -> str:
 
 def _pillow() -> tuple[Any, Any, Any]:
     """Pillow's Image, ImageDraw and ImageFont modules, or an error that says how to get them."""
-    try:
-        from PIL import Image, ImageDraw, ImageFont
-    except ImportError as error:
-        raise HmkctaError(Kind.INVALID_ARGUMENT, "pillow-missing", "pictures", found="no Pillow in this Python",
-                          hint='pip install "hmkcta[demo]"') from error
-    return Image, ImageDraw, ImageFont
+    names = ("Image", "ImageDraw", "ImageFont")
+    image, draw, font = (library(f"PIL.{name}", "Pillow", "demo", "pictures") for name in names)
+    return image, draw, font

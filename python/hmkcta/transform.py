@@ -49,6 +49,9 @@ _RULES = {
     "sqrt": _Rule(np.sqrt, lambda y: np.square(np.maximum(y, 0)), lambda x: _finite(x) & (x >= 0), "0 or more", False),
 }
 
+#: Value transforms that decoders undo, each with the names of its constants.
+TRANSFORMS: Mapping[str, tuple[str, ...]] = {name: ("scale",) if rule.scaled else () for name, rule in _RULES.items()}
+
 
 @dataclass(frozen=True)
 class Transform:
@@ -145,7 +148,7 @@ def from_json(stored: Mapping[str, Any]) -> Transform:
     name = stored.get("name")
     if not isinstance(name, str) or name not in _RULES:
         raise invalid("unknown-transform", "transform.name", repr(name), ", ".join(_RULES))
-    expected = {"name", "scale"} if _RULES[name].scaled else {"name"}
+    expected = {"name", *TRANSFORMS[name]}
     if set(stored) != expected:
         raise invalid("transform-fields", "transform", ", ".join(sorted(stored)), ", ".join(sorted(expected)))
     scale = stored.get("scale", 1.0)

@@ -18,7 +18,7 @@ from ..errors import ForeignFile, HmkctaError, Kind
 from ..support.temporaries import remove_all
 from .failure import EXIT_CODES, Exit, Failure
 from .interrupt import Interrupted, interruptible
-from .options import CONTEXT, VERBOSE, WORDS, examples_first
+from .options import CONTEXT, VERBOSE, WORDS, ExamplesFirst
 from .output import emit
 from .resume import abandon, going_on, nothing_kept
 from .versions import version_option
@@ -57,8 +57,10 @@ class Commands(Mapping[str, click.Command]):
         return len(SUMMARIES)
 
 
-class Hmkcta(click.Group):
+class Hmkcta(ExamplesFirst, click.Group):
     """The group of all commands; turns exceptions into sentences and exit codes."""
+
+    examples = EXAMPLES
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
@@ -97,11 +99,6 @@ class Hmkcta(click.Group):
             raise Failure(f"the memory ran out. {advice} {going_on(ctx, then=True)}".rstrip(), Exit.RESOURCE) from error
         except Exception as error:
             raise _unforeseen(error, bool(ctx.meta.get(VERBOSE))) from error
-
-    def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Examples, usage, commands, exit codes."""
-        examples_first(formatter, EXAMPLES)
-        super().format_help(ctx, formatter)
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """The exit codes."""

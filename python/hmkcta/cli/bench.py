@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .options import CONTEXT, Command, examples_first, json_option, verbose_option
+from .options import CONTEXT, Command, ExamplesFirst, json_option, verbose_option
 from .output import emit, table
 
 if TYPE_CHECKING:
@@ -43,15 +43,10 @@ class Resolution(click.ParamType[tuple[int, int]]):
         return sides
 
 
-class Bench(click.Group):
+class Bench(ExamplesFirst, click.Group):
     """The group of benchmarks, with the examples that documents show."""
 
     examples = EXAMPLES
-
-    def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Examples, then what click writes."""
-        examples_first(formatter, self.examples)
-        super().format_help(ctx, formatter)
 
 
 @click.group("bench", cls=Bench, context_settings=CONTEXT)

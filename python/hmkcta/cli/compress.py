@@ -18,7 +18,7 @@ from ..hmkfile import check_output
 from ..model import Model
 from .failure import Exit
 from .goal import Goal, beyond_cost, goal_from, goal_options
-from .info import decibels_or_unknown, transformed_snr
+from .info import transformed_snr
 from .notes import notes
 from .options import (
     Command,
@@ -32,7 +32,7 @@ from .options import (
     together,
     verbose_option,
 )
-from .output import decibels, emit, mebibytes, ratio, seconds, table, warnings_as_notes
+from .output import decibels, emit, mebibytes, ratio, seconds, table, transformed_column, warnings_as_notes
 from .progress import Progress
 from .resume import journal_beside, resume_option
 
@@ -111,11 +111,12 @@ def describe(model: Model, array: NDArray[Any], progress: Progress) -> dict[str,
 
 def as_text(report: dict[str, Any]) -> str:
     """The table, and the time that belongs to no level."""
-    domain = [report["transform"]] if any(level["transformed_snr_db"] for level in report["levels"]) else []
-    rows = [[str(level["level"]), decibels(level["snr_db"]),
-             *(decibels_or_unknown(level["transformed_snr_db"]) for _ in domain), mebibytes(level["bytes"]),
-             ratio(level["ratio"]), str(level["decode_cost"]), f"{level['seconds']:.1f}"] for level in report["levels"]]
-    header = ["level", "SNR dB", *(f"SNR of {name}" for name in domain), "MiB", "ratio", "decode cost", "seconds"]
+    levels = report["levels"]
+    domain, inner = transformed_column(report["transform"], levels)
+    rows = [[str(level["level"]), decibels(level["snr_db"]), *of_transformed, mebibytes(level["bytes"]),
+             ratio(level["ratio"]), str(level["decode_cost"]), f"{level['seconds']:.1f}"]
+            for level, of_transformed in zip(levels, inner, strict=True)]
+    header = ["level", "SNR dB", *domain, "MiB", "ratio", "decode cost", "seconds"]
     whole = table(header, rows)
     before = report["nodes_resumed"]
     resumed = f" {before} node{' was' if before == 1 else 's were'} finished before." if before else ""

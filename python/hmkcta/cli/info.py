@@ -18,7 +18,7 @@ from ..packed import PackedLevel
 from ..plan import multiply_adds
 from ..support.memory import format_bytes
 from .options import Command, file_argument, json_option, verbose_option
-from .output import decibels, emit, share, table
+from .output import decibels, emit, share, table, transformed_column
 
 EXAMPLES = ("hmkcta info wood.hmk", "hmkcta info wood.hmk --json", "hmkcta info wood.hmk -v")
 
@@ -105,16 +105,16 @@ def _shape(level: dict[str, Any], undecomposed: Sequence[int]) -> list[str]:
 def as_text(report: dict[str, Any], verbose: bool) -> str:
     """The facts for people."""
     axes = ", ".join(f"{axis['name']} {axis['size']} ({axis['role']}{_coordinates(axis)})" for axis in report["axes"])
-    domain = [report["transform"]["name"]] if any(level["transformed_snr_db"] for level in report["levels"]) else []
+    domain, inner = transformed_column(report["transform"]["name"], report["levels"])
     levels = table(
         ["level", "R", "C", "K", "bits", "subdivision", "nodes", "empty", "clusters", "empty", "SNR dB",
-         *(f"SNR of {name}" for name in domain), "RMSE", "max error", "size"],
+         *domain, "RMSE", "max error", "size"],
         [[str(level["level"]), *_shape(level, report["undecomposed"]), str(level["bits"]),
           level["subdivision"], str(level["nodes"]), str(level["nodes_that_carry_nothing"]),
           str(level["clusters"]), str(level["clusters_that_carry_nothing"]),
-          decibels(level["snr_db"]), *(decibels_or_unknown(level["transformed_snr_db"]) for _ in domain),
-          f"{level['rmse']:.4g}", f"{level['max_abs_error']:.4g}",
-          format_bytes(level["bytes"])] for level in report["levels"]], "  ", left=[1, 2, 3, 5])
+          decibels(level["snr_db"]), *of_transformed, f"{level['rmse']:.4g}", f"{level['max_abs_error']:.4g}",
+          format_bytes(level["bytes"])] for level, of_transformed in zip(report["levels"], inner, strict=True)],
+        "  ", left=[1, 2, 3, 5])
     parts = report["bytes"]
     transform = report["transform"]["name"] + "".join(
         f", {key} {value:g}" for key, value in report["transform"].items() if key != "name")
@@ -133,11 +133,6 @@ def as_text(report: dict[str, Any], verbose: bool) -> str:
     if verbose:
         lines += ["", *(f"  source {key}: {value}" for key, value in report["source"].items())]
     return "\n".join(lines)
-
-
-def decibels_or_unknown(snr: float | None) -> str:
-    """An SNR that a file may not tell, for people."""
-    return "unknown" if snr is None else decibels(snr)
 
 
 def transformed_snr(model: Model) -> list[float | None]:

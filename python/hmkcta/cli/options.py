@@ -166,8 +166,22 @@ class Count(click.types.IntParamType):
         return number
 
 
-class Command(click.Command):
-    """A command whose help opens with examples to copy."""
+class ExamplesFirst(click.Command):
+    """A command or a group whose help opens with examples to copy."""
+
+    examples: Sequence[str] = ()
+
+    def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Examples, then what click writes."""
+        with formatter.section("Examples"):
+            for example in self.examples:
+                formatter.write(f"{'':>{formatter.current_indent}}{example}\n")
+        formatter.write_paragraph()
+        super().format_help(ctx, formatter)
+
+
+class Command(ExamplesFirst):
+    """A command that keeps the words it was given."""
 
     def __init__(self, *args: Any, examples: Sequence[str] = (), **settings: Any) -> None:
         super().__init__(*args, **settings)
@@ -177,19 +191,6 @@ class Command(click.Command):
         """Note the words, then read them."""
         ctx.meta[WORDS] = list(args)
         return super().parse_args(ctx, args)
-
-    def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Examples, then what click writes."""
-        examples_first(formatter, self.examples)
-        super().format_help(ctx, formatter)
-
-
-def examples_first(formatter: click.HelpFormatter, examples: Sequence[str]) -> None:
-    """Write the examples."""
-    with formatter.section("Examples"):
-        for example in examples:
-            formatter.write(f"{'':>{formatter.current_indent}}{example}\n")
-    formatter.write_paragraph()
 
 
 def together(*options: Callable[[Any], Any]) -> Callable[[Function], Function]:

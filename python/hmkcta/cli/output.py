@@ -71,6 +71,20 @@ def decibels(snr: float) -> str:
     return f"{snr:.2f}" if isfinite(snr) else "exact" if snr > 0 else "none"
 
 
+def transformed_column(transform: str, levels: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
+    """The column of the SNR of transformed values: its header, and its cell of each level; empty if no level has one.
+
+    >>> transformed_column("log1p", [{"transformed_snr_db": 27.041}, {"transformed_snr_db": None}])
+    (['SNR of log1p'], [['27.04'], ['unknown']])
+    >>> transformed_column("identity", [{"transformed_snr_db": None}])
+    ([], [[]])
+    """
+    told = [level["transformed_snr_db"] for level in levels]
+    if not any(told):
+        return [], [[] for _ in told]
+    return [f"SNR of {transform}"], [["unknown" if snr is None else decibels(snr)] for snr in told]
+
+
 def mebibytes(count: int) -> str:
     """Bytes in MiB for tables, with the digits that small files need.
 

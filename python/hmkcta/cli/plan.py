@@ -13,11 +13,11 @@ import numpy as np
 
 from ..axes import format_organisation, mode_sizes
 from ..comparing.both_goals import FROM, are_compared
-from ..encode import choose_plan, of_bits
+from ..encode import Wanted, choose_plan, read_plan
 from ..filesize import predicted_bytes
 from ..fitting.fit import EFFORTS
 from ..forecast import Forecast, choosing_bytes, forecast
-from ..plan import Plan, multiply_adds, parse_plan
+from ..plan import Plan, multiply_adds
 from ..plan_checks import check_plan
 from ..streaming.budget import nodes_of
 from ..streaming.scratch import scratch_folder
@@ -73,10 +73,10 @@ def plan_command(source: str, plan: str | None, as_json: bool, quiet: bool, verb
 
 def given_plan(text: str, source: Source, goal: Goal) -> Plan:
     """The plan of --plan, as `compress` reads it."""
-    organisation, scheme = source.organisation(goal.settings["organisation"]), goal.settings["scheme"]
-    plan = parse_plan(text, organisation, "most" if scheme == "auto" else scheme)
-    plan = replace(plan, levels=of_bits(plan.levels, goal.settings["bits"]), snr=goal.snr, size=goal.size)
-    check_plan(plan, mode_sizes(source.axes, organisation))
+    beside = ("decode_cost", "organisation", "max_memory", "bits")
+    wanted = Wanted(goal.snr, goal.size, **{name: goal.settings[name] for name in beside})
+    plan = read_plan(text, source, wanted, goal.settings["scheme"])
+    check_plan(plan, mode_sizes(source.axes, plan.organisation))
     return plan
 
 

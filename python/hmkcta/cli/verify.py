@@ -23,7 +23,7 @@ from .options import (
     source_options,
     verbose_option,
 )
-from .output import decibels, emit, table
+from .output import decibels, emit, table, transformed_column
 from .progress import Progress
 
 EXAMPLES = ("hmkcta verify wood.hmk", "hmkcta verify wood.hmk --against wood.npy",
@@ -78,11 +78,11 @@ def _show(file: str, model: Model, levels: Sequence[dict[str, Any]]) -> None:
     click.echo(f"{file}: digests, indices and numbers are as they should be.")
     if not levels:
         return
-    domain = [model.metadata.transform["name"]] if any(level["transformed_snr_db"] for level in levels) else []
+    domain, inner = transformed_column(model.metadata.transform["name"], levels)
     rows = [[str(level["level"]), decibels(level["snr_db"]), decibels(level["snr_db_in_file"]),
-             *(decibels(level["transformed_snr_db"]) for _ in domain), f"{level['rmse']:.4g}",
-             f"{level['max_abs_error']:.4g}"] for level in levels]
-    header = ["level", "SNR dB", "in the file", *(f"SNR of {name}" for name in domain), "RMSE", "max error"]
+             *of_transformed, f"{level['rmse']:.4g}", f"{level['max_abs_error']:.4g}"]
+            for level, of_transformed in zip(levels, inner, strict=True)]
+    header = ["level", "SNR dB", "in the file", *domain, "RMSE", "max error"]
     click.echo(table(header, rows))
 
 

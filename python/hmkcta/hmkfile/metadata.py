@@ -18,6 +18,7 @@ from ..axes import MOST_COORDS, ROLES, Axis, Organisation, check_organisation, m
 from ..errors import HmkctaError
 from ..packed import LevelBounds, LevelQuality, Metadata
 from ..plan import SCHEMES
+from ..transform import TRANSFORMS
 from .fields import SAFE_INTEGER, Json, as_integer, as_list, as_map, as_number, as_object, as_text, check_sizes
 from .header import ITEM_SIZES, parse_shape
 from .limits import Limits, check_limit
@@ -29,11 +30,6 @@ VERSION = list(NUMBER_TYPES)[-1]
 KINDS = ("svbrdf", "lightfield", "volume", "generic")
 SOURCE_DTYPES = ("bool", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64",
                  "float16", "float32", "float64")
-
-#: Value transforms that decoders undo, each with the names of its constants.
-TRANSFORMS: Mapping[str, tuple[str, ...]] = {
-    "identity": (), "log1p": ("scale",), "asinh": ("scale",), "sqrt": (),
-}
 
 #: More coordinates than this are stored as an array, which takes about so many bytes of header.
 INLINE_COORDS, ARRAY_HEADER = 64, 160

@@ -16,7 +16,18 @@ from ..model import Model
 from ..packed import Metadata, PackedLevel
 from .device import Device, spread
 from .image import Image
-from .prelude import MOST_ROWS, PAGE_SHIFT, Options, axis_places, colour_mode, compose, node_words, prelude, rooms
+from .prelude import (
+    MOST_ROWS,
+    PAGE_SHIFT,
+    Options,
+    axis_places,
+    channel_axis,
+    colour_mode,
+    compose,
+    node_words,
+    prelude,
+    rooms,
+)
 
 U32 = NDArray[np.uint32]
 
@@ -127,7 +138,8 @@ def split_colours(metadata: Metadata, picks: AxisPicks, channels: int) -> list[A
     """The picks of each channel of the contracted cores: of red, green and blue, or the picks themselves."""
     if channels == 1:
         return [picks]
-    axis = next(axis for axis, found in enumerate(metadata.axes) if found.role == "channel")
+    axis = channel_axis(metadata)
+    assert axis is not None, "colours are along an axis"
     return [{**picks, axis: ([index], [1.0])} for index in picks[axis][0]]
 
 

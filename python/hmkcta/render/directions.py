@@ -8,14 +8,14 @@ direction, so that every direction lies in a triangle and nothing jumps at the b
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..axes import Axis
-from ..errors import HmkctaError, Kind, invalid
+from ..errors import invalid
+from ..support.optional import library
 from ..synthetic import hemisphere_directions
 
 F32 = NDArray[np.float32]
@@ -91,7 +91,7 @@ def build_table(directions: NDArray[Any]) -> DirectionTable:
     >>> build_table(np.array([[0, 0, 1.0]])).corners.max()
     np.uint32(0)
     """
-    spatial = _scipy_spatial()
+    spatial = library("scipy.spatial", "SciPy", "render", "interpolation among directions")
     vectors = np.asarray(directions, np.float64)
     flat = vectors[:, :2] / (1 + np.maximum(vectors[:, 2:], 0))
     angle = 2 * np.pi * np.arange(GHOSTS) / GHOSTS
@@ -158,12 +158,3 @@ def _affine_weights(triangle: NDArray[np.float64]) -> F32:
     a0, b0, a1, b1 = (y1 - y2) / area, (x2 - x1) / area, (y2 - y0) / area, (x0 - x2) / area
     rows = [[a0, b0, -(a0 * x2 + b0 * y2)], [a1, b1, -(a1 * x2 + b1 * y2)]]
     return np.ascontiguousarray(np.moveaxis(np.array(rows), 2, 0), np.float32)
-
-
-def _scipy_spatial() -> Any:
-    """scipy.spatial, or an error that says how to get it."""
-    try:
-        return import_module("scipy.spatial")
-    except ImportError as error:
-        raise HmkctaError(Kind.INVALID_ARGUMENT, "scipy-missing", "interpolation among directions",
-                          found="no SciPy in this Python", hint='pip install "hmkcta[render]"') from error

@@ -84,7 +84,7 @@ def picked_cost(model: Model, picks: Mapping[int, Sequence[int]], channels: int 
     uniform = uniform_levels(model.metadata, model.levels)
     registered = registered_levels(model.metadata, [len(each) for each in rows], colour, contracted, uniform)
     single = is_single(model.metadata, uniform)
-    counter = _Counter(model, colour, tinted, single, tuple(contracted), len(model.levels), tuple(registered))
+    counter = _Counter(model, colour, tinted, single, tuple(contracted), tuple(registered))
     return counter.node(0, 0, rows)
 
 
@@ -107,7 +107,6 @@ class _Counter:
     tinted: bool
     single: bool
     contracted: tuple[int, ...]
-    upto: int
     registered: tuple[int, ...]
 
     def node(self, depth: int, s: int, rows: Sequence[NDArray[np.int64]]) -> Cost:
@@ -127,7 +126,7 @@ class _Counter:
         for cell in product(*distinct):
             own += self._cell(level, s, [subset == c for subset, c in zip(subsets, cell, strict=True)])
         child = level.child
-        if depth + 1 >= self.upto or child is None or child[s] == child[s + 1]:
+        if child is None or child[s] == child[s + 1]:
             return own
         groups = [_groups(level, s, n, rows[n]) for n in range(order)]
         clusters = level.shape[s, 0].tolist()

@@ -14,7 +14,7 @@ from ..errors import HmkctaError, Kind, invalid
 from ..model import Model
 from ..support.memory import check_memory
 from .device import Device, shared_device, spread
-from .prelude import PAGE_SHIFT, Options, compose, compose_picked
+from .prelude import PAGE_SHIFT, Options, channel_axis, compose, compose_picked
 from .software import MOST_TURNS, loop_turns
 from .upload import DecoderBuffers
 from .weighted import Picks
@@ -190,9 +190,8 @@ def _colours(model: Model, picks: Sequence[Picks]) -> int:
     tinted = [axis for axis, (_, weight) in enumerate(picks) if np.ndim(weight) == 3]
     if not tinted:
         return 1
-    channel = next((axis for axis, found in enumerate(model.metadata.axes) if found.role == "channel"), None)
     weights = np.asarray(picks[tinted[0]][1])
-    if tinted != [channel] or weights.shape[1:] != (3, 3) or (weights != np.eye(3)).any():
+    if tinted != [channel_axis(model.metadata)] or weights.shape[1:] != (3, 3) or (weights != np.eye(3)).any():
         named = ", ".join(str(axis) for axis in tinted)
         raise invalid("picks-colours", f"weights of axes {named}", "three channels each",
                       "on the first axis of role channel: three indices with the weights 1,0,0 and 0,1,0 and 0,0,1")

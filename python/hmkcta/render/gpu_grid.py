@@ -16,7 +16,7 @@ from .device import Device
 from .gpu_pass import ComputePass, Slot, out_texture, tiles
 from .grid import Grid
 from .layout import Layout
-from .prelude import Options, compose_picked
+from .prelude import NO_AXIS, Options, compose_picked
 from .software import loop_turns
 from .upload import DecoderBuffers
 
@@ -25,7 +25,6 @@ FRAME = np.dtype([
     ("x_axis", "u4"), ("y_axis", "u4"), ("time_axis", "u4"), ("unused", "u4"),
     ("time", "u4", 4), ("time_weight", "f4", 4),
 ])
-NO_AXIS = 0xFF
 SLOTS = (Slot("uniform"), Slot("storage"), Slot("out", "3d", "r32float"))
 ELEMENTS = 1 << 22  # decoded by one dispatch, so that none takes long enough for a driver to give up on it
 KEPT = 2  # boxes kept: two levels, when they are compared

@@ -23,7 +23,7 @@ from .gpu_pass import ComputePass, Slot, picture_texture, tiles
 from .layout import Layout
 from .mesh import make_mesh
 from .numpy_path import rays_of
-from .prelude import Options, compose_picked, picks_fit
+from .prelude import NO_AXIS, Options, compose_picked, picks_fit
 from .scene import MOST_LIGHTS, Light, Scene, direction
 from .software import loop_turns
 from .svbrdf import FixedLight, Measured, at_time, fixed_lights, prepare
@@ -41,7 +41,6 @@ FRAME = np.dtype([
     ("channels", "u4", 4), ("stands", "u4", 8), ("tables", "u4", (2, 4)), ("angles", "u4", (4, 4)),
     ("lights", LIGHT, MOST_LIGHTS),
 ])
-NO_AXIS = 0xFF
 FLAG_Y_UP, FLAG_COSINE, FLAG_NEAREST, FLAG_NEAREST_AZIMUTH = 1, 2, 4, 8
 SLOTS = (Slot("uniform"), Slot("storage"), *[Slot("texture")] * 3, Slot("out", format="rgba32float"))
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import HmkctaError, Kind, invalid
+from ..support.optional import library
 from .gltf import prepared
 from .scene import Surface
 
@@ -107,14 +108,9 @@ def load_mesh(path: Path, repeat: tuple[float, float] = (1.0, 1.0)) -> Mesh:
     Raises:
         HmkctaError: trimesh is missing, the file cannot be read, is too large or has no texture coordinates.
     """
-    try:
-        import trimesh
-    except ImportError as error:
-        raise HmkctaError(Kind.INVALID_ARGUMENT, "trimesh-missing", "surface.shape", found="no trimesh in this Python",
-                          hint='pip install "hmkcta[mesh]"') from error
+    reader = library("trimesh", "trimesh", "mesh", "surface.shape")
     if not path.is_file():
         raise HmkctaError(Kind.IO, "unreadable", str(path), found="no such file", allowed="a mesh")
-    reader: Any = trimesh
     try:
         loaded = _loaded(reader, path)
         uv = np.asarray(getattr(loaded.visual, "uv", None), np.float64)

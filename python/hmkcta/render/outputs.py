@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import HmkctaError, Kind, invalid
+from ..errors import invalid
 from ..hmkfile import published
+from ..support.optional import library
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
@@ -42,7 +41,7 @@ def save_picture(path: str | Path, picture: U8, overwrite: bool = False) -> None
     Raises:
         HmkctaError: Pillow is missing, or the file is there already or cannot be written.
     """
-    image = _library("PIL.Image", "pillow", "render")
+    image = library("PIL.Image", "pillow", "render", "output")
     with published(path, overwrite) as target:
         image.fromarray(picture).save(target, format="PNG")
 
@@ -53,7 +52,7 @@ def save_radiance(path: str | Path, radiance: F32, overwrite: bool = False) -> N
     Raises:
         HmkctaError: OpenEXR is missing, or the file is there already or cannot be written.
     """
-    exr = _library("OpenEXR", "OpenEXR", "exr")
+    exr = library("OpenEXR", "OpenEXR", "exr", "output")
     header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
     with TemporaryDirectory() as folder, published(path, overwrite) as target:
         name = str(Path(folder) / "radiance.exr")
@@ -95,7 +94,7 @@ def save_film(path: str | Path, frames: Iterable[U8], fps: float = 25.0, overwri
 
 
 def _write_mp4(path: Path, frames: Iterator[U8], fps: float) -> int:
-    ffmpeg = _library("imageio_ffmpeg", "imageio-ffmpeg", "video")
+    ffmpeg = library("imageio_ffmpeg", "imageio-ffmpeg", "video", "output")
     count, film = 0, None
     try:
         for frame in frames:
@@ -115,16 +114,8 @@ def _write_mp4(path: Path, frames: Iterator[U8], fps: float) -> int:
 
 
 def _write_gif(path: Path, frames: Iterator[U8], fps: float) -> int:
-    image = _library("PIL.Image", "pillow", "render")
+    image = library("PIL.Image", "pillow", "render", "output")
     pictures = [image.fromarray(frame) for frame in frames]
     if pictures:
         pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=round(1000 / fps), loop=0)
     return len(pictures)
-
-
-def _library(module: str, package: str, extra: str) -> Any:
-    try:
-        return import_module(module)
-    except ImportError as error:
-        raise HmkctaError(Kind.INVALID_ARGUMENT, f"{package.lower()}-missing", "output",
-                          found=f"no {package} in this Python", hint=f'pip install "hmkcta[{extra}]"') from error

@@ -27,8 +27,11 @@ PAGE_SHIFT = 25
 MOST_PAGES = 5
 #: Rows of a mode are kept in a mask of one word.
 MOST_ROWS = 32
+#: In shaders and their uniforms: there is no such axis or mode.
+NO_AXIS = 0xFF
 
-_TRANSFORMS = {"identity": 0, "log1p": 1, "asinh": 2, "sqrt": 3}
+#: Numbers of the value transforms in `decode.wgsl`.
+TRANSFORM_NUMBERS = {"identity": 0, "log1p": 1, "asinh": 2, "sqrt": 3}
 #: A little below the largest float32.
 _LARGEST = 3.4e38
 
@@ -98,11 +101,11 @@ def prelude(metadata: Metadata, pages: int, options: Options = PLAIN, uniform: S
         f"const PICKS = {max(picks)}u;",
         f"const ROW_FIRST = {_array(first)};",
         f"const ROWS = {first[-1]}u;",
-        f"const TRANSFORM = {_TRANSFORMS[from_json(metadata.transform).name]}u;",
+        f"const TRANSFORM = {TRANSFORM_NUMBERS[from_json(metadata.transform).name]}u;",
         f"const CHANNELS = {options.channels}u;",
         *_value(options.channels),
-        f"const COLOUR_AXIS = {0xFF if options.channels == 1 else _channel_axis(metadata)}u;",
-        f"const COLOUR = {0xFF if colour is None else colour}u;",
+        f"const COLOUR_AXIS = {_or_none(None if options.channels == 1 else channel_axis(metadata))}u;",
+        f"const COLOUR = {_or_none(colour)}u;",
         f"const COLOUR_ROWS = {1 if colour is None else room[colour]}u;",
         f"const COLOUR_RANKS = {1 if colour is None else max(taken[colour], 1)}u;",
         *_pages(pages, options.page_shift),
@@ -140,10 +143,22 @@ def _rows(metadata: Metadata, picks: Sequence[int]) -> list[int]:
     return [prod(picks[axis] for axis, mode in enumerate(modes) if mode == n) for n in order]
 
 
+def channel_axis(metadata: Metadata) -> int | None:
+    """The first axis of role `channel`.
+
+    >>> from dataclasses import replace
+    >>> from hmkcta.axes import name_axes
+    >>> from hmkcta._example import example_metadata
+    >>> channel_axis(replace(example_metadata(), axes=name_axes((3, 4), ["rgb", "x"])))
+    0
+    """
+    return next((axis for axis, found in enumerate(metadata.axes) if found.role == "channel"), None)
+
+
 def colour_mode(metadata: Metadata, options: Options) -> tuple[int | None, bool]:
     """The mode whose weights are colours, and whether the contracted cores are instead; None and False without any."""
-    axis = _channel_axis(metadata)
-    mode = None if axis == 0xFF or options.channels == 1 else axis_places(metadata)[0][axis]
+    axis = channel_axis(metadata)
+    mode = None if axis is None or options.channels == 1 else axis_places(metadata)[0][axis]
     return (None, True) if mode is not None and mode in options.contracted else (mode, False)
 
 
@@ -242,11 +257,6 @@ def _weights(metadata: Metadata, room: Sequence[int], contracted: Sequence[int])
             for n in range(len(room))]
 
 
-def _channel_axis(metadata: Metadata) -> int:
-    """The first axis of role `channel`; 0xff: there is none."""
-    return next((axis for axis, found in enumerate(metadata.axes) if found.role == "channel"), 0xFF)
-
-
 def _value(channels: int) -> list[str]:
     """The type of values and weights, and the one with nothing but a channel."""
     kind, value = ("vec3f", "vec3f(f32(c == 0u), f32(c == 1u), f32(c == 2u))") if channels == 3 else ("f32", "1.0")
@@ -262,6 +272,11 @@ def _pages(pages: int, shift: int) -> list[str]:
     inner = [f"    case {page}u: {{ return page_{page}[at & {(1 << shift) - 1}u]; }}" for page in range(pages - 1)]
     last = f"    default: {{ return page_{pages - 1}[at & {(1 << shift) - 1}u]; }}"
     return [*head, "  switch at >> PAGE_SHIFT {", *inner, last, "  }", "}"]
+
+
+def _or_none(number: int | None) -> int:
+    """The number of an axis or of a mode as the shaders have it."""
+    return NO_AXIS if number is None else number
 
 
 def _mask(modes: Sequence[int]) -> int:

@@ -15,7 +15,7 @@ from ..model import Model
 from ..packed import PackedLevel
 from .cells import Cells, registered_levels
 from .contraction import uniform_levels
-from .prelude import Options, axis_places, colour_mode
+from .prelude import Options, axis_places, channel_axis, colour_mode
 from .single import is_single
 
 #: A little below the limit, for the loops outside the decoder.
@@ -38,7 +38,7 @@ def loop_turns(model: Model, picks: Sequence[int], level: int, contracted: Seque
     modes, _ = axis_places(model.metadata)
     order = len(model.metadata.organisation)
     rows = [prod(count for count, mode in zip(picks, modes, strict=True) if mode == n) for n in range(order)]
-    channel = next((n for n, axis in enumerate(model.metadata.axes) if axis.role == "channel"), None)
+    channel = channel_axis(model.metadata)
     coloured = channel is not None and picks[channel] == 3
     colour, _ = colour_mode(model.metadata, Options(channels=3 if coloured else 1, contracted=tuple(contracted)))
     uniform = uniform_levels(model.metadata, model.levels)

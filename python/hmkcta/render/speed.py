@@ -9,7 +9,7 @@ from math import prod
 import numpy as np
 
 from ..model import Model
-from .contract import contractable
+from .contract import contractable, set_numbers
 from .device import Device
 from .frame_cost import Cost, mean_cost
 from .gpu_decode import GpuDecoder
@@ -117,15 +117,10 @@ def box_cost(model: Model, layout: Layout, elements: int) -> Cost:
     rng = np.random.default_rng(4)
     picked = [{axis: [int(rng.integers(size))] for axis, size in enumerate(model.shape)} for _ in range(_COUNTED)]
     whole = mean_cost(model, picked, contracted=contracted).times(elements)
-    numbers = sum(int((np.diff(level.cell_offset.astype(np.int64)) * _kept(level.shape[:, 2], contracted)).sum())
-                  for level in model.levels) if contracted else 0
+    numbers = set_numbers(model.levels, contracted) if contracted else 0
     terms = prod(1 if n in model.metadata.undecomposed else max(level.ranks[n] for level in model.bounds)
                  for n in contracted)
     return whole + Cost(multiply_adds=numbers * terms, coefficients=numbers * terms)
-
-
-def _kept(ranks: np.typing.NDArray[np.uint32], contracted: Sequence[int]) -> np.typing.NDArray[np.int64]:
-    return np.delete(ranks, list(contracted), axis=1).astype(np.int64).prod(axis=1)
 
 
 def _frames(device: Device, path: GpuPath, model: Model, layout: Layout, config: Configuration, size: tuple[int, int],

@@ -27,7 +27,6 @@ class DecoderBuffers:
 
     Attributes:
         layout: bind group layout of group 0.
-        nbytes: bytes of the image.
         pages: of the image.
     """
 
@@ -38,7 +37,6 @@ class DecoderBuffers:
         self.device = device
         self.metadata = model.metadata
         self.options = options
-        self.nbytes = image.words.nbytes
         self._uniform = uniform_levels(model.metadata, model.levels)
         self.pages = image_pages(image.words.size, options.page_shift)
         self._buffers = _paged(device, image, self.pages, options) if shared is None else shared._buffers
@@ -69,11 +67,6 @@ class DecoderBuffers:
                 buffers[FRAME_BINDING] = self._contraction.cores
             self._groups[chosen] = self.device.group("hmkcta decoder", self.layout, buffers)
         return self._groups[chosen]
-
-    @property
-    def contracted(self) -> Any:
-        """The buffer of the contracted cores, None without contracted modes."""
-        return None if self._contraction is None else self._contraction.cores
 
     @property
     def stride(self) -> int:

@@ -21,6 +21,7 @@ from ..model import Model
 from ..pack import bounds, pack_levels
 from ..packed import LevelQuality, Metadata
 from ..plan import LevelSpec, parse_plan
+from ..support.grouping import rows_of_parts
 from ..synthetic.directions import hemisphere_directions
 
 #: Neighbouring rows that share their clusters.
@@ -149,7 +150,7 @@ def _fill(node: Node, spec: LevelSpec, rng: np.random.Generator, *, last: bool) 
     if last:
         return
     node.parts = [chosen[:, 0].astype(np.intp) for chosen in subsets]
-    of_part = [[rows[part == p] for p in range(c)] for rows, part, c
+    of_part = [[rows[at] for at in rows_of_parts(part, c)] for rows, part, c
                in zip(node.rows, node.parts, cells.spec.clusters, strict=True)]
     node.children = [Node(tuple(rows)) for rows in product(*of_part)]
 
