@@ -42,7 +42,7 @@ pytestmark = pytest.mark.usefixtures("small_slabs")
 
 def set_cached(monkeypatch: pytest.MonkeyPatch, *, cached: bool) -> None:
     """Whether the source is taken to stay in the system's cache."""
-    monkeypatch.setattr(streamed, "stays_cached", lambda _: cached)
+    monkeypatch.setattr(streamed, "stays_cached", (1 << 62 if cached else -1).__ge__)
 
 
 @pytest.fixture(params=["collected", "reordered"])

@@ -32,7 +32,7 @@ LAYERS = (
     ("measure_streamed", "ranks"),
     ("choosing",),
     ("comparing",),
-    ("forecast",),
+    ("forecast", "wanted"),
     ("encode",),
     ("pictures", "readers", "synthetic"),
     ("",),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import cache
 from math import prod
 from numbers import Integral, Real
@@ -16,7 +16,7 @@ from warnings import warn
 import numpy as np
 
 from . import backends as kernels
-from .axes import Axis, check_kind, check_organisation, format_organisation, mode_sizes
+from .axes import Axis, check_kind, mode_sizes
 from .backends import Device
 from .choosing.blocks import SHARED, Samples, samples_of
 from .choosing.tuning import tune
@@ -26,44 +26,23 @@ from .comparing.follow import Task, follow
 from .errors import GoalMissed, expect, invalid, shown
 from .fitting.fit import EFFORTS
 from .fitting.hierarchy import Run
-from .goals import check_goal, misses
+from .goals import misses
 from .hmkfile import KINDS
 from .journal import Journal, decisive
 from .model import Model
-from .narrow import BITS
-from .plan import SCHEMES, LevelSpec, Plan, parse_plan
+from .plan import SCHEMES, Plan
 from .streaming.budget import check_least_memory
 from .streaming.source import Source, prepare
 from .support.executors import thread_count
 from .support.memory import keep_freed_memory
 from .support.progress import Progress, nobody
+from .wanted import Wanted, read_plan, the_goal, wanted_of
 
-#: Default goal: 1/100 of the float32 bytes, and no more than this SNR, beyond which eyes and 8-bit screens see nothing.
-DEFAULT_RATIO, DEFAULT_SNR = 100, 50.0
+#: Default goal: this share of the float32 bytes, or `wanted.DEFAULT_SNR` where that takes fewer.
+DEFAULT_RATIO = 100
 #: A default goal is never below these: header and tables alone take several KiB, and a row of a mode, with the least
 #: that can be stored of it (R = 1), up to five bytes. Few long modes leave nothing else to save.
 SMALLEST_DEFAULT, ROW_BYTES = 16384, 5
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """What a chosen plan has to do: the arguments of `choose_plan` that say so, which `compress` describes.
-
-    >>> Wanted(snr=None, size=None, decode_cost=4096, organisation=None, max_memory=None, bits=None).ceiling
-    50.0
-    """
-
-    snr: float | None
-    size: int | None
-    decode_cost: int
-    organisation: str | None
-    max_memory: int | None
-    bits: int | None
-
-    @property
-    def ceiling(self) -> float | None:
-        """The SNR in dB beyond which no bytes are spent, where there is no goal."""
-        return DEFAULT_SNR if self.snr is None and self.size is None else None
 
 
 def choose_plan(
@@ -105,11 +84,11 @@ def choose_plan(
     (40.0, (('y',), ('x',)), True)
     """
     run = _run(quality, scheme, decode_cost, seed, threads, progress)
-    snr, size = _goal(snr, size)
+    snr, size = the_goal(snr, size)
     _check_types(array, organisation, transform, nan, max_memory)
     with _threads(run.threads):
         source = prepare(array, axes, transform, nan, run.threads)
-        return _chosen(source, run, _wanted(snr, size, decode_cost, organisation, max_memory, bits))[0]
+        return _chosen(source, run, wanted_of(snr, size, decode_cost, organisation, max_memory, bits))[0]
 
 
 def compress(
@@ -189,13 +168,13 @@ def compress(
     """
     device = _found(device)
     run = replace(_run(quality, scheme, decode_cost, seed, threads, progress), device=device.name)
-    snr, size = _goal(snr, size)
+    snr, size = the_goal(snr, size)
     _check_types(array, organisation, transform, nan, max_memory)
     expect("plan", plan, Plan | str | None, "text such as R=4,4,6,6, or a Plan")
     expect("journal", journal, Journal | None, "a Journal")
     if kind is not None and kind not in KINDS:
         raise invalid("unknown-kind", "kind", kind, ", ".join(KINDS))
-    wanted = _wanted(snr, size, decode_cost, organisation, max_memory, bits)
+    wanted = wanted_of(snr, size, decode_cost, organisation, max_memory, bits)
     with _threads(run.threads):
         source = prepare(array, axes, transform, nan, run.threads)
         check_kind(source.axes, kind or source.kind)
@@ -323,68 +302,6 @@ def _check_types(array: object, organisation: object, transform: object, nan: ob
     expect("transform", transform, str | None, 'text such as "log1p:0.5"')
     expect("nan", nan, Real | None, "a number")
     expect("max_memory", max_memory, Integral | None, "a whole number of bytes")
-
-
-def _goal(snr: float | None, size: int | None) -> tuple[float | None, int | None]:
-    """The goal in Python's own numbers, whose range NumPy's may not have."""
-    check_goal(snr, size)
-    if snr is not None and size is not None:
-        raise invalid("two-goals", "goal", "snr and size", "one of them", "leave one of them out")
-    return None if snr is None else float(snr), None if size is None else int(size)
-
-
-def read_plan(plan: Plan | str, source: Source, wanted: Wanted, scheme: str) -> Plan:
-    """A given plan with what the call says beside it: nothing of that is passed over.
-
-    Raises:
-        HmkctaError: the text is no plan, or the plan says another organisation or other bits than the call.
-
-    >>> wanted = Wanted(snr=30.0, size=None, decode_cost=4096, organisation=None, max_memory=None, bits=8)
-    >>> plan = read_plan("R=2", prepare(np.ones((6, 4)), None, None, None, 1), wanted, "auto")
-    >>> plan.organisation, plan.levels[0].bits, plan.snr
-    ((('axis0',), ('axis1',)), 8, 30.0)
-    """
-    modes = None if wanted.organisation is None else source.organisation(wanted.organisation)
-    if isinstance(plan, str):
-        read = parse_plan(plan, modes or source.organisation(None), "most" if scheme == "auto" else scheme)
-        return replace(read, levels=of_bits(read.levels, wanted.bits), snr=wanted.snr, size=wanted.size)
-    own = check_organisation(tuple(map(tuple, plan.organisation)), source.axes)
-    if modes not in (None, own):
-        raise invalid("organisation", "organisation", repr(wanted.organisation),
-                      f"{format_organisation(own)!r}, the plan's", "leave it out beside a Plan")
-    levels = plan.levels if scheme == "auto" else [
-        level if level.grid else replace(level, scheme=scheme) for level in plan.levels]
-    goal = {} if wanted.snr is None and wanted.size is None else {"snr": wanted.snr, "size": wanted.size}
-    return replace(plan, organisation=own, levels=of_bits(levels, wanted.bits), **goal)
-
-
-def of_bits(levels: Sequence[LevelSpec], bits: int | None) -> tuple[LevelSpec, ...]:
-    """The levels with so many bits for every number; None: as they are.
-
-    >>> modes = (("y",), ("x",))
-    >>> [level.bits for level in of_bits(parse_plan("R=4 / R=2 bits=8", modes).levels, 8)]
-    [8, 8]
-
-    Raises:
-        HmkctaError: reason ``two-bits``: a level says another number of bits.
-    """
-    for number, level in enumerate(levels, start=1):
-        says = level.bits_written or level.bits != BITS[0]
-        if bits not in (None, level.bits) and says:
-            found = f"{bits}, and bits={level.bits} in level {number} of the plan"
-            raise invalid("two-bits", "bits", found, "one of them", "leave one of them out")
-    return tuple(level if bits is None else replace(level, bits=bits) for level in levels)
-
-
-def _wanted(
-    snr: float | None, size: int | None, decode_cost: int, organisation: str | None, max_memory: int | None,
-    bits: int | None,
-) -> Wanted:
-    expect("bits", bits, Integral | None, "a whole number")
-    if bits not in (None, *BITS):
-        raise invalid("bits", "bits", bits, " or ".join(map(str, BITS)))
-    memory, bits = (None if given is None else int(given) for given in (max_memory, bits))
-    return Wanted(snr, size, int(decode_cost), organisation, memory, bits)
 
 
 def _chosen(

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..axes import format_organisation, mode_sizes
 from ..comparing.both_goals import FROM, are_compared
-from ..encode import Wanted, choose_plan, read_plan
+from ..encode import choose_plan
 from ..filesize import predicted_bytes
 from ..fitting.fit import EFFORTS
 from ..forecast import Forecast, choosing_bytes, forecast
@@ -25,6 +25,7 @@ from ..streaming.source import Source
 from ..streaming.source import described as describe_source
 from ..support.executors import thread_count
 from ..support.memory import format_bytes
+from ..wanted import Wanted, read_plan
 from .goal import Goal, beyond_cost, command_for, goal_from, goal_options
 from .options import Command, File, json_option, quiet_option, together, verbose_option
 from .output import emit, seconds, share, table

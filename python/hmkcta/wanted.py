@@ -1,0 +1,107 @@
+"""What a file is to be: a goal with its bounds, for which a plan is chosen, or a plan that is given."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from numbers import Integral
+
+from .axes import check_organisation, format_organisation
+from .errors import expect, invalid
+from .goals import check_goal
+from .narrow import BITS
+from .plan import LevelSpec, Plan, parse_plan
+from .streaming.source import Source
+
+#: Without a goal no bytes are spent beyond this SNR: neither eyes nor screens of 8 bits see more.
+DEFAULT_SNR = 50.0
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a chosen plan has to do: the arguments of `choose_plan` that say so, which `compress` describes.
+
+    >>> Wanted(snr=None, size=None, decode_cost=4096, organisation=None, max_memory=None, bits=None).ceiling
+    50.0
+    """
+
+    snr: float | None
+    size: int | None
+    decode_cost: int
+    organisation: str | None
+    max_memory: int | None
+    bits: int | None
+
+    @property
+    def ceiling(self) -> float | None:
+        """The SNR in dB beyond which no bytes are spent, where there is no goal."""
+        return DEFAULT_SNR if self.snr is None and self.size is None else None
+
+
+def the_goal(snr: float | None, size: int | None) -> tuple[float | None, int | None]:
+    """The goal in Python's own numbers, whose range NumPy's may not have."""
+    check_goal(snr, size)
+    if snr is not None and size is not None:
+        raise invalid("two-goals", "goal", "snr and size", "one of them", "leave one of them out")
+    return None if snr is None else float(snr), None if size is None else int(size)
+
+
+def read_plan(plan: Plan | str, source: Source, wanted: Wanted, scheme: str) -> Plan:
+    """A given plan with what the call says beside it: nothing of that is passed over.
+
+    Raises:
+        HmkctaError: the text is no plan, or the plan says another organisation or other bits than the call.
+
+    >>> import numpy as np
+    >>> from hmkcta.streaming.source import prepare
+    >>> wanted = Wanted(snr=30.0, size=None, decode_cost=4096, organisation=None, max_memory=None, bits=8)
+    >>> plan = read_plan("R=2", prepare(np.ones((6, 4)), None, None, None, 1), wanted, "auto")
+    >>> plan.organisation, plan.levels[0].bits, plan.snr
+    ((('axis0',), ('axis1',)), 8, 30.0)
+    """
+    modes = None if wanted.organisation is None else source.organisation(wanted.organisation)
+    if isinstance(plan, str):
+        read = parse_plan(plan, modes or source.organisation(None), "most" if scheme == "auto" else scheme)
+        return replace(read, levels=of_bits(read.levels, wanted.bits), snr=wanted.snr, size=wanted.size)
+    own = check_organisation(tuple(map(tuple, plan.organisation)), source.axes)
+    if modes not in (None, own):
+        raise invalid("organisation", "organisation", repr(wanted.organisation),
+                      f"{format_organisation(own)!r}, the plan's", "leave it out beside a Plan")
+    levels = plan.levels if scheme == "auto" else [
+        level if level.grid else replace(level, scheme=scheme) for level in plan.levels]
+    goal = {} if wanted.snr is None and wanted.size is None else {"snr": wanted.snr, "size": wanted.size}
+    return replace(plan, organisation=own, levels=of_bits(levels, wanted.bits), **goal)
+
+
+def of_bits(levels: Sequence[LevelSpec], bits: int | None) -> tuple[LevelSpec, ...]:
+    """The levels with so many bits for every number; None: as they are.
+
+    >>> modes = (("y",), ("x",))
+    >>> [level.bits for level in of_bits(parse_plan("R=4 / R=2 bits=8", modes).levels, 8)]
+    [8, 8]
+
+    Raises:
+        HmkctaError: reason ``two-bits``: a level says another number of bits.
+    """
+    for number, level in enumerate(levels, start=1):
+        says = level.bits_written or level.bits != BITS[0]
+        if bits not in (None, level.bits) and says:
+            found = f"{bits}, and bits={level.bits} in level {number} of the plan"
+            raise invalid("two-bits", "bits", found, "one of them", "leave one of them out")
+    return tuple(level if bits is None else replace(level, bits=bits) for level in levels)
+
+
+def wanted_of(
+    snr: float | None, size: int | None, decode_cost: int, organisation: str | None, max_memory: int | None,
+    bits: int | None,
+) -> Wanted:
+    """The arguments as numbers of Python's own, checked.
+
+    Raises:
+        HmkctaError: a number of bits that no file has.
+    """
+    expect("bits", bits, Integral | None, "a whole number")
+    if bits not in (None, *BITS):
+        raise invalid("bits", "bits", bits, " or ".join(map(str, BITS)))
+    memory, bits = (None if given is None else int(given) for given in (max_memory, bits))
+    return Wanted(snr, size, int(decode_cost), organisation, memory, bits)
