@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -9,7 +10,14 @@ from numpy.typing import NDArray
 
 from hmkcta import compress
 from hmkcta.comparing.alternatives import FEW_NODES, joined
+from hmkcta.comparing.follow import Task, follow
+from hmkcta.comparing.followed import Followed
+from hmkcta.comparing.rivals import _least_reaching  # pyright: ignore[reportPrivateUsage]
+from hmkcta.fitting.fit import EFFORTS
+from hmkcta.fitting.hierarchy import Run
 from hmkcta.plan import parse_plan
+from hmkcta.streaming.source import prepare
+from hmkcta.support.progress import nobody
 
 VOLUME = (("time",), ("y",), ("x",))
 
@@ -45,13 +53,13 @@ def test_an_organisation_that_is_given_stays() -> None:
 
 
 def test_pairs_of_axes_are_joined_where_a_plan_has_few_parts() -> None:
-    few = list(joined(parse_plan(f"R=1 grid=y:{FEW_NODES} / R<=8", VOLUME), VOLUME))
+    few = list(joined(parse_plan(f"R=1 grid=y:{FEW_NODES} / R<=8", VOLUME), VOLUME, 4))
     assert [plan.organisation for plan in few] == [
         (("time", "y"), ("x",)), (("time", "x"), ("y",)), (("time",), ("y", "x"))
     ]
     assert [plan.levels[0].clusters for plan in few] == [(4, 1), (4, 1), (1, 4)]
-    assert not list(joined(parse_plan(f"R=1 grid=y:{FEW_NODES + 1} / R<=8", VOLUME), VOLUME))
-    assert not list(joined(parse_plan("R<=8", VOLUME[1:]), VOLUME[1:]))
+    assert not list(joined(parse_plan(f"R=1 grid=y:{FEW_NODES + 1} / R<=8", VOLUME), VOLUME, 4))
+    assert not list(joined(parse_plan("R<=8", VOLUME[1:]), VOLUME[1:], 4))
 
 
 def test_a_second_level_of_bytes_is_tried_wherever_one_of_them_falls_short() -> None:
@@ -62,3 +70,25 @@ def test_a_second_level_of_bytes_is_tried_wherever_one_of_them_falls_short() -> 
     assert model.snr >= 56
     assert model.nbytes < 4600
     assert [level.bits for level in model.plan.levels] == [8, 8]
+
+
+def test_clusters_for_an_snr_are_compared_at_a_size() -> None:
+    """What the front of a blast parts: 30 dB took 159 KB of a large one, where more clusters than four take 58."""
+    t, z, y, x = np.ogrid[0:1:10j, -1:1:16j, -1:1:16j, -1:1:16j]
+    r = np.sqrt(z**2 + y**2 + x**2)
+    blast = np.where(r < 0.2 + t, 0.2 + 3.8 * (r / (0.2 + t)) ** 6 + 0.1 * np.sin(8 * x + 3 * t), 1.0)
+    matrix = followed(blast, "R<=400,* bits=8", 30.0)
+    dozen = list(joined(matrix.task.plan, matrix.task.source.organisation(None), 12))
+    least = _least_reaching(matrix, 30.0, dozen)
+    assert least is not None
+    assert least.model.snr >= 30.0
+    assert least.model.nbytes < 0.45 * matrix.model.nbytes
+    assert _least_reaching(least, 200.0, dozen) is None, "far from what so few bytes reach"
+
+
+def followed(values: NDArray[np.float64], plan: str, snr: float) -> Followed:
+    """A plan in which x is a mode of its own, and what it comes to."""
+    source = prepare(values, ["t", "z", "y", "x"], None, None, 1)
+    wanted = replace(parse_plan(plan, (("t", "z", "y"), ("x",))), snr=snr)
+    task = Task(source, wanted, "most", 4096, "generic", Run(EFFORTS["medium"], 0, 1, nobody))
+    return Followed(task, follow(task))

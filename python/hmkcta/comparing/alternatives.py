@@ -27,8 +27,6 @@ FEW_CLUSTERS = 512
 MORE_NODES = (1, 4, 16)
 #: Cells of a plan's first level up to which nodes for clusters along two axes are tried.
 FEW_NODES = 64
-#: How many such clusters are tried first.
-NODES_AT_FIRST = 4
 
 
 def alternatives(plan: Plan, plain: Organisation, snr: float, nbytes: int) -> Iterator[Plan]:
@@ -171,23 +169,23 @@ def gathered(plan: Plan) -> Iterator[Plan]:
     yield _nodes(plan, modes, tuple(MOST_RANKS if n == cut[0] else below.ranks[n] for n in kept), merged, first.cells)
 
 
-def joined(plan: Plan, plain: Organisation) -> Iterator[Plan]:
-    """Plans whose nodes are a few clusters of the data along two merged axes, for each two; each other axis is a mode.
+def joined(plan: Plan, plain: Organisation, count: int) -> Iterator[Plan]:
+    """Plans whose nodes are so many clusters of the data along two merged axes, for each two axes.
 
     Clusters along two axes follow the outline of a thing, outside which all is alike. There are none for fewer than
-    three axes, and where the plan's first level has more than 64 cells already.
+    three axes, and where the plan's first level has more than 64 blocks already.
 
     >>> from hmkcta import parse_plan
     >>> volume = (("time",), ("y",), ("x",))
-    >>> [str(each) for each in joined(parse_plan("R<=8", volume), volume)][:2]
+    >>> [str(each) for each in joined(parse_plan("R<=8", volume), volume, 4)][:2]
     ['R=1,1 C=4,1 / R<=160,160', 'R=1,1 C=4,1 / R<=160,160']
     """
-    if len(plain) < 3 or plan.levels[0].cells > FEW_NODES:
+    if len(plain) < 3 or (plan.levels[0].grid and plan.levels[0].cells > FEW_NODES):
         return
     for a, b in combinations(range(len(plain)), 2):
         merged = plain[a] + plain[b]
         modes = tuple(merged if n == a else mode for n, mode in enumerate(plain) if n != b)
-        yield _nodes(plan, modes, (MOST_RANKS,) * len(modes), merged, NODES_AT_FIRST)
+        yield _nodes(plan, modes, (MOST_RANKS,) * len(modes), merged, count)
 
 
 def _nodes(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from itertools import filterfalse
 from math import inf, isfinite, prod
@@ -16,6 +16,7 @@ from ..narrow import BITS
 from ..plan import LevelSpec, Plan
 from ..streaming.budget import is_streamed, memory_limit
 from .alternatives import (
+    EITHER,
     ROUNDING_FROM,
     alternatives,
     below_rank_one,
@@ -41,6 +42,14 @@ LESS = 0.9
 BEHIND = (1.5, 1.25)
 #: The same for nodes of its clusters to be tried. A rival that promises to take more times the bytes is not fitted.
 FAR_BEHIND = (6.0, 3.0)
+#: Share of a model's bytes at which nodes for clusters along two axes are compared for an SNR.
+SPARED = 0.8
+#: How many clusters along two axes are tried first: for the goal, and for an SNR at a size besides.
+JOINED = (4, 12)
+#: Share of a model's bytes at which nodes for clusters along two axes are first compared for an SNR.
+SPARED = 0.8
+#: More or fewer of them are tried from so many dB below the SNR on.
+CATCHING_UP = 3.0
 #: How many times at most the number of blocks is raised to fill a size: their tables take some of it each time.
 FILLS = 3
 #: Share of the nodes below a first level that are taken to store ranks of one, where a plan's least bytes are told:
@@ -93,7 +102,7 @@ def follow_any(
         again = nearer.model is not model and is_worth(nearer.task)
         task, model = _with_other_clusters(*nearer, STEPS[-1:], set()) if again else nearer
     if choose is not None:
-        task, model = _joined(task, model)
+        task, model = _joined(Followed(task, model))
         (task, model), left = _chosen_anew(given, Followed(task, model), left, choose)
     missing = [] if task.plan.snr is None else _spare(task, model, followed, left)
     return _unless_verbatim(task, _unless_missed(task, model, missing, missed))
@@ -262,13 +271,41 @@ def _nearer(task: Task, model: Model, others: Sequence[Plan]) -> Followed:
     return best_of([_filled(task, model), *further(task, plans, Followed(task, model))])
 
 
-def _joined(task: Task, model: Model) -> Followed:
+def _joined(own: Followed) -> Followed:
     """The best of a model and of nodes for clusters along two axes at a time."""
-    if not is_worth(task) or prod(task.source.shape) > IN_ALL_STEPS:
-        return Followed(task, model)
-    plans = [plan for plan in joined(task.plan, task.source.organisation(None)) if _fits(task, plan, model)]
-    found = best_of([Followed(task, model), *further(task, plans, Followed(task, model))])
-    return found if found.model is model else _with_other_clusters(*found, STEPS, set())
+    task, goal = own.task, own.task.plan.snr
+    if not is_worth(task) or prod(task.source.shape) > IN_ALL_STEPS or misses(own.model.snr, goal):
+        return own
+    few, more = (joined(task.plan, task.source.organisation(None), count) for count in JOINED)
+    found = best_of([own, *further(task, _fitting(task, few, own.model), own)])
+    found = found if found is own else _with_other_clusters(*found, STEPS, set())
+    if goal is None or (least := _least_reaching(own, goal, [*more])) is None:
+        return found
+    as_asked = replace(task, plan=replace(least.task.plan, snr=goal, size=None))
+    return best_of([found, Followed(as_asked, least.model), *further(task, [as_asked.plan], found)])
+
+
+def _least_reaching(own: Followed, goal: float, begin: Sequence[Plan]) -> Followed | None:
+    """What reaches an SNR in the fewest bytes, of some plans to begin with and their like with more or fewer clusters.
+
+    How many clusters there should be shows in dB at a size, where every few more help, long before it shows in the
+    bytes that an SNR takes. So they are compared at a size, fewer bytes than there are now, until one reaches the SNR;
+    then at half of it. None: not one does at the first size, or all are far from it with the clusters to begin with.
+    """
+    found, size = None, int(SPARED * own.model.nbytes)
+    bits = min(BITS) if own.task.bits is None and goal < EITHER[0] else own.task.plan.levels[-1].bits
+    while True:
+        at_size = [replace(with_bits(plan, bits), snr=None, size=size) for plan in begin]
+        if not (tried := [*further(own.task, _fitting(own.task, at_size, own.model))]):
+            return found
+        best = best_of(tried)
+        if found is None and best.model.snr < goal - CATCHING_UP:
+            return None
+        if misses(best.model.snr, goal):
+            best = _with_other_clusters(*best, STEPS, set())
+        if misses(best.model.snr, goal):
+            return found
+        found, size, begin = best, size // 2, [best.task.plan]
 
 
 def _filled(task: Task, model: Model) -> Followed:
@@ -302,6 +339,11 @@ def _with_other_clusters(task: Task, model: Model, steps: Sequence[float], tried
 def _is_behind(model: Model, best: Model, snr: float | None, far: tuple[float, float]) -> bool:
     """Whether it is so `far` from the best, for a size in dB, for an SNR in times its bytes."""
     return model.snr < best.snr - far[0] if snr is None else model.nbytes > far[1] * best.nbytes
+
+
+def _fitting(task: Task, plans: Iterable[Plan], best: Model) -> list[Plan]:
+    """Those that there are rows and bytes for."""
+    return [plan for plan in plans if _fits(task, plan, best)]
 
 
 def _fits(task: Task, plan: Plan, best: Model) -> bool:
