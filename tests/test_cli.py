@@ -54,6 +54,10 @@ def test_compress_for_programs(source: Path, tmp_path: Path) -> None:
     assert found["bytes"] == (tmp_path / "a.hmk").stat().st_size == model.nbytes
     assert found["snr_db"] == pytest.approx(model.snr)
     assert [level["decode_cost"] for level in found["levels"]] == [12, 12 + 2 * 2 * 2 * 2]
+    parts = ("bytes", "bytes_upto")
+    assert [[level[part] for part in parts] for level in found["levels"]] == [
+        [level[part] for part in parts] for level in report("info", tmp_path / "a.hmk")["levels"]
+    ]
     assert found["reached"]
 
 
@@ -98,6 +102,7 @@ def test_info_names_everything(packed: Path) -> None:
     assert found["bytes"]["file"] == packed.stat().st_size
     assert found["bytes"]["numbers"] == 2 * sum(level.numbers() for level in hmkcta.open(packed).levels)
     assert [level["nodes"] for level in found["levels"]] == [1, 1]
+    assert found["levels"][-1]["bytes_upto"] == found["bytes"]["file"]
     assert found["levels"][1]["C"] == [2, 2, 2]
     assert found["levels"][1]["clusters"] == 8
 
@@ -189,18 +194,6 @@ def test_directions_come_with_the_array(tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.asarray(light.coords), angles)
     np.testing.assert_array_equal(np.asarray(y.coords), np.arange(6) / 2)
     assert "light 30 (light, coordinates in degrees), y 6 (space, coordinates), x 7 (space)" in run("info", out).stdout
-
-
-def test_advice_fits_what_was_asked(source: Path, tmp_path: Path) -> None:
-    text = run("compress", source, "-o", tmp_path / "a.hmk", "--plan", "R=1", "--snr", 60, code=7).stderr
-    assert "add ranks or a level" in text
-    words = ("--plan", "R<=6", "--bits", 16, "--snr", 60, "--decode-cost", 8)
-    assert "a higher --decode-cost" in run("compress", source, "-o", tmp_path / "c.hmk", *words, code=7).stderr
-    text = run("compress", source, "-o", tmp_path / "b.hmk", "--snr", 200, code=7).stderr
-    assert "ask for up to 130 dB: everything is decoded in float32" in text
-    assert "another is tried" in text
-    words = ("--plan", "R<=6,8,10", "--snr", 100)
-    assert "a level more" in run("compress", source, "-o", tmp_path / "d.hmk", *words, code=7).stderr
 
 
 def test_one_multiply_add_is_one(tmp_path: Path) -> None:

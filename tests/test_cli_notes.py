@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from math import floor
 from pathlib import Path
 from typing import Any
 
@@ -82,3 +83,18 @@ def test_a_coarse_model_keeps_the_snr_of_transformed_values(tmp_path: Path) -> N
     model = hmkcta.compress(smooth(6, 8, 4), "R=1 / R=1", transform="sqrt")
     model.at_level(1).save(tmp_path / "a.hmk")
     assert "SNR of sqrt" in run("info", tmp_path / "a.hmk").stdout
+
+
+def test_advice_fits_what_was_asked(tmp_path: Path) -> None:
+    source = saved(tmp_path / "a.npy", smooth(6, 8, 10))
+    text = run("compress", source, "-o", tmp_path / "a.hmk", "--plan", "R=1", "--snr", 60, code=7).stderr
+    assert "add ranks or a level" in text
+    words = ("--plan", "R<=6", "--bits", 16, "--snr", 60, "--decode-cost", 8)
+    assert "a higher --decode-cost" in run("compress", source, "-o", tmp_path / "c.hmk", *words, code=7).stderr
+    text = run("compress", source, "-o", tmp_path / "b.hmk", "--snr", 200, code=7).stderr
+    reached = floor(hmkcta.open(tmp_path / "b.hmk").snr)
+    assert reached > 130
+    assert f"ask for up to {reached} dB: everything is decoded in float32" in text
+    assert "another is tried" in text
+    words = ("--plan", "R<=6,8,10", "--snr", 100)
+    assert "a level more" in run("compress", source, "-o", tmp_path / "d.hmk", *words, code=7).stderr

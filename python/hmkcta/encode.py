@@ -50,7 +50,7 @@ def choose_plan(
     *,
     axes: Sequence[Axis | str] | None = None,
     snr: float | None = None,
-    size: int | None = None,
+    size: int | str | None = None,
     decode_cost: int = 4096,
     quality: str = "medium",
     organisation: str | None = None,
@@ -97,7 +97,7 @@ def compress(
     *,
     axes: Sequence[Axis | str] | None = None,
     snr: float | None = None,
-    size: int | None = None,
+    size: int | str | None = None,
     decode_cost: int = 4096,
     quality: str = "medium",
     organisation: str | None = None,
@@ -122,7 +122,8 @@ def compress(
         axes: names (``light``, or ``gloss:space`` with a role) or `Axis` objects, in array order; or the names as one
             text, ``"light, view, y, x"``; None: those of an xarray or a `Model`.
         snr: least SNR in dB of the stored numbers. With explicit levels: no deeper than needed.
-        size: most bytes of the whole file. Neither: 1/100 of the float32 bytes or 50 dB, whichever is less.
+        size: most bytes of the whole file, or a text such as ``"20MiB"``. Neither: 1/100 of the float32 bytes or
+            50 dB, whichever is less.
         decode_cost: most multiply-adds for one scattered element: bounds ranks that are chosen, those of a chosen plan
             and of ``R<=`` in a written one. Written ranks are kept.
         quality: ``fast``, ``medium`` or ``thorough``: how long the fit tries.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from math import inf
 from numbers import Real
 
@@ -9,6 +10,21 @@ from .errors import expect, invalid
 
 #: How far below a goal an SNR in dB may be and still be what was asked for: what is printed is rounded more.
 _SLACK = 0.005
+_UNITS = {"": 1, "B": 1, **{f"{p}B": 1000**n for n, p in enumerate("KMGT", 1)},
+          **{f"{p}IB": 1024**n for n, p in enumerate("KMGT", 1)}}
+#: How a size may be written.
+BYTES_ALLOWED = "bytes, or a number with KB, KiB, MB, MiB, GB or GiB"
+
+
+def read_bytes(text: str) -> float | None:
+    """Bytes, written with or without a unit; None: it is no size.
+
+    >>> read_bytes("20MiB"), read_bytes("1.5 kB"), read_bytes("large")
+    (20971520.0, 1500.0, None)
+    """
+    found = re.fullmatch(r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*([A-Za-z]*)", text.strip())
+    unit = _UNITS.get(found[2].upper()) if found else None
+    return None if found is None or unit is None else float(found[1]) * unit
 
 
 def check_goal(snr: float | None, size: float | None, of: str = "") -> None:

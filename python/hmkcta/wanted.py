@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import inf
 from numbers import Integral
 
 from .axes import check_organisation, format_organisation
 from .errors import expect, invalid
-from .goals import check_goal
+from .goals import BYTES_ALLOWED, check_goal, read_bytes
 from .narrow import BITS
 from .plan import LevelSpec, Plan, parse_plan
 from .streaming.source import Source
@@ -38,8 +39,20 @@ class Wanted:
         return DEFAULT_SNR if self.snr is None and self.size is None else None
 
 
-def the_goal(snr: float | None, size: int | None) -> tuple[float | None, int | None]:
-    """The goal in Python's own numbers, whose range NumPy's may not have."""
+def the_goal(snr: float | None, size: int | str | None) -> tuple[float | None, int | None]:
+    """The goal in Python's own numbers, whose range NumPy's may not have.
+
+    >>> the_goal(None, "20 KiB")
+    (None, 20480)
+
+    Raises:
+        HmkctaError: both are given; the SNR is no finite number above 0; the size is no number of bytes from 1 on.
+    """
+    if isinstance(size, str):
+        number = read_bytes(size)
+        if number is None:
+            raise invalid("size", "size", repr(size), BYTES_ALLOWED)
+        size = round(number) if number < inf else 0
     check_goal(snr, size)
     if snr is not None and size is not None:
         raise invalid("two-goals", "goal", "snr and size", "one of them", "leave one of them out")

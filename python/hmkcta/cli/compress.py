@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from math import isinf
+from math import floor, isinf
 from typing import Any
 
 import click
@@ -14,7 +14,7 @@ from ..comparing.both_goals import UP_TO
 from ..comparing.finer import USED
 from ..encode import compress
 from ..goals import misses
-from ..hmkfile import check_output
+from ..hmkfile import check_output, level_sizes
 from ..model import Model
 from .failure import Exit
 from .goal import Goal, beyond_cost, goal_from, goal_options
@@ -94,15 +94,17 @@ def compress_command(source: str, output: str, plan: str | None, device: str, re
 
 
 def describe(model: Model, array: NDArray[Any], progress: Progress) -> dict[str, Any]:
-    """What the model came to, level by level."""
+    """What the model came to, level by level: `bytes` are a level's own, `bytes_upto` all that is read to decode it."""
     levels: list[dict[str, Any]] = []
+    own, read = level_sizes(model.levels), model.nbytes - sum(level_sizes(model.levels))
     for number, quality in enumerate(model.quality, start=1):
-        upto = model.at_level(number)
+        upto, read = model.at_level(number), read + own[number - 1]
         spent = sum(time for stage, time in progress.stages.items() if stage.endswith(f"level {number}"))
         levels.append({
             "level": number, "snr_db": quality.snr_db, "transformed_snr_db": transformed_snr(model)[number - 1],
-            "rmse": quality.rmse, "max_abs_error": quality.max_abs_error, "bytes": upto.nbytes,
-            "ratio": array.nbytes / upto.nbytes, "decode_cost": upto.decode_cost, "seconds": round(spent, 3),
+            "rmse": quality.rmse, "max_abs_error": quality.max_abs_error, "bytes": own[number - 1],
+            "bytes_upto": read, "ratio": array.nbytes / read, "decode_cost": upto.decode_cost,
+            "seconds": round(spent, 3),
         })
     return {"snr_db": model.snr, "bytes": model.nbytes, "ratio": array.nbytes / model.nbytes,
             "decode_cost": model.decode_cost, "seconds": round(progress.elapsed, 3), "levels": levels,
@@ -113,7 +115,7 @@ def as_text(report: dict[str, Any]) -> str:
     """The table, and the time that belongs to no level."""
     levels = report["levels"]
     domain, inner = transformed_column(report["transform"], levels)
-    rows = [[str(level["level"]), decibels(level["snr_db"]), *of_transformed, mebibytes(level["bytes"]),
+    rows = [[str(level["level"]), decibels(level["snr_db"]), *of_transformed, mebibytes(level["bytes_upto"]),
              ratio(level["ratio"]), str(level["decode_cost"]), f"{level['seconds']:.1f}"]
             for level, of_transformed in zip(levels, inner, strict=True)]
     header = ["level", "SNR dB", *domain, "MiB", "ratio", "decode cost", "seconds"]
@@ -178,7 +180,7 @@ def advice(model: Model, plan: str | None, goal: Goal) -> str:
         wide = "bits=16" if plan is not None and "bits=" in plan else "--bits 16"
         return f"allow numbers of two bytes, {wide}" + ("" if plan is None else ", or add ranks or a level")
     if model.snr > FLOAT32_SNR:
-        return f"ask for up to {FLOAT32_SNR:.0f} dB: everything is decoded in float32"
+        return f"ask for up to {max(FLOAT32_SNR, floor(model.snr)):.0f} dB: everything is decoded in float32"
     if _keeps_no_more(model):
         return f'write a level more, for what float16 numbers leave: --plan "{" / ".join(["R=.."] * (levels + 1))}"'
     if plan is None:

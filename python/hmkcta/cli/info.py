@@ -41,6 +41,7 @@ def describe(model: Model, size: int, tables: Sequence[int]) -> dict[str, Any]:
     """The facts of a model whose file has `size` bytes, so many of them `tables` of each level."""
     metadata = model.metadata
     numbers = sum(level.number_bytes for level in model.levels)
+    sizes = [level.number_bytes + own for level, own in zip(model.levels, tables, strict=True)]
     source_bytes = model.size * np.dtype(metadata.source_dtype).itemsize
     return {
         "kind": metadata.kind,
@@ -50,7 +51,7 @@ def describe(model: Model, size: int, tables: Sequence[int]) -> dict[str, Any]:
         "organisation": format_organisation(metadata.organisation),
         "undecomposed": list(metadata.undecomposed),
         "transform": metadata.transform,
-        "levels": [_level(model, number, tables[number - 1]) for number in range(1, len(model.levels) + 1)],
+        "levels": [_level(model, number, own, size - sum(sizes[number:])) for number, own in enumerate(sizes, 1)],
         "decode_cost": model.decode_cost,
         "bytes": {"file": size, "numbers": numbers, "tables": sum(tables),
                   "header": size - numbers - sum(tables)},
@@ -59,7 +60,8 @@ def describe(model: Model, size: int, tables: Sequence[int]) -> dict[str, Any]:
     }
 
 
-def _level(model: Model, number: int, tables: int) -> dict[str, Any]:
+def _level(model: Model, number: int, own: int, upto: int) -> dict[str, Any]:
+    """The facts of a level of so many bytes of its `own`; to decode it so many are read, of all `upto` it."""
     bounds, level, quality = model.bounds[number - 1], model.levels[number - 1], model.quality[number - 1]
     cells, zero_cells = cells_of(level)
     return {
@@ -67,7 +69,7 @@ def _level(model: Model, number: int, tables: int) -> dict[str, Any]:
         "bits": level.bits, "subdivision": bounds.scheme,
         "nodes": level.nodes, "nodes_that_carry_nothing": int((~level.shape.any(axis=(1, 2))).sum()),
         "clusters": cells, "clusters_that_carry_nothing": zero_cells,
-        "bytes": level.number_bytes + tables,
+        "bytes": own, "bytes_upto": upto,
         "snr_db": quality.snr_db, "transformed_snr_db": transformed_snr(model)[number - 1],
         "rmse": quality.rmse, "max_abs_error": quality.max_abs_error,
     }

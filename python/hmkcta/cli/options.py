@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 import click
 
 from ..errors import invalid
+from ..goals import BYTES_ALLOWED, read_bytes
 from .output import JSON
 
 #: Key of `click.Context.meta` that is true with -v.
@@ -19,9 +20,6 @@ VERBOSE = "hmkcta.verbose"
 #: Key of `click.Context.meta` under which the words stand that a command was given.
 WORDS = "hmkcta.words"
 CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 110}
-
-_UNITS = {"": 1, "B": 1, **{f"{p}B": 1000**n for n, p in enumerate("KMGT", 1)},
-          **{f"{p}IB": 1024**n for n, p in enumerate("KMGT", 1)}}
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -39,11 +37,9 @@ class ByteSize(click.ParamType[int]):
         """Read it, or end with what is wrong."""
         if isinstance(value, int):
             return value
-        found = re.fullmatch(r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*([A-Za-z]*)", str(value).strip())
-        unit = _UNITS.get(found[2].upper()) if found else None
-        if found is None or unit is None:
-            self.fail(f"{value!r} is no size: write bytes, or a number with KB, KiB, MB, MiB, GB or GiB.", param, ctx)
-        number = float(found[1]) * unit
+        number = read_bytes(str(value))
+        if number is None:
+            self.fail(f"{value!r} is no size: write {BYTES_ALLOWED}.", param, ctx)
         if not 1 <= number < inf:
             self.fail(f"a size is 1 byte or more, and not {number:g}.", param, ctx)
         return round(number)

@@ -42,8 +42,6 @@ LESS = 0.9
 BEHIND = (1.5, 1.25)
 #: The same for nodes of its clusters to be tried. A rival that promises to take more times the bytes is not fitted.
 FAR_BEHIND = (6.0, 3.0)
-#: Share of a model's bytes at which nodes for clusters along two axes are compared for an SNR.
-SPARED = 0.8
 #: How many clusters along two axes are tried first: for the goal, and for an SNR at a size besides.
 JOINED = (4, 12)
 #: Share of a model's bytes at which nodes for clusters along two axes are first compared for an SNR.

@@ -23,4 +23,5 @@ from .short import narrowest as narrowest
 from .write import encode as encode
 from .write import encoded_size as encoded_size
 from .write import file_size as file_size
+from .write import level_sizes as level_sizes
 from .write import save as save

@@ -75,6 +75,14 @@ def encoded_size(metadata: Metadata, levels: Sequence[PackedLevel]) -> int:
         return file_size(metadata, _infos(levels, _coords(metadata), short=_is_short(levels)))
 
 
+def level_sizes(levels: Sequence[PackedLevel]) -> list[int]:
+    """Bytes of each level's arrays in the file of all of them."""
+    sizes = [0] * len(levels)
+    for name, (dtype, shape) in _infos(levels, {}, short=_is_short(levels)).items():
+        sizes[int(name.split("/")[1]) - 1] += prod(shape) * ITEM_SIZES[dtype]
+    return sizes
+
+
 def file_size(metadata: Metadata, arrays: Mapping[str, ArrayInfo]) -> int:
     """Bytes of a file with these arrays, known before their values and the figures of quality are."""
     numbers = sum(prod(shape) * ITEM_SIZES[dtype] for dtype, shape in arrays.values())
