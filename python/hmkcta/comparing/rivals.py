@@ -45,7 +45,7 @@ FAR_BEHIND = (6.0, 3.0)
 #: How many clusters along two axes are tried first: for the goal, and for an SNR at a size besides.
 JOINED = (4, 12)
 #: Share of a model's bytes at which nodes for clusters along two axes are first compared for an SNR.
-SPARED = 0.8
+SPARED = 0.9
 #: More or fewer of them are tried from so many dB below the SNR on.
 CATCHING_UP = 3.0
 #: How many times at most the number of blocks is raised to fill a size: their tables take some of it each time.
@@ -236,6 +236,11 @@ def is_worth(task: Task) -> bool:
     return prod(task.source.shape) <= LARGE and _is_held(task)
 
 
+def _is_small(task: Task) -> bool:
+    """Whether numbers of clusters are looked for in all steps."""
+    return is_worth(task) and prod(task.source.shape) <= IN_ALL_STEPS
+
+
 def _is_held(task: Task) -> bool:
     """Whether memory holds the array, and plans are compared at all."""
     sizes = mode_sizes(task.source.axes, task.plan.organisation)
@@ -271,16 +276,22 @@ def _nearer(task: Task, model: Model, others: Sequence[Plan]) -> Followed:
 
 def _joined(own: Followed) -> Followed:
     """The best of a model and of nodes for clusters along two axes at a time."""
-    task, goal = own.task, own.task.plan.snr
-    if not is_worth(task) or prod(task.source.shape) > IN_ALL_STEPS or misses(own.model.snr, goal):
+    task = own.task
+    if not _is_small(task) or misses(own.model.snr, task.plan.snr):
         return own
-    few, more = (joined(task.plan, task.source.organisation(None), count) for count in JOINED)
+    few, more = (list(joined(task.plan, task.source.organisation(None), count)) for count in JOINED)
     found = best_of([own, *further(task, _fitting(task, few, own.model), own)])
     found = found if found is own else _with_other_clusters(*found, STEPS, set())
-    if goal is None or (least := _least_reaching(own, goal, [*more])) is None:
-        return found
+    return best_of([found, _in_fewer_bytes(own, more)])
+
+
+def _in_fewer_bytes(own: Followed, begin: Sequence[Plan]) -> Followed:
+    """For an SNR the best of a model and of what reaches it in fewer bytes, by numbers of clusters that suit these."""
+    task, goal = own.task, own.task.plan.snr
+    if goal is None or (least := _least_reaching(own, goal, begin)) is None:
+        return own
     as_asked = replace(task, plan=replace(least.task.plan, snr=goal, size=None))
-    return best_of([found, Followed(as_asked, least.model), *further(task, [as_asked.plan], found)])
+    return best_of([own, Followed(as_asked, least.model), *further(task, [as_asked.plan], own)])
 
 
 def _least_reaching(own: Followed, goal: float, begin: Sequence[Plan]) -> Followed | None:
