@@ -16,7 +16,8 @@ from zlib import crc32
 from hmkcta.hmkfile import load
 from hmkcta.model import Model
 from hmkcta.packed import LevelBounds, Metadata, PackedLevel
-from hmkcta.render.contract import (
+from hmkcta.render.core_sums import uniform_levels
+from hmkcta.render.frame_contraction import (
     contractable,
     contraction_constants,
     core_starts,
@@ -24,9 +25,8 @@ from hmkcta.render.contract import (
     fold_channels,
     parent_table,
 )
-from hmkcta.render.contraction import uniform_levels
-from hmkcta.render.fixed import pixel_cost
 from hmkcta.render.image import Image, pack_image
+from hmkcta.render.paying_modes import pixel_cost
 from hmkcta.render.prelude import Options, axis_places, decoder_uniform, image_pages, prelude
 
 HERE = Path(__file__).parent

@@ -10,7 +10,7 @@ from gpu_tools import KINDS, Kind, adapter, random_indices
 from hmkcta import Model, compress, synthetic
 from hmkcta.axes import axis_order
 from hmkcta.errors import HmkctaError
-from hmkcta.render.contraction import uniform_levels
+from hmkcta.render.core_sums import uniform_levels
 from hmkcta.render.gpu_decode import GpuDecoder, ListPass, picked_words
 from hmkcta.render.image import pack_image
 from hmkcta.render.prelude import MOST_ROWS, Options, compose_picked

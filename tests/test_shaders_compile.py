@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from gpu_tools import KINDS, Kind, adapter, job, random_indices, run_in_dawn
 from hmkcta import Model
-from hmkcta.render.contract import contraction_constants, contraction_shader
-from hmkcta.render.contraction import uniform_levels
+from hmkcta.render.core_sums import uniform_levels
 from hmkcta.render.device import spread
+from hmkcta.render.frame_contraction import contraction_constants, contraction_shader
 from hmkcta.render.gpu_decode import picked_words
 from hmkcta.render.gpu_svbrdf import constants
 from hmkcta.render.image import pack_image

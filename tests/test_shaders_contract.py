@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from gpu_tools import KINDS, Kind, adapter, job, run_in_dawn
 from hmkcta import Model
-from hmkcta.render.contract import (
+from hmkcta.render.device import spread
+from hmkcta.render.frame_contraction import (
     FrameContraction,
     contractable,
     contraction_constants,
@@ -21,7 +22,6 @@ from hmkcta.render.contract import (
     fixed_rows,
     parent_table,
 )
-from hmkcta.render.device import spread
 from hmkcta.render.gpu_decode import ListPass, picked_words
 from hmkcta.render.image import pack_image
 from hmkcta.render.prelude import Options, compose_picked, decoder_uniform, prelude

@@ -1,8 +1,8 @@
 //! Nodes, their arrays and levels of a model as Python hands them over, checked.
 
+use crate::cell_pairs::Pairs;
 use crate::cells::{Node, Shape};
 use crate::packed::{Level, MOST_MODES, Ragged};
-use crate::pairs::Pairs;
 use numpy::{Element, PyReadonlyArray1};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;

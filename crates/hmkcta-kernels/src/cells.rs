@@ -1,7 +1,7 @@
 //! The cells (clusters c = c_1..c_N) of one node: which rows belong to a cell and where its basis rows are stored.
 
 use crate::sorting::Sorting;
-use crate::turning::{SIDE, turn_over};
+use crate::transpose::{SIDE, turn_over};
 
 /// Rows transposed at a time, so that a cache line is used up before it is dropped.
 const TILE: usize = 64;

@@ -1,7 +1,7 @@
 //! Cores of all cells together, the bases given: least squares by conjugate gradients.
 
+use crate::cell_pairs::{Laid, Pairs};
 use crate::machine::dispatch;
-use crate::pairs::{Laid, Pairs};
 use pulp::{Simd, WithSimd};
 
 /// Where what is left of the right sides, squared, is a smaller share of them, the cores are exact.

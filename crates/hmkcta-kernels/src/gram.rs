@@ -1,7 +1,7 @@
 //! Inner products of dictionaries in float64.
 
+use crate::cell_pairs::{Group, Laid, Pairs};
 use crate::machine::dispatch;
-use crate::pairs::{Group, Laid, Pairs};
 use pulp::{Simd, WithSimd};
 
 /// `H_n[c,c'] = unf_n(Z_c) (kron_{m != n} M_m(c,c')) unf_n(Z_c')^T` for all pairs: `[PC R_n, PC R_n]`, symmetric.

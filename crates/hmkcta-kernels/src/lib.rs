@@ -4,6 +4,8 @@ mod apart;
 mod binding;
 mod block;
 mod bundle;
+mod cell_pairs;
+mod cell_projection;
 mod cells;
 mod chain;
 mod coding;
@@ -26,15 +28,14 @@ mod leading;
 mod lines;
 mod machine;
 mod magnitudes;
+mod mode_order;
 mod orthonormal;
 mod packed;
-mod pair;
-mod pairs;
+mod pair_projection;
 mod part;
 mod permuted;
 mod pick;
 mod places;
-mod project;
 mod real;
 mod reconstruct;
 mod scattered;
@@ -46,11 +47,10 @@ mod subspace;
 #[cfg(test)]
 mod testing;
 mod threads;
+mod transpose;
 mod tree;
 mod tucker;
 mod tuple_lanes;
-mod turned;
-mod turning;
 mod widened;
 
 use binding::{
@@ -127,7 +127,7 @@ fn project_cells<'py>(
     let node = node(shape, &members)?;
     let (tensor, bases) = (tensor_of(&node, &tensor)?, bases_of(&node, &bases)?);
     check_mode(node.order(), mode)?;
-    Ok(py.detach(|| project::project_cells(node, tensor, &bases, mode)).into_pyarray(py))
+    Ok(py.detach(|| cell_projection::project_cells(node, tensor, &bases, mode)).into_pyarray(py))
 }
 
 /// The tensor projected on the bases of all cells in a pair of modes, flat.
@@ -147,7 +147,7 @@ fn project_pair<'py>(
     if a == b {
         return Err(PyValueError::new_err("two modes are needed"));
     }
-    Ok(py.detach(|| pair::project_pair(&node, tensor, &bases, pair)).into_pyarray(py))
+    Ok(py.detach(|| pair_projection::project_pair(&node, tensor, &bases, pair)).into_pyarray(py))
 }
 
 /// `sum_j P[i, j, k, l] W[j, r, l]`, flat.

@@ -9,9 +9,9 @@ use crate::bundle::{Bundle, Choice};
 use crate::cells::Node;
 use crate::leading::{Leading, Partial, alike, subsets};
 use crate::machine::dispatch;
+use crate::mode_order::Turned;
 use crate::places::Places;
 use crate::threads::{PARALLEL, for_each};
-use crate::turned::Turned;
 
 /// Rows of mode a worked on at a time.
 pub const ROWS: usize = 8;

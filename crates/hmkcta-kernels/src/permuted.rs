@@ -9,10 +9,10 @@ use crate::cells::Node;
 use crate::leading::{Leading, PAD, Padded, Partial, alike, subsets};
 use crate::lines::Target;
 use crate::machine::{dispatch, lanes, prefetch_from};
+use crate::mode_order::Turned;
 use crate::places::cut;
 use crate::shuffle::{Order, Shuffle};
 use crate::threads::{PARALLEL, for_each, room};
-use crate::turned::Turned;
 use pulp::{Simd, WithSimd};
 
 /// Lines worked on at a time, which share what is read of the basis of mode b.

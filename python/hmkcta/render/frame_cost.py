@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from ..model import Model
 from ..packed import PackedLevel
-from .cells import registered_levels
-from .contraction import uniform_levels
+from .cell_loops import registered_levels
+from .core_sums import uniform_levels
 from .prelude import Options, axis_places, colour_mode
-from .single import is_single
+from .single_cell import is_single
 
 #: Bytes of a float16 number and of a word of the tables.
 _HALF, _WORD = 2, 4

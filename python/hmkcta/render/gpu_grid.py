@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ..errors import HmkctaError, Kind
 from ..model import Model
-from .contract import contractable
 from .device import Device
+from .frame_contraction import contractable
 from .gpu_pass import ComputePass, Slot, out_texture, tiles
 from .grid import Grid
 from .layout import Layout

@@ -14,15 +14,15 @@ from ..errors import invalid
 from ..model import Model
 from ..packed import Metadata
 from .angles import AngleGrid
-from .contract import AxisPicks
 from .device import Device
 from .directions import GRID, DirectionTable
-from .fixed import paying_modes
+from .frame_contraction import AxisPicks
 from .gbuffer import Rays, trace
 from .gpu_pass import ComputePass, Slot, picture_texture, tiles
 from .layout import Layout
 from .mesh import make_mesh
 from .numpy_path import rays_of
+from .paying_modes import paying_modes
 from .prelude import NO_AXIS, Options, compose_picked, picks_fit
 from .scene import MOST_LIGHTS, Light, Scene, direction
 from .software import loop_turns

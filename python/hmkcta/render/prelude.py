@@ -17,9 +17,9 @@ from ..axes import axis_order
 from ..errors import HmkctaError, Kind, invalid
 from ..packed import Metadata
 from ..transform import from_json
-from .cells import picked_cells
-from .contraction import contraction
-from .single import is_single, single_cell
+from .cell_loops import picked_cells
+from .core_sums import contraction
+from .single_cell import is_single, single_cell
 
 #: Words of a page by its logarithm: 2^25 words are the 128 MiB that WebGPU guarantees for a storage buffer binding.
 PAGE_SHIFT = 25

@@ -13,10 +13,10 @@ import numpy as np
 
 from ..model import Model
 from ..packed import PackedLevel
-from .cells import Cells, registered_levels
-from .contraction import uniform_levels
+from .cell_loops import Cells, registered_levels
+from .core_sums import uniform_levels
 from .prelude import Options, axis_places, channel_axis, colour_mode
-from .single import is_single
+from .single_cell import is_single
 
 #: A little below the limit, for the loops outside the decoder.
 MOST_TURNS = 60_000
@@ -63,7 +63,7 @@ def loop_turns(model: Model, picks: Sequence[int], level: int, contracted: Seque
 
 
 def _single(model: Model, rows: Sequence[int], contracted: Sequence[int]) -> int:
-    """Turns of `single.py`'s loops: over the rows of every mode, their numbers, and the core."""
+    """Turns of `single_cell.py`'s loops: over the rows of every mode, their numbers, and the core."""
     kept = [n for n in range(len(rows)) if n not in contracted]
     ranks = model.bounds[0].ranks
     counts = [rows[n] if n in model.metadata.undecomposed else ranks[n] for n in kept]

@@ -9,8 +9,8 @@ from math import prod
 import numpy as np
 
 from ..model import Model
-from .contract import contractable, set_numbers
 from .device import Device
+from .frame_contraction import contractable, set_numbers
 from .frame_cost import Cost, mean_cost
 from .gpu_decode import GpuDecoder
 from .gpu_path import GpuPath

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any, final
 
 from ..model import Model
-from .contract import AxisPicks, FrameContraction
-from .contraction import FRAME_BINDING, uniform_levels
+from .core_sums import FRAME_BINDING, uniform_levels
 from .device import Device
+from .frame_contraction import AxisPicks, FrameContraction
 from .image import Image, pack_image
 from .prelude import PLAIN, Options, decoder_uniform, image_pages, prelude
 

@@ -2,7 +2,7 @@
 
 import type { Metadata } from "../reader/metadata";
 import type { PackedLevel } from "../reader/packed";
-import { uniformLevels } from "./contraction";
+import { uniformLevels } from "./coreSums";
 import { type ImageLayout, eachCoefficients, layOutImage, packTables } from "./image";
 import { PAGE_SHIFT, decoderUniform, imagePages } from "./prelude";
 

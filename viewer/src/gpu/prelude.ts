@@ -7,9 +7,9 @@
 import { axisPlaces } from "../decode/element";
 import { Problem } from "../problem";
 import type { Metadata } from "../reader/metadata";
-import { pickedCells } from "./cells";
-import { contraction } from "./contraction";
-import { isSingle, singleCell } from "./single";
+import { pickedCells } from "./cellLoops";
+import { contraction } from "./coreSums";
+import { isSingle, singleCell } from "./singleCell";
 
 /** Words of a page by its logarithm: 128 MiB, the storage buffer binding that WebGPU guarantees. */
 export const PAGE_SHIFT = 25;

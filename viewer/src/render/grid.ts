@@ -3,7 +3,7 @@
  * kept for as long as level, time and axes stay; a large request is decoded over several frames.
  */
 
-import { FrameContraction, type Still, contractedModes } from "../gpu/contract";
+import { FrameContraction, type Still, contractedModes } from "../gpu/frameContraction";
 import type { Decoder } from "../gpu/decoder";
 import { Pass } from "../gpu/pass";
 import { prelude } from "../gpu/prelude";

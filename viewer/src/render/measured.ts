@@ -1,6 +1,6 @@
 /** Measured directions of views and of lights: lists along one axis, or grids of the angles of two. */
 
-import type { Still } from "../gpu/contract";
+import type { Still } from "../gpu/frameContraction";
 import type { Metadata } from "../reader/metadata";
 import { angleLists, anglesAt, interpolateAngle } from "./angles";
 import { GRID, buildTable, directionsOf, interpolateDirection } from "./directions";

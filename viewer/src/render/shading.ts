@@ -1,8 +1,8 @@
 /** The shaders of one material: of level 1, of all levels, and of lights that are the same at all pixels. */
 
-import { FrameContraction, type Still } from "../gpu/contract";
+import { FrameContraction, type Still } from "../gpu/frameContraction";
 import type { Decoder } from "../gpu/decoder";
-import { payingModes } from "../gpu/fixed";
+import { payingModes } from "../gpu/payingModes";
 import { Pass } from "../gpu/pass";
 import { type Options, picksFit, prelude } from "../gpu/prelude";
 import { pickedFiles } from "../gpu/shaders";

@@ -1,6 +1,6 @@
 /** SVBRDF: a lit object whose reflectance is decoded at every pixel. Twin of `hmkcta.render.svbrdf`. */
 
-import type { Still } from "../gpu/contract";
+import type { Still } from "../gpu/frameContraction";
 import type { Decoder } from "../gpu/decoder";
 import type { Values } from "../gpu/uniform";
 import type { Metadata } from "../reader/metadata";

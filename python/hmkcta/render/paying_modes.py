@@ -12,7 +12,7 @@ from math import prod
 
 from ..model import Model
 from ..packed import Metadata
-from .contract import contractable
+from .frame_contraction import contractable
 from .prelude import Options, colour_mode, rooms
 
 #: By how much the loops of models of several cells that keep an undecomposed mode are slower than others.

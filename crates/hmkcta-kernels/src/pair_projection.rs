@@ -8,8 +8,8 @@
 use crate::cells::Node;
 use crate::machine::{prefetch, prefetch_from};
 use crate::threads::{PARALLEL, Scratch, for_each, room, with_scratch};
+use crate::transpose::{SIDE, turn_over};
 use crate::tuple_lanes::{Product, TUPLES};
-use crate::turning::{SIDE, turn_over};
 use std::ops::Range;
 
 /// Numbers gathered at a time, some rows of mode a of all these tuples: the level 2 cache holds them.

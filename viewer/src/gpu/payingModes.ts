@@ -1,7 +1,7 @@
 /** Which modes it pays to contract: the twin of `hmkcta.render.fixed`. */
 
 import type { Metadata } from "../reader/metadata";
-import { contractable, contractedModes } from "./contract";
+import { contractable, contractedModes } from "./frameContraction";
 import type { Decoder } from "./decoder";
 import { type Options, colourMode, rooms } from "./prelude";
 
