@@ -59,6 +59,7 @@ def test_pairs_of_axes_are_joined_where_a_plan_has_few_parts() -> None:
     ]
     assert [plan.levels[0].clusters for plan in few] == [(4, 1), (4, 1), (1, 4)]
     assert not list(joined(parse_plan(f"R=1 grid=y:{FEW_NODES + 1} / R<=8", VOLUME), VOLUME, 4))
+    assert list(joined(parse_plan(f"R=1 C={4 * FEW_NODES},1,1 / R<=8", VOLUME), VOLUME, 4)), "clusters are no blocks"
     assert not list(joined(parse_plan("R<=8", VOLUME[1:]), VOLUME[1:], 4))
 
 
