@@ -9,7 +9,7 @@ import pytest
 
 from cli_tools import smooth
 from hmkcta import choose_plan, compress
-from hmkcta.choosing.candidates import Candidate
+from hmkcta.choosing.candidates import Candidate, Scored
 from hmkcta.choosing.climbing import climbed
 from hmkcta.choosing.judging import CARES, Search
 from hmkcta.choosing.trial import Trial, trial_of
@@ -38,7 +38,7 @@ def test_blocks_behind_a_matrix_are_climbed_to_the_end(
 
 def test_a_climb_exchanges_blocks_of_two_axes(monkeypatch: pytest.MonkeyPatch) -> None:
     search = _search(monkeypatch, {(3, 2, 3): 34.0, (3, 3, 2): 35.0, (3, 4, 2): 35.5, (3, 3, 3): 33.0}, 20.0)
-    assert climbed(search, Candidate(PLAIN, (3, 2, 3), (), True), 1 << 12, 0.0)[1].grid == (3, 4, 2)
+    assert climbed(search, Candidate(PLAIN, (3, 2, 3), (), True), 1 << 12, 0.0).candidate.grid == (3, 4, 2)
 
 
 def test_waves_are_cut_as_waves_like_it() -> None:
@@ -57,10 +57,10 @@ def test_waves_are_cut_as_waves_like_it() -> None:
 def _search(monkeypatch: pytest.MonkeyPatch, blocks: dict[tuple[int, ...], float], matrix: float) -> Search:
     """In which a matrix and some blocks are worth so much, and whatever else little."""
 
-    def worths(_: Trial, modes: object, grid: tuple[int, ...], *__: object) -> list[tuple[float, Candidate]]:
+    def worths(_: Trial, modes: object, grid: tuple[int, ...], *__: object) -> list[Scored]:
         if modes == MERGED:
-            return [(matrix if set(grid) == {1} else 20.0, Candidate(MERGED, grid, (0,)))]
-        return [(blocks.get(grid, min(blocks.values()) - 0.2), Candidate(PLAIN, grid, (), True))]
+            return [Scored(matrix if set(grid) == {1} else 20.0, Candidate(MERGED, grid, (0,)))]
+        return [Scored(blocks.get(grid, min(blocks.values()) - 0.2), Candidate(PLAIN, grid, (), True))]
 
     monkeypatch.setattr(Trial, "worths", worths)
     array = np.random.default_rng(0).random((48, 48, 16))
