@@ -105,7 +105,7 @@ def measure_both(model: Model, source: Any, *, nan: float | None = None, progres
     assert sums is not None
     plain, transformed = sums
     found = transformed.quality()
-    return (found if from_json(model.metadata.transform).is_identity else plain.quality()), found
+    return (plain.quality() if model.metadata.is_transformed else found), found
 
 
 def _float32_tells(sums: Sums) -> bool:

@@ -96,7 +96,8 @@ def compress_command(source: str, output: str, plan: str | None, device: str, re
 def describe(model: Model, array: NDArray[Any], progress: Progress) -> dict[str, Any]:
     """What the model came to, level by level: `bytes` are a level's own, `bytes_upto` all that is read to decode it."""
     levels: list[dict[str, Any]] = []
-    own, read = level_sizes(model.levels), model.nbytes - sum(level_sizes(model.levels))
+    own = level_sizes(model.levels)
+    read = model.nbytes - sum(own)
     for number, quality in enumerate(model.quality, start=1):
         upto, read = model.at_level(number), read + own[number - 1]
         spent = sum(time for stage, time in progress.stages.items() if stage.endswith(f"level {number}"))

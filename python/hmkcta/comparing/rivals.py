@@ -228,7 +228,7 @@ def _near(followed: Sequence[Followed]) -> Sequence[Plan]:
     for other, model in followed:
         if not _is_behind(model, best, task.plan.snr, FAR_BEHIND):
             plans |= dict.fromkeys(nodes_of_clusters(other.plan))
-    return [plan for plan in plans if _fits(task, plan, best)]
+    return _fitting(task, plans, best)
 
 
 def is_worth(task: Task) -> bool:
