@@ -13,7 +13,7 @@ from hmkcta.choosing.candidates import Candidate, Scored
 from hmkcta.choosing.climbing import climbed
 from hmkcta.choosing.judging import CARES, Search
 from hmkcta.choosing.trial import Trial, trial_of
-from hmkcta.choosing.tuning import _settled  # pyright: ignore[reportPrivateUsage]
+from hmkcta.choosing.tuning import _cut_further, _settled  # pyright: ignore[reportPrivateUsage]
 from hmkcta.fitting.fit import EFFORTS
 from hmkcta.streaming.source import prepare
 from hmkcta.support.progress import nobody
@@ -54,7 +54,21 @@ def test_waves_are_cut_as_waves_like_it() -> None:
     assert model.snr > 33.3
 
 
-def _search(monkeypatch: pytest.MonkeyPatch, blocks: dict[tuple[int, ...], float], matrix: float) -> Search:
+def test_bytes_for_an_snr_are_told_by_whole_blocks_and_not_by_a_step_across_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Up to the SNR worth is in dB, beyond it in octaves of bytes."""
+    search = _search(monkeypatch, {(1, 1, 1): 0.0}, 20.0, ceiling=30.0)
+
+    def worth(_: Trial, candidate: Candidate, **__: object) -> float:
+        return 33.0 if candidate.cuts == (2, 1, 1) else 29.0
+
+    monkeypatch.setattr(Trial, "worth", worth)
+    thinned = Scored(30.5, Candidate(PLAIN, (4, 4, 2), (), True))
+    assert _cut_further(search, thinned, nobody) == (33.0, Candidate(PLAIN, (4, 4, 2), (), True, (2, 1, 1)))
+
+
+def _search(
+    monkeypatch: pytest.MonkeyPatch, blocks: dict[tuple[int, ...], float], matrix: float, ceiling: float | None = None
+) -> Search:
     """In which a matrix and some blocks are worth so much, and whatever else little."""
 
     def worths(_: Trial, modes: object, grid: tuple[int, ...], *__: object) -> list[Scored]:
@@ -64,7 +78,7 @@ def _search(monkeypatch: pytest.MonkeyPatch, blocks: dict[tuple[int, ...], float
 
     monkeypatch.setattr(Trial, "worths", worths)
     array = np.random.default_rng(0).random((48, 48, 16))
-    trial = trial_of(prepare(array, None, "identity", None), 4000, None, 4096, 0)
+    trial = trial_of(prepare(array, None, "identity", None), 4000, ceiling, 4096, 0)
     return Search(trial, trial, PLAIN, 1, CARES[EFFORTS["thorough"]], 1 << 20, 0)
 
 

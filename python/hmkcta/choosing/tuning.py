@@ -110,8 +110,7 @@ def tune(
         search = search.anew(replace(search.goal, ceiling=EXACT, room=2 * together))
         search.together = together
         worth, best = look(search, organisation is not None, inf)
-    gained, best = _cut_further(search, best, run.progress)
-    worth += gained
+    worth, best = _cut_further(search, Scored(worth, best), run.progress)
     if size is not None and worth <= -OUT_OF_REACH:
         least = planned_bytes(plan_of(source, best, None, None, 1), source, seed=run.seed)
         if ceiling is None:
@@ -290,24 +289,31 @@ def _starts(judged: Ranked, far: float) -> Ranked:
     return list(dict.fromkeys([ranked[0], *second, *other]))
 
 
-def _cut_further(search: Search, best: Candidate, progress: Progress) -> Scored:
-    """Let each block be cut in two along axes where that helps, or in twos from blocks twice as long; and the gain."""
-    if not best.carried or _is_whole(best) or search.care.cuts == 0:
-        return Scored(0.0, best)
-    now, gained, worth = replace(best, cuts=(1,) * len(best.grid)), 0.0, search.trial.worth
-    for n in reversed(range(len(best.grid))):
-        tried: Ranked = []
-        for each in _cut_along(search, now, n):
-            # Whole blocks, as thinned ones flatter those that are large; the same ones for both.
-            whole = blocks.FEWEST * prod(search.trial.source.shape) // prod(each.grid)
-            sample = min(search.together, max(search.care.cuts, min(whole, search.care.refine)))
-            mine, present = (worth(one, sample, each.grid, search.workers(sample)) for one in (each, now))
-            tried.append(Scored(mine - present, each))
-        gain, found = max(tried, key=worth_of, default=Scored(0.0, now))
-        if gain > WORTHWHILE:
-            now, gained = found, gained + gain
-        progress("blocks cut further", 1 - n / len(best.grid))
-    return Scored(gained, now if gained else best)
+def _cut_further(search: Search, best: Scored, progress: Progress) -> Scored:
+    """Let each block be cut in two along axes where that helps, or in twos from blocks twice as long."""
+    (worth, candidate), ceiling, gained = best, search.goal.ceiling or inf, False
+    if not candidate.carried or _is_whole(candidate) or search.care.cuts == 0:
+        return best
+    now = replace(candidate, cuts=(1,) * len(candidate.grid))
+    for n in reversed(range(len(candidate.grid))):
+        pairs = [_on_whole_blocks(search, each, now) for each in _cut_along(search, now, n)]
+        for cut, uncut in sorted(pairs, key=lambda pair: pair[1].worth - pair[0].worth)[:1]:
+            gain = cut.worth - uncut.worth
+            found = cut if gain > WORTHWHILE else uncut
+            now, gained = found.candidate, gained or found is cut
+            # Beyond the ceiling worth tells bytes, which whole blocks tell best; steps across it do not.
+            told = min(worth, found.worth) > ceiling
+            worth = found.worth if told else worth + gain * (found is cut)
+        progress("blocks cut further", 1 - n / len(candidate.grid))
+    return Scored(worth, now if gained else candidate)
+
+
+def _on_whole_blocks(search: Search, cut: Candidate, uncut: Candidate) -> tuple[Scored, Scored]:
+    """What both are worth on the same whole blocks, as thinned ones flatter those that are large."""
+    whole = blocks.FEWEST * prod(search.trial.source.shape) // prod(cut.grid)
+    sample = min(search.together, max(search.care.cuts, min(whole, search.care.refine)))
+    judged = partial(search.trial.worth, sample=sample, around=cut.grid, workers=search.workers(sample))
+    return Scored(judged(cut), cut), Scored(judged(uncut), uncut)
 
 
 def _cut_along(search: Search, now: Candidate, n: int) -> Iterator[Candidate]:
