@@ -73,10 +73,14 @@ _SLAB_COPIES = 3.5
 _SLAB_CUT = 2.7
 #: The same of its projections.
 _SLAB_SEEN = 1
+#: As many numbers for each byte that an SNR is expected to take has the largest model of others it is compared with.
+_LARGER = 4
 #: How much larger than the average the largest sub-tensors get by a mode of two clusters, K = 1; for K > 1 see `CAP`.
 _UNEVEN_TWO = 1.1
 #: The same by a mode of more clusters.
 _UNEVEN_MORE = 1.8
+#: Bytes that heaps keep while many plans are fitted one after another.
+_HEAPS_COMPARED = 24 * 2**20
 #: Bytes that the heaps of threads keep while sub-tensors come and go.
 _HEAPS = 20 * 2**20
 #: The same where nodes choose their ranks.
@@ -168,11 +172,10 @@ def forecast(
         fit = int((_working(plan, threads) + (_SAVED if own else 0)) * elements)
         measuring = _RESIDUAL * elements + _MEASURING * min(elements, MEASURED)
         features = _parting_bytes(plan, sizes, compared=compared)
-        # For an SNR others may take up to as many numbers as there are values.
-        theirs = max(model, (2 * MODEL + 2 * TRIED_APART) * elements) if plan.snr is not None else model
+        theirs = model if plan.snr is None else max(model, _most_of_others(plan, elements))
         # One other is seldom followed to the end.
         fits = [fit + theirs, fit + model] if compared and others > 1 else [fit + model]
-        return found(_peak(choosing, *fits, measuring, beside=features))
+        return found(_peak(choosing, *fits, measuring, beside=features + (_HEAPS_COMPARED if compared else 0)))
     check_worksets(plan, sizes, limit, memory)
     if limit == elements:  # fitted in place
         return found(_peak(choosing, FLAT * elements + model))
@@ -203,6 +206,12 @@ def _others(plan: Plan, elements: int, effort: Effort) -> int:
     if len(plan.levels) == 1:
         return _OTHERS_OF_ONE_LEVEL
     return _OTHERS if plan.snr is None else _OTHERS_FOR_SNR
+
+
+def _most_of_others(plan: Plan, elements: int) -> int:
+    """Bytes of the largest model of those that are compared for an SNR: of as many numbers as there are values, if no
+    sample told what the plan takes."""
+    return (2 * MODEL + 2 * TRIED_APART) * min(elements, _LARGER * (plan.expected or elements))
 
 
 def _outside(plan: Plan, sizes: Sequence[int], limit: int, threads: int, cut: int | None) -> int:
