@@ -321,6 +321,15 @@ def test_what_is_said_beside_a_plan_counts() -> None:
         assert compress(noise, levels, scheme=scheme).metadata.levels[0].scheme == scheme
 
 
+@pytest.mark.parametrize("scheme", ["most", "least", "uniform"])
+def test_a_plan_is_subdivided_as_it_says(scheme: str) -> None:
+    """A model's own plan makes it again."""
+    noise = np.random.default_rng(0).random((20, 18))
+    model = compress(noise, parse_plan("R=1 C=3 K=2 / R=1", MODES, scheme))
+    assert model.metadata.levels[0].scheme == scheme
+    assert compress(noise, model.plan).metadata.levels == model.metadata.levels
+
+
 def raised(call: Callable[[], object]) -> HmkctaError:
     with pytest.raises(HmkctaError) as caught:
         call()

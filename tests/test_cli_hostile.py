@@ -226,7 +226,8 @@ def test_a_journal_that_makes_no_sense(name: str, content: str | None, source: P
     folder = tmp_path / "a.hmk.partial"
     with pytest.raises(KeyboardInterrupt), hmkcta.Journal(folder) as journal:
         hmkcta.compress(np.load(source), snr=20.0, journal=journal, progress=stop_at_levels)
-    assert sorted(path.name for path in folder.iterdir()) == ["limit-1.json", "nodes.log", "plan.json", "run.json"]
+    kept = sorted(path.name for path in folder.iterdir())
+    assert kept == ["budget.json", "limit-1.json", "nodes.log", "plan.json", "run.json"]
     (folder / name).unlink()
     if content is not None:
         (folder / name).write_text(content, errors="surrogateescape")

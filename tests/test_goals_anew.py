@@ -62,6 +62,13 @@ def test_plans_are_chosen_anew_where_bytes_do_not_do(snr: int, names: list[str],
     assert journal.names == names
 
 
+def test_an_exact_fit_of_transformed_values_has_no_other_dB_to_aim_at() -> None:
+    flags = np.random.default_rng(0).random((12, 10)) < 0.5
+    model = compress(flags.astype(float), transform="sqrt", snr=30, threads=1)
+    assert model.snr >= 30
+    assert model.metadata.transformed_snr_db == [np.inf]
+
+
 def test_what_was_chosen_anew_is_resumed(tmp_path: Path) -> None:
     def interrupt(stage: str, done: float) -> None:
         del stage, done

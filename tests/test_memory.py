@@ -24,6 +24,7 @@ from hmkcta.forecast import forecast, peak_memory
 from hmkcta.plan import parse_plan
 from hmkcta.readers import open_array
 from hmkcta.streaming.source import Source, described, prepare
+from hmkcta.support import memory
 from hmkcta.support.executors import thread_count
 from hmkcta.support.memory import drop_pages, looked_at
 from memory_tools import printed, runs, taken, write_waves
@@ -360,3 +361,27 @@ def test_measuring_lets_go_of_what_it_has_read(waves: Path, tmp_path: Path) -> N
 @pytest.mark.parametrize("memory", [280_000_000, 400_000_000])
 def test_choosing_a_plan_keeps_within_the_memory_given(waves: Path, memory: int) -> None:
     assert taken("choose_plan", waves, size=1_000_000, max_memory=memory)["peak"] < memory
+
+
+def test_every_control_group_limits_and_what_the_system_can_drop_counts_as_free(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a batch system nests them: 6 GB for the job, 4 GB of these for the step, both with pages of files."""
+    groups = (("", "max", 0, 0), ("job", "6000000000", 5e9, 2e9), ("job/step", "4000000000", 3e9, 5e8))
+    for group, limit, held, files in groups:
+        folder = tmp_path / group
+        folder.mkdir(exist_ok=True)
+        (folder / "memory.max").write_text(f"{limit}\n")
+        (folder / "memory.current").write_text(f"{int(held)}\n")
+        (folder / "memory.stat").write_text(f"anon 12\ninactive_file {int(files)}\n")
+    (tmp_path / "cgroup").write_text("4:memory:/elsewhere\n0::/job/step\n")
+    (tmp_path / "meminfo").write_text("MemTotal: 16000000 kB\nMemAvailable: 8000000 kB\n")
+    for name, path in (("_GROUPS", tmp_path), ("_GROUP", tmp_path / "cgroup"), ("_MEMINFO", tmp_path / "meminfo")):
+        monkeypatch.setattr(memory, name, path)
+    assert memory.available_memory() == 1_500_000_000
+    assert memory.stays_cached(2_000_000_000)
+    assert not memory.stays_cached(2_000_000_001)
+    (tmp_path / "job/memory.current").write_text("7500000000\n")
+    assert memory.available_memory() == 500_000_000
+    (tmp_path / "cgroup").write_text("0::/../of/another\n")
+    assert memory.available_memory() == 8_192_000_000

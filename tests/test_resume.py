@@ -15,6 +15,7 @@ from cli_tools import smooth
 from fit_tools import file_of
 from hmkcta import HmkctaError, Journal, Model
 from hmkcta.journal import NODES, PLAN, RUN
+from hmkcta.streaming.budget import PROCESS, WORKING
 from hmkcta.support.recordlog import RecordLog
 from resume_tools import DATA, LEVELS, MODES, After, Stop
 
@@ -211,6 +212,24 @@ def test_what_was_cut_into_blocks_is_cut_again(tmp_path: Path, monkeypatch: pyte
     for share in (0.3, 0.6, 0.95):
         interrupted(tmp_path, int(share * calls), **options)
         assert resumed(tmp_path, **options)[0] == reference
+
+
+def test_plans_are_compared_by_the_memory_of_the_first_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where less is free when a run goes on, plans that it had not fitted yet are compared all the same."""
+
+    def chosen(**options: Any) -> bytes:
+        return file_of(hmkcta.compress(DATA.values, axes=DATA.axes, snr=35.0, threads=2, **options), tmp_path)
+
+    counter = After(10**6)
+    reference = chosen(progress=counter)
+    with pytest.raises(Stop), Journal(tmp_path / "partial") as journal:
+        chosen(journal=journal, progress=After((10**6 - counter.left) // 2))
+    too_little = 2 * (PROCESS + WORKING * DATA.values.size // 2)
+    monkeypatch.setattr("hmkcta.support.memory.available_memory", lambda: too_little)
+    monkeypatch.setattr("hmkcta.streaming.budget.available_memory", lambda: too_little)
+    assert chosen() != reference
+    with Journal(tmp_path / "partial", resume=True) as journal:
+        assert chosen(journal=journal) == reference
 
 
 def test_no_trace_of_a_run_that_cannot_be(tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ from .goals import misses
 from .hmkfile import KINDS
 from .journal import Journal, decisive
 from .model import Model
-from .plan import SCHEMES, Plan
+from .plan import AUTO, SCHEMES, Plan
 from .streaming.budget import check_least_memory
 from .streaming.source import Source, prepare
 from .support.executors import thread_count
@@ -54,7 +54,6 @@ def choose_plan(
     decode_cost: int = 4096,
     quality: str = "medium",
     organisation: str | None = None,
-    scheme: str = "auto",
     transform: str | None = None,
     nan: float | None = None,
     bits: int | None = None,
@@ -83,7 +82,7 @@ def choose_plan(
     >>> plan.snr, plan.organisation, plan.decode_cost() <= 4096
     (40.0, (('y',), ('x',)), True)
     """
-    run = _run(quality, scheme, decode_cost, seed, threads, progress)
+    run = _run(quality, decode_cost, seed, threads, progress)
     snr, size = the_goal(snr, size)
     _check_types(array, organisation, transform, nan, max_memory)
     with _threads(run.threads):
@@ -101,7 +100,7 @@ def compress(
     decode_cost: int = 4096,
     quality: str = "medium",
     organisation: str | None = None,
-    scheme: str = "auto",
+    scheme: str | None = None,
     transform: str | None = None,
     nan: float | None = None,
     bits: int | None = None,
@@ -130,7 +129,7 @@ def compress(
         organisation: axes merged into modes, ``"light+rgb, view, y+x"``; None: the `Plan`'s, chosen, or a mode for
             each axis.
         scheme: ``most``, ``least``, ``uniform`` or ``auto`` (the best of the three; above ``R<=`` ``most``) subdivision
-            of explicit levels, whatever those of a `Plan` say.
+            of written levels; None: as a `Plan` says, ``auto`` of a text.
         transform: value transform for high dynamic range, e.g. ``log1p``; None: identity.
         nan: value to put for NaN and infinity; None: refuse them.
         bits: of each core and basis number in the file, 16 (float16) or 8, in all levels; must agree with any
@@ -168,11 +167,13 @@ def compress(
     ((32, 24), True)
     """
     device = _found(device)
-    run = replace(_run(quality, scheme, decode_cost, seed, threads, progress), device=device.name)
+    run = replace(_run(quality, decode_cost, seed, threads, progress), device=device.name)
     snr, size = the_goal(snr, size)
     _check_types(array, organisation, transform, nan, max_memory)
     expect("plan", plan, Plan | str | None, "text such as R=4,4,6,6, or a Plan")
     expect("journal", journal, Journal | None, "a Journal")
+    if scheme not in (None, *SCHEMES, AUTO):
+        raise invalid("unknown-scheme", "scheme", scheme, ", ".join((*SCHEMES, AUTO)))
     if kind is not None and kind not in KINDS:
         raise invalid("unknown-kind", "kind", kind, ", ".join(KINDS))
     wanted = wanted_of(snr, size, decode_cost, organisation, max_memory, bits)
@@ -185,7 +186,7 @@ def compress(
         check_least_memory(prod(source.shape), max_memory, choosing=plan is None)
         if journal is not None:
             run = replace(run, journal=journal)
-            journal.begin(decisive(source, plan, kind=kind, quality=quality, scheme=scheme, seed=run.seed,
+            journal.begin(decisive(source, plan, kind=kind, quality=quality, seed=run.seed,
                                    device=device.described, **asdict(wanted)))
 
         @cache
@@ -197,7 +198,7 @@ def compress(
 
         plans = [plan] if plan else chosen("plan")
         task = Task(
-            source, plans[0], scheme, wanted.decode_cost, kind or source.kind, run, wanted.max_memory, wanted.bits,
+            source, plans[0], wanted.decode_cost, kind or source.kind, run, wanted.max_memory, wanted.bits,
             wanted.organisation is not None,
         )
         with kernels.use(device):
@@ -271,13 +272,11 @@ def _found(wanted: str | Device) -> Device:
     return device
 
 
-def _run(quality: str, scheme: str, decode_cost: int, seed: int, threads: int | None, progress: Progress | None) -> Run:
+def _run(quality: str, decode_cost: int, seed: int, threads: int | None, progress: Progress | None) -> Run:
     expect("quality", quality, str, ", ".join(EFFORTS))
     expect("progress", progress, Callable | None, "a function of a stage's name and the fraction done")
     if quality not in EFFORTS:
         raise invalid("unknown-quality", "quality", quality, ", ".join(EFFORTS))
-    if scheme not in (*SCHEMES, "auto"):
-        raise invalid("unknown-scheme", "scheme", scheme, ", ".join((*SCHEMES, "auto")))
     expect("threads", threads, Integral | None, "a whole number")
     expect("decode_cost", decode_cost, Integral, "a whole number")
     expect("seed", seed, Integral, "a whole number")

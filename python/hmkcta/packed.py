@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from math import inf
 from typing import Any, cast
 
 import numpy as np
@@ -136,6 +137,18 @@ class Metadata:
     def is_transformed(self) -> bool:
         """Whether levels approximate transformed values."""
         return self.transform["name"] != "identity"
+
+    @property
+    def transformed_snr_db(self) -> list[float | None]:
+        """SNR of each level in the domain of the value transform, None where the file does not say it.
+
+        Its `quality` is in that of the values. What a file says of its source is free, so it may be anything.
+        """
+        told, count = self.source.get("transformed_snr_db"), len(self.levels)
+        if not isinstance(told, list) or len(cast("list[Any]", told)) != count:
+            return [None] * count
+        return [float(snr) if isinstance(snr, int | float) else inf if snr is None else None
+                for snr in cast("list[Any]", told)]
 
     def upto(self, level: int) -> Metadata:
         """Of a model of the first so many levels."""

@@ -22,7 +22,8 @@ from .narrow import BITS
 #: What parts the words of a level, with the spaces beside it.
 _SPACED = re.compile(r"\s*(<=|[=,:])\s*")
 
-SCHEMES = ("most", "least", "uniform")
+#: Subdivisions of the residual (paper, figure 4); `AUTO` stands for the best of them.
+SCHEMES, AUTO = ("most", "least", "uniform"), "auto"
 
 #: Beyond this many cluster subsets in a mode the optimal search gives way to the greedy one (docs/design-notes.md).
 OPTIMAL_SUBSETS = 64
@@ -45,7 +46,8 @@ class LevelSpec:
         ranks: reduced rank R_n of each mode; None: the mode stays undecomposed (``R=*``). With `own` the highest.
         clusters: C_n of each mode, 1 for an undecomposed one.
         mixture: K_n of each mode, 1 to 8, no more than C_n: how many clusters a row is in.
-        scheme: ``most``, ``least`` or ``uniform`` subdivision of the residual (paper, figure 4).
+        scheme: ``most``, ``least`` or ``uniform`` subdivision of the residual (paper, figure 4), or ``auto``: that of
+            the three after which a fast fit of the next level leaves least; for chosen ranks there (`own`) ``most``.
         grid: axes that are cut into equal blocks, with how many; these blocks are the clusters.
         own: every node gets ranks of its own up to `ranks` (``R<=``), as the plan's goal allows, by one Lagrange
             multiplier over the level (`ranks.allocation`).
@@ -70,7 +72,7 @@ class LevelSpec:
     ranks: tuple[int | None, ...]
     clusters: tuple[int, ...]
     mixture: tuple[int, ...]
-    scheme: str = "most"
+    scheme: str = AUTO
     grid: tuple[tuple[str, int], ...] = ()
     own: bool = False
     cuts: tuple[tuple[str, int], ...] = ()
@@ -79,8 +81,8 @@ class LevelSpec:
     bits_written: bool = field(default=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        if self.scheme not in SCHEMES:
-            raise invalid("unknown-scheme", "scheme", self.scheme, ", ".join(SCHEMES))
+        if self.scheme not in (*SCHEMES, AUTO):
+            raise invalid("unknown-scheme", "scheme", self.scheme, ", ".join((*SCHEMES, AUTO)))
         if self.bits not in BITS:
             raise invalid("bits", "bits of the level", self.bits, " or ".join(map(str, BITS)))
         if any(count < 1 for _, count in self.cuts):
@@ -108,7 +110,7 @@ class LevelSpec:
                 )
 
     @classmethod
-    def of_one_cell(cls, most: Sequence[int | None], bits: int = 16, scheme: str = "most") -> LevelSpec:
+    def of_one_cell(cls, most: Sequence[int | None], bits: int = 16, scheme: str = AUTO) -> LevelSpec:
         """A level whose nodes are one cell each (C = K = 1), with ranks of their own up to `most`: ``R<=..``."""
         ones = (1,) * len(most)
         return cls(tuple(most), ones, ones, scheme, own=True, bits=bits)
@@ -237,7 +239,7 @@ def multiply_adds(cost: int) -> str:
     return f"{cost} multiply-add{'' if cost == 1 else 's'}"
 
 
-def parse_level(text: str, organisation: Organisation, scheme: str = "most") -> LevelSpec:
+def parse_level(text: str, organisation: Organisation, scheme: str = AUTO) -> LevelSpec:
     """Read one level, e.g. ``R=2,2,3,* C=4,3,4,1 K=2``, ``R=1 grid=y:4,x:6`` or ``R<=8,8,8,* bits=8``.
 
     One number stands for all modes, K for those that have clusters: ``K=2`` leaves unclustered modes alone,
@@ -301,6 +303,8 @@ def _grid(
             allowed = f"AXIS:COUNT, each axis of {', '.join(axes)} at most once"
             raise invalid("plan-grid", "blocks of the plan", repr(word), allowed)
         grid.append((axis, _number("grid", most if dash else least)))
+        if not grid[-1][1]:
+            raise invalid("plan-grid", "blocks of the plan", repr(word), "1 or more of each axis")
         if dash:
             fewest.append((axis, _number("grid", least)))
             if not 1 <= fewest[-1][1] <= grid[-1][1]:
@@ -368,13 +372,13 @@ class Plan:
         return sum(level.decode_cost() for level in self.levels)
 
 
-def parse_plan(text: str, organisation: Organisation, scheme: str = "most") -> Plan:
+def parse_plan(text: str, organisation: Organisation, scheme: str = AUTO) -> Plan:
     """Read a plan: levels parted by ``/``, each as `parse_level` reads it.
 
     Args:
         text: such as ``R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2`` (the table of plans in the README has more).
         organisation: names of the axes of each mode.
-        scheme: ``most``, ``least`` or ``uniform`` subdivision of all levels (paper, section 4.2); of a grid ``most``.
+        scheme: how all levels are subdivided, as `LevelSpec` says (paper, section 4.2); a grid by ``most``.
 
     Returns:
         The plan, without a goal.

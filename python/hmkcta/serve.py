@@ -196,8 +196,20 @@ def view(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | Arr
     """
     server = serve(path, original=original, nan=nan, port=port, progress=progress)
     if browser:
-        webbrowser.open(server.url)
+        is_opened(server.url)
     return server
+
+
+def is_opened(url: str) -> bool:
+    """Open an address in the browser; whether one could be.
+
+    >>> is_opened("http://127.0.0.1:8000/")  # doctest: +SKIP
+    True
+    """
+    try:
+        return webbrowser.open(url)
+    except (webbrowser.Error, OSError):
+        return False
 
 
 def installed_page() -> dict[str, Resource]:

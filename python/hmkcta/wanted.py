@@ -11,7 +11,7 @@ from .axes import check_organisation, format_organisation
 from .errors import expect, invalid
 from .goals import BYTES_ALLOWED, check_goal, read_bytes
 from .narrow import BITS
-from .plan import LevelSpec, Plan, parse_plan
+from .plan import AUTO, LevelSpec, Plan, parse_plan
 from .streaming.source import Source
 
 #: Without a goal no bytes are spent beyond this SNR: neither eyes nor screens of 8 bits see more.
@@ -59,8 +59,10 @@ def the_goal(snr: float | None, size: int | str | None) -> tuple[float | None, i
     return None if snr is None else float(snr), None if size is None else int(size)
 
 
-def read_plan(plan: Plan | str, source: Source, wanted: Wanted, scheme: str) -> Plan:
+def read_plan(plan: Plan | str, source: Source, wanted: Wanted, scheme: str | None = None) -> Plan:
     """A given plan with what the call says beside it: nothing of that is passed over.
+
+    Without a `scheme` those of a `Plan` count, and ``auto`` for a text.
 
     Raises:
         HmkctaError: the text is no plan, or the plan says another organisation or other bits than the call.
@@ -68,19 +70,19 @@ def read_plan(plan: Plan | str, source: Source, wanted: Wanted, scheme: str) -> 
     >>> import numpy as np
     >>> from hmkcta.streaming.source import prepare
     >>> wanted = Wanted(snr=30.0, size=None, decode_cost=4096, organisation=None, max_memory=None, bits=8)
-    >>> plan = read_plan("R=2", prepare(np.ones((6, 4)), None, None, None, 1), wanted, "auto")
+    >>> plan = read_plan("R=2", prepare(np.ones((6, 4)), None, None, None, 1), wanted)
     >>> plan.organisation, plan.levels[0].bits, plan.snr
     ((('axis0',), ('axis1',)), 8, 30.0)
     """
     modes = None if wanted.organisation is None else source.organisation(wanted.organisation)
     if isinstance(plan, str):
-        read = parse_plan(plan, modes or source.organisation(None), "most" if scheme == "auto" else scheme)
+        read = parse_plan(plan, modes or source.organisation(None), scheme or AUTO)
         return replace(read, levels=of_bits(read.levels, wanted.bits), snr=wanted.snr, size=wanted.size)
     own = check_organisation(tuple(map(tuple, plan.organisation)), source.axes)
     if modes not in (None, own):
         raise invalid("organisation", "organisation", repr(wanted.organisation),
                       f"{format_organisation(own)!r}, the plan's", "leave it out beside a Plan")
-    levels = plan.levels if scheme == "auto" else [
+    levels = plan.levels if scheme is None else [
         level if level.grid else replace(level, scheme=scheme) for level in plan.levels]
     goal = {} if wanted.snr is None and wanted.size is None else {"snr": wanted.snr, "size": wanted.size}
     return replace(plan, organisation=own, levels=of_bits(levels, wanted.bits), **goal)

@@ -26,22 +26,35 @@ static STATE: Mutex<State> = Mutex::new(State { pool: None, wanted: 0 });
 /// How many threads large tensors are worked on by; 0 stands for all cores. Results do not depend on it.
 #[pyfunction]
 pub fn set_threads(count: usize) {
-    *STATE.lock().unwrap_or_else(PoisonError::into_inner) = State { pool: None, wanted: count };
+    let mut state = STATE.lock().unwrap_or_else(PoisonError::into_inner);
+    if state.wanted != count {
+        drop(own(state.pool.take()));
+        state.wanted = count;
+    }
+}
+
+/// The pool, if it is this process's own. One of a parent process must not be dropped: its threads do not exist here.
+fn own(pool: Option<(u32, Arc<ThreadPool>)>) -> Option<(u32, Arc<ThreadPool>)> {
+    match pool {
+        Some((owner, threads)) if owner != std::process::id() => {
+            std::mem::forget(threads);
+            None
+        }
+        own => own,
+    }
 }
 
 /// The pool to run on; None for one thread, or where no thread can be started.
 fn pool() -> Option<Arc<ThreadPool>> {
     let mut state = STATE.lock().unwrap_or_else(PoisonError::into_inner);
-    let process = std::process::id();
-    if state.pool.as_ref().is_none_or(|(owner, _)| *owner != process) {
+    state.pool = own(state.pool.take());
+    if state.pool.is_none() {
         let threads = match state.wanted {
             0 => std::thread::available_parallelism().map_or(1, usize::from),
             wanted => wanted,
         };
         let build = || ThreadPoolBuilder::new().num_threads(threads).thread_name(|i| format!("hmkcta-{i}")).build();
-        // A pool of a parent process must not be dropped: its threads do not exist here.
-        std::mem::forget(state.pool.take());
-        state.pool = Some((process, Arc::new(build().ok()?)));
+        state.pool = Some((std::process::id(), Arc::new(build().ok()?)));
     }
     state.pool.as_ref().map(|(_, pool)| pool.clone()).filter(|pool| pool.current_num_threads() > 1)
 }

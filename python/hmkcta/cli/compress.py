@@ -18,7 +18,6 @@ from ..hmkfile import check_output, level_sizes
 from ..model import Model
 from .failure import Exit
 from .goal import Goal, beyond_cost, goal_from, goal_options
-from .info import transformed_snr
 from .notes import notes
 from .options import (
     Command,
@@ -102,7 +101,7 @@ def describe(model: Model, array: NDArray[Any], progress: Progress) -> dict[str,
         upto, read = model.at_level(number), read + own[number - 1]
         spent = sum(time for stage, time in progress.stages.items() if stage.endswith(f"level {number}"))
         levels.append({
-            "level": number, "snr_db": quality.snr_db, "transformed_snr_db": transformed_snr(model)[number - 1],
+            "level": number, "snr_db": quality.snr_db, "transformed_snr_db": upto.metadata.transformed_snr_db[-1],
             "rmse": quality.rmse, "max_abs_error": quality.max_abs_error, "bytes": own[number - 1],
             "bytes_upto": read, "ratio": array.nbytes / read, "decode_cost": upto.decode_cost,
             "seconds": round(spent, 3),

@@ -14,7 +14,7 @@ from ..axes import check_kind, format_organisation, name_axes
 from ..errors import invalid
 from ..fitting.fit import EFFORTS
 from ..hmkfile import KINDS
-from ..plan import SCHEMES, Plan, multiply_adds
+from ..plan import AUTO, SCHEMES, Plan, multiply_adds
 from ..readers import open_array, read_coordinates
 from .options import Assignment, ByteSize, Count, Names, memory_option, nan_option, source_options, together
 from .progress import Progress
@@ -28,7 +28,7 @@ goal_options = together(
                  help="Effort: fast, medium (default) or thorough."),
     click.option("--plan", "plan", metavar="TEXT", help="Levels to fit: R=.. C=.. K=.. / R=.. C=.. K=.."),
     click.option("--organisation", metavar="TEXT", help='Axes into modes: "light+rgb, view, y+x".'),
-    click.option("--scheme", type=click.Choice(["auto", *SCHEMES]), default="auto", metavar="NAME",
+    click.option("--scheme", type=click.Choice([AUTO, *SCHEMES]), default=AUTO, metavar="NAME",
                  help="Subdivision: auto, most, least or uniform."),
     click.option("--axes", type=Names(), metavar="A,B,..", help="Names of the axes: light,view,y,x,rgb, NAME:ROLE."),
     click.option("--coords", type=Assignment(), multiple=True, metavar="AXIS=FILE",

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from math import inf
-from typing import Any, cast
+from typing import Any
 
 import click
 import numpy as np
@@ -70,7 +69,7 @@ def _level(model: Model, number: int, own: int, upto: int) -> dict[str, Any]:
         "nodes": level.nodes, "nodes_that_carry_nothing": int((~level.shape.any(axis=(1, 2))).sum()),
         "clusters": cells, "clusters_that_carry_nothing": zero_cells,
         "bytes": own, "bytes_upto": upto,
-        "snr_db": quality.snr_db, "transformed_snr_db": transformed_snr(model)[number - 1],
+        "snr_db": quality.snr_db, "transformed_snr_db": model.metadata.transformed_snr_db[number - 1],
         "rmse": quality.rmse, "max_abs_error": quality.max_abs_error,
     }
 
@@ -136,14 +135,3 @@ def as_text(report: dict[str, Any], verbose: bool) -> str:
         lines += ["", *(f"  source {key}: {value}" for key, value in report["source"].items())]
     return "\n".join(lines)
 
-
-def transformed_snr(model: Model) -> list[float | None]:
-    """SNR of each level in the domain of the value transform, None where the file does not say it.
-
-    The levels' own SNR is that of the values. What a file says of its source is free, so it may be anything.
-    """
-    told, count = model.metadata.source.get("transformed_snr_db"), len(model.levels)
-    if not isinstance(told, list) or len(cast("list[Any]", told)) != count:
-        return [None] * count
-    return [float(snr) if isinstance(snr, int | float) else inf if snr is None else None
-            for snr in cast("list[Any]", told)]

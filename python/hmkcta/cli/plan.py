@@ -17,7 +17,7 @@ from ..encode import choose_plan
 from ..filesize import predicted_bytes
 from ..fitting.fit import EFFORTS
 from ..forecast import Forecast, choosing_bytes, forecast
-from ..plan import Plan, multiply_adds
+from ..plan import AUTO, Plan, multiply_adds
 from ..plan_checks import check_plan
 from ..streaming.budget import nodes_of
 from ..streaming.scratch import scratch_folder
@@ -57,7 +57,8 @@ def plan_command(source: str, plan: str | None, as_json: bool, quiet: bool, verb
             chosen, choosing = given_plan(plan, described, goal), None
         else:
             begun = perf_counter()
-            chosen = choose_plan(array, snr=goal.snr, size=goal.size, progress=progress, **settings)
+            beside = {name: value for name, value in settings.items() if name != "scheme"}  # which is of written levels
+            chosen = choose_plan(array, snr=goal.snr, size=goal.size, progress=progress, **beside)
             choosing = perf_counter() - begun  # `compress` does the same
     report = describe(chosen, described, goal, choosing)
     report["command"] = command_for(source, "OUT.hmk", chosen, goal)
@@ -109,7 +110,7 @@ def describe(plan: Plan, source: Source, goal: Goal, choosing: float | None) -> 
         "levels": [{"level": number, "text": str(level), "search": level.search, "decode_cost": cost}
                    for number, (level, cost) in enumerate(zip(plan.levels, costs, strict=True), start=1)],
         "snr": plan.snr, "size": plan.size,
-        "predicted_bytes": predicted_bytes(_largest(plan, goal), source, goal.kind, goal.settings["seed"]),
+        "predicted_bytes": predicted_bytes(_largest(plan), source, goal.kind, goal.settings["seed"]),
         "expected_bytes": plan.expected,
         "decode_cost": sum(costs), "memory": cost.memory, "scratch": cost.scratch,
         "fitting_seconds": round(cost.seconds, 2), "comparing_seconds": round(comparing, 2),
@@ -126,12 +127,10 @@ def _decode_costs(plan: Plan, sizes: Sequence[int], allowed: int) -> list[int]:
     return costs
 
 
-def _largest(plan: Plan, goal: Goal) -> Plan:
+def _largest(plan: Plan) -> Plan:
     """The plan with the scheme that takes most bytes, of those that `compress` may take."""
-    if goal.settings["scheme"] != "auto":
-        return plan
-    return replace(plan, levels=tuple(level if level.grid else replace(level, scheme="uniform")
-                                      for level in plan.levels))
+    return replace(plan, levels=tuple(replace(level, scheme="uniform") if level.scheme == AUTO and not level.grid
+                                      else level for level in plan.levels))
 
 
 def _doubt(report: dict[str, Any]) -> str:

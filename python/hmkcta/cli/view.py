@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import webbrowser
 from signal import SIGINT
 from typing import Any
 
 import click
 
 from ..hmkfile import is_hmk
-from ..serve import serve
+from ..serve import is_opened, serve
 from .compared import opened
 from .interrupt import Interrupted
 from .options import Command, file_argument, nan_option, source_options, verbose_option
@@ -39,16 +38,9 @@ def view_command(file: str, original: str | None, nan: float | None, port: int, 
     with serve(file, original=model or array, nan=nan, port=port) as server:
         try:
             click.echo(f"{server.url}\nCtrl-C ends it.")
-            if not no_browser and not _opened(server.url):
+            if not no_browser and not is_opened(server.url):
                 click.echo("hmkcta: no browser could be opened; open the address in one.", err=True)
             server.wait()
         except Interrupted as signal:
             if signal.number != SIGINT:
                 raise
-
-
-def _opened(url: str) -> bool:
-    try:
-        return webbrowser.open(url)
-    except (webbrowser.Error, OSError):
-        return False

@@ -33,13 +33,13 @@ from ..metrics import noise_at, snr_db
 from ..model import Model
 from ..pack import bounds, pack_levels
 from ..packed import LevelQuality, Metadata, PackedLevel
-from ..plan import SCHEMES, LevelSpec, Plan
+from ..plan import AUTO, SCHEMES, LevelSpec, Plan
 from ..plan_checks import check_plan
 from ..ranks.adaptive import Goal, fit_to_goal
 from ..streaming.budget import is_streamed, memory_limit, room_beside
 from ..streaming.source import Source
 from ..streaming.streamed import Streamed
-from ..support.memory import give_back_freed_memory
+from ..support.memory import give_back_freed_memory, memory_budget
 from ..support.progress import Compared
 
 #: Share of the error that an SNR allows below which ranks of a node need not be told apart by their errors.
@@ -53,7 +53,6 @@ class Task:
     Attributes:
         source: the array.
         plan: levels, organisation and goal.
-        scheme: subdivision of explicit levels; ``auto``: the best of the three.
         decode_cost: most multiply-adds for one scattered element, of ranks that are chosen.
         kind: of data, as the file has it.
         run: effort, seed, threads and who is told.
@@ -66,7 +65,6 @@ class Task:
 
     source: Source
     plan: Plan
-    scheme: str
     decode_cost: int
     kind: str
     run: Run
@@ -116,11 +114,17 @@ def follow(task: Task) -> Model:
     return _measured(task, tree)
 
 
+def limit_of(task: Task) -> int:
+    """How many elements are worked on at once: of every plan by what was free as the first run of the call began."""
+    budget = task.run.journal.settled("budget", lambda: memory_budget(task.memory))
+    return memory_limit(task.plan, mode_sizes(task.source.axes, task.plan.organisation), task.memory, budget)
+
+
 def _begun(task: Task) -> tuple[Hierarchy, Goal]:
     """The hierarchy before any level, in memory or streamed, and the plan's goal with how it is measured."""
     source, organisation, journal = task.source, task.plan.organisation, task.run.journal
     sizes = mode_sizes(source.axes, organisation)
-    limit = journal.settled(f"limit-{journal.step()}", lambda: memory_limit(task.plan, sizes, task.memory))
+    limit = journal.settled(f"limit-{journal.step()}", lambda: limit_of(task))
     if is_streamed(prod(source.shape), limit):
         check_worksets(task.plan, sizes, limit, task.memory)
         tree = whole(Streamed(source, organisation, task.run.threads, limit))
@@ -144,12 +148,14 @@ def _begun(task: Task) -> tuple[Hierarchy, Goal]:
 
 
 def _descend(task: Task, tree: Hierarchy, above: LevelSpec, below: LevelSpec) -> None:
-    """Subdivide; for ``auto`` all three schemes are tried with a fast fit of the level below.
+    """Subdivide; by ``auto`` all three schemes are tried with a fast fit of the level below, unless that chooses ranks.
 
     Where memory does not hold the tensor they are tried on every few rows of it.
     """
-    run, chosen = task.run, task.scheme != "auto" or above.grid or below.own or above.cells == 1
-    scheme = above.scheme if chosen else _best_scheme(thinned(tree, above), below, run)
+    run, scheme = task.run, above.scheme
+    if scheme == AUTO:
+        tried = not (above.grid or below.own or above.cells == 1)
+        scheme = _best_scheme(thinned(tree, above), below, run) if tried else SCHEMES[0]
     descend(tree, scheme, run, once=not below.own)
 
 

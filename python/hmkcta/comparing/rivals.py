@@ -14,7 +14,7 @@ from ..goals import misses
 from ..model import Model
 from ..narrow import BITS
 from ..plan import LevelSpec, Plan
-from ..streaming.budget import is_streamed, memory_limit
+from ..streaming.budget import is_streamed
 from .alternatives import (
     EITHER,
     ROUNDING_FROM,
@@ -27,7 +27,7 @@ from .alternatives import (
     with_clusters_times,
 )
 from .finer import LARGE, finer, is_far_beyond, more_blocks, parted
-from .follow import Task
+from .follow import Task, limit_of
 from .followed import Followed, best_of, fitted_with, further, is_verbatim, may_be
 from .second_levels import ROUNDED, below_bytes, below_rounding, deeper
 
@@ -180,7 +180,8 @@ def _aimed_anew(found: Followed, goal: float, left: list[Plan], choose: Choose) 
     """
     for number in range(2, 2 + AGAIN):
         task, model = found
-        aim = model.metadata.source["transformed_snr_db"][-1] + goal - model.snr
+        transformed = model.metadata.transformed_snr_db[-1]
+        aim = inf if transformed is None else transformed + goal - model.snr
         if not isfinite(aim) or (number > 2 and not misses(model.snr, goal)):
             break
         plans = [*filterfalse(is_verbatim, choose(f"plan-{number}", aim=aim))]
@@ -243,9 +244,8 @@ def _is_small(task: Task) -> bool:
 
 def _is_held(task: Task) -> bool:
     """Whether memory holds the array, and plans are compared at all."""
-    sizes = mode_sizes(task.source.axes, task.plan.organisation)
-    streamed = is_streamed(prod(task.source.shape), memory_limit(task.plan, sizes, task.memory))
-    return not streamed and task.run.effort.candidates > EFFORTS["fast"].candidates
+    compared = task.run.effort.candidates > EFFORTS["fast"].candidates
+    return compared and not is_streamed(prod(task.source.shape), limit_of(task))
 
 
 def _unless_verbatim(task: Task, best: Model) -> Model:

@@ -42,15 +42,21 @@ PRECISE = 50.0
 WIDER = 2
 
 
-def memory_limit(plan: Plan, sizes: Sequence[int], memory: int | None) -> int:
+def memory_limit(plan: Plan, sizes: Sequence[int], memory: int | None, budget: int | None = None) -> int:
     """How many elements are worked on at once as one tensor; a larger tensor is streamed.
+
+    Args:
+        plan: whose model takes memory, too.
+        sizes: the mode sizes I_n.
+        memory: bytes that are allowed; None: all that are free.
+        budget: bytes to work in; None: `memory_budget`.
 
     Raises:
         HmkctaError: the memory given is less than even a streamed fit takes.
     """
     check_least_memory(prod(sizes), memory, choosing=False)
     beyond = _beyond(plan, sizes, memory)
-    budget = memory_budget(memory)
+    budget = memory_budget(memory) if budget is None else budget
     # Where half of what is free does not suffice, all of it may: then no fewer elements than are enough are worked on.
     enough = min(prod(sizes), SMALLEST, workset_limit(budget))
     limit = max(enough, workset_limit(budget - beyond))

@@ -5,9 +5,9 @@ from __future__ import annotations
 import ctypes
 import mmap
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from ..errors import HmkctaError, Kind
 
 _MEMINFO = Path("/proc/meminfo")
-_LIMIT, _USED = Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory.current")
+#: Which control groups the process is in, and where they are: containers and batch systems limit memory by these.
+_GROUP, _GROUPS = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
 #: Parameters of glibc's `mallopt` by number: freed bytes at the top of a heap from which on they are given back; bytes
 #: from which on an allocation is mapped for itself; and how many heaps there may be.
 _MALLOC, _HEAPS = {-1: 2**28, -3: 2**25, -4: 0}, -8
@@ -33,20 +34,42 @@ def available_memory() -> int | None:
     try:
         fields = dict(line.split(":", 1) for line in _MEMINFO.read_text().splitlines())
         free.append(int(fields["MemAvailable"].split()[0]) * 1024)
-        free.append(int(_LIMIT.read_text()) - int(_USED.read_text()))
-    except (OSError, ValueError, KeyError):  # another system, or no limit ("max")
+    except (OSError, ValueError, KeyError):  # another system
         pass
+    free += [limit - _taken(group) for group, limit in _limits()]
     return max(0, min(free)) if free else None
+
+
+def _limits() -> Iterator[tuple[Path, int]]:
+    """The control groups (version 2) around the process that have a limit, and its bytes."""
+    inner = PurePosixPath("/")
+    with suppress(OSError):  # another system
+        lines = _GROUP.read_text().splitlines()
+        inner = next((PurePosixPath(line[3:]) for line in lines if line.startswith("0::")), inner)
+    for group in (inner, *inner.parents):
+        folder = _GROUPS / group.relative_to("/")
+        with suppress(OSError, ValueError):  # a group of elsewhere, or no limit ("max")
+            yield folder, int((folder / "memory.max").read_text())
+
+
+def _taken(group: Path) -> int:
+    """Bytes that a group holds, but for those of files that the system drops when they are asked for."""
+    try:
+        taken = int((group / "memory.current").read_text())
+        kinds = dict(line.split() for line in (group / "memory.stat").read_text().splitlines())
+        return taken - int(kinds["inactive_file"])
+    except (OSError, ValueError, KeyError):
+        return 0
 
 
 def stays_cached(count: int) -> bool:
     """Whether a file of so many bytes stays in the system's cache while it is worked on: it takes up to half of the
     memory that the machine, or the container, has. False where the system does not say."""
     had: list[int] = []
-    with suppress(OSError, ValueError, KeyError):  # another system, or no limit ("max")
+    with suppress(OSError, ValueError, KeyError):  # another system
         fields = dict(line.split(":", 1) for line in _MEMINFO.read_text().splitlines())
         had.append(int(fields["MemTotal"].split()[0]) * 1024)
-        had.append(int(_LIMIT.read_text()))
+    had += [limit for _, limit in _limits()]
     return bool(had) and 2 * count <= min(had)
 
 
