@@ -68,7 +68,7 @@ def test_what_takes_more_bytes_than_another_plan_is_not_fitted() -> None:
                                   ("R<=12,14,16 bits=8", "R<=12,14,16", "R<=*,*,16", "R<=*,1,16"))
     told: list[str] = []
     run = Run(EFFORTS["fast"], 0, 1, lambda stage, _: told.append(stage))
-    task = follow.Task(source, narrow, "most", 4096, "generic", run)
+    task = follow.Task(source, narrow, 4096, "generic", run)
     own, *others = fitted_with(task, [plan, large, short], far=2.4)
     assert [of.plan for of, _ in others] == [plan, short]
     assert own[1].nbytes < others[0][1].nbytes < 2.4 * own[1].nbytes

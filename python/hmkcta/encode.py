@@ -203,7 +203,7 @@ def compress(
         )
         with kernels.use(device):
             model = follow(task) if plan else follow_both(
-                task, plans[1:], lambda said: warn(said, stacklevel=6), chosen, wanted.ceiling)
+                task, plans[1:], lambda said: warn(said, stacklevel=6), chosen, wanted.ceiling).model
     _warn_of(model, task.plan.snr if plan else wanted.snr)  # a plan chosen for no goal ends at 50 dB if it can
     return model
 

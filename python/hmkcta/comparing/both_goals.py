@@ -1,9 +1,9 @@
 """Try the other goal, too: after a fit for a size plans for a higher SNR, after one for an SNR plans for fewer bytes.
 
 The choice for an SNR and the choice for a size do not look at the same plans: the first one tries a second level for
-what the rounding of stored numbers leaves, the other one what fills the bytes. This matters where data are of low rank
-or have few distinct values. From some rank on they are all but exact, and plans differ by rounding alone. So a plan for
-one goal may be the best for the other, and is taken if it does more for the goal that was asked for.
+what the rounding of stored numbers leaves, the other one what fills the bytes, by numbers of clusters that show in dB
+long before they show in bytes. So a plan for one goal may be the best for the other, and is taken if it does more for
+the goal that was asked for.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from ..plan import Plan
 from ..streaming.source import Source
 from ..support.progress import nobody
 from .follow import Task
-from .followed import NOT_FOLLOWED, is_verbatim
+from .followed import NOT_FOLLOWED, Followed, best_of, further, is_verbatim
 from .rivals import Choose, follow_any, is_worth
 
-#: The other goal is tried from so many dB on: below, rounding does not tell plans apart.
+#: After a fit for a size the other goal is tried from so many dB on: below, rounding does not tell plans apart.
 FROM = 40.0
 #: Highest SNR in dB that is tried as the other goal: about what float32 holds.
 UP_TO = 118.0
@@ -32,9 +32,9 @@ FURTHER = 6.0
 FEWER = 0.95
 #: How many times at most the other goal is tried, each time from the better model.
 STEPS = 4
-#: It is tried no more from a model that exceeds its SNR goal by less than so many dB.
-EXCESS = 1.0
-#: Nor from one that uses more than this share of its size.
+#: After a fit for an SNR it is tried again while that has spared more than so much of the bytes.
+SPARED = 0.05
+#: After a fit for a size it is tried no more from a model that uses more than this share of it.
 USED = 0.96
 #: Plans for more dB that are expected to take more than so many times the size are not fitted.
 BEYOND = 4
@@ -44,27 +44,36 @@ SMALL = 1 << 22
 
 def follow_both(
     task: Task, others: Sequence[Plan], missed: Callable[[str], None], choose: Choose, ceiling: float | None
-) -> Model:
+) -> Followed:
     """What `follow_any` comes to for the task's goal, or for the other goal where that does better.
 
     Bytes need not be spent beyond `ceiling` dB, where there is one. What ends as the values themselves is left at that:
     a size of nearly as many bytes leads to plans of a cluster for every few rows, which take minutes.
     """
-    model = follow_any(task, others, missed, choose)
-    if not is_worth(task) or not are_compared(task.source) or is_verbatim(model.plan):
-        return model
-    if ceiling is not None and task.plan.snr is not None:  # it was chosen for a size, which the ceiling ended
+    best, asked = follow_any(task, others, missed, choose), task.plan
+    if not is_worth(task) or not are_compared(task.source) or is_verbatim(best.model.plan):
+        return best
+    if ceiling is not None and asked.snr is not None:  # it was chosen for a size, which the ceiling ended
         found = _followed(task, choose, "plan-of-ceiling", {"snr": ceiling})
-        model = model if found is None or not _is_better(found, model, task.plan) else found
+        best = found if found is not None and _is_better(found.model, best.model, asked) else best
     for number in range(STEPS):
-        other = _other_goal(task.plan, model, ceiling)
+        before, other = best, _other_goal(asked, best.model, ceiling)
         found = None if other is None else _followed(task, choose, f"plan-of-other-goal-{number}", other)
-        if found is None or not _is_better(found, model, task.plan):
+        found = None if found is None else _as_asked(found, asked, best)
+        if found is None or not _is_better(found.model, best.model, asked):
             break
-        model = found
-        if _leaves_little(model, task.plan):
+        best = found
+        if _leaves_little(best.model, before.model, asked):
             break
-    return model
+    return best
+
+
+def _as_asked(found: Followed, asked: Plan, best: Followed) -> Followed:
+    """What was found for a size, or its plan by the SNR asked for, unless that takes more bytes than the best."""
+    if asked.snr is None:
+        return found
+    as_asked = replace(found.task, plan=replace(found.task.plan, snr=asked.snr, size=None))
+    return best_of([Followed(as_asked, found.model), *further(as_asked, [as_asked.plan], best)])
 
 
 def are_compared(source: Source) -> bool:
@@ -74,16 +83,14 @@ def are_compared(source: Source) -> bool:
 
 def _other_goal(plan: Plan, model: Model, ceiling: float | None) -> dict[str, Any] | None:
     """The other goal to try from a model, as arguments of `choose`; None: it would tell nothing."""
-    if model.snr < FROM:
-        return None
     if plan.snr is not None:
         return {"snr": None, "size": int(FEWER * model.nbytes)} if model.snr >= plan.snr else None
     most = UP_TO if ceiling is None else ceiling
-    return {"snr": min(model.snr + FURTHER, most), "size": None} if model.snr < most else None
+    return {"snr": min(model.snr + FURTHER, most), "size": None} if FROM <= model.snr < most else None
 
 
-def _followed(task: Task, choose: Choose, name: str, goal: dict[str, Any]) -> Model | None:
-    """The model of plans that are chosen for a goal; None where there is none."""
+def _followed(task: Task, choose: Choose, name: str, goal: dict[str, Any]) -> Followed | None:
+    """What plans come to that are chosen for a goal; None where there is none."""
     try:
         first, *others = choose(name, **goal)
         if (first.expected or 0) > BEYOND * (task.plan.size or inf):
@@ -95,10 +102,10 @@ def _followed(task: Task, choose: Choose, name: str, goal: dict[str, Any]) -> Mo
         return None
 
 
-def _leaves_little(model: Model, plan: Plan) -> bool:
-    """Whether a model that the other goal led to is so near the plan's that going on has never paid."""
+def _leaves_little(model: Model, before: Model, plan: Plan) -> bool:
+    """Whether the other goal led to a model so near the plan's, or the one before, that going on has never paid."""
     if plan.snr is not None:
-        return model.snr < plan.snr + EXCESS
+        return model.nbytes > (1 - SPARED) * before.nbytes
     return model.nbytes > USED * (plan.size or inf)
 
 

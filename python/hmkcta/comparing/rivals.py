@@ -67,8 +67,8 @@ Choose = Callable[..., list[Plan]]
 
 def follow_any(
     task: Task, others: Sequence[Plan], missed: Callable[[str], None], choose: Choose | None = None
-) -> Model:
-    """Fit the task's plan and others, and return the best model: `best_of` says which that is.
+) -> Followed:
+    """Fit the task's plan and others, and return the best with its model: `best_of` says which that is.
 
     These plans are fitted, in this order:
 
@@ -103,7 +103,7 @@ def follow_any(
         task, model = _joined(Followed(task, model))
         (task, model), left = _chosen_anew(given, Followed(task, model), left, choose)
     missing = [] if task.plan.snr is None else _spare(task, model, followed, left)
-    return _unless_verbatim(task, _unless_missed(task, model, missing, missed))
+    return _unless_verbatim(_unless_missed(Followed(task, model), missing, missed))
 
 
 def _rivals(task: Task, others: Sequence[Plan]) -> list[Plan]:
@@ -204,15 +204,15 @@ def _spare(task: Task, model: Model, followed: Sequence[Followed], others: Seque
     return spare
 
 
-def _unless_missed(task: Task, model: Model, spare: Sequence[Plan], missed: Callable[[str], None]) -> Model:
-    """The model, or where it misses its SNR the first of the spare plans that does not, or the nearest."""
-    goal, best = task.plan.snr or 0.0, model
+def _unless_missed(best: Followed, spare: Sequence[Plan], missed: Callable[[str], None]) -> Followed:
+    """The best, or where it misses its SNR the first of the spare plans that does not, or the nearest."""
+    goal, last = best.task.plan.snr or 0.0, best
     for plan in spare:
-        if best.snr >= goal:
+        if best.model.snr >= goal:
             break
-        missed(f"a plan chosen for {goal:g} dB came to {model.snr:.2f}: another is tried, {plan}")
-        for _, model in further(task, [plan]):
-            best = max(best, model, key=lambda each: each.snr)
+        missed(f"a plan chosen for {goal:g} dB came to {last.model.snr:.2f}: another is tried, {plan}")
+        for last in further(best.task, [plan]):
+            best = max(best, last, key=lambda each: each.model.snr)
     return best
 
 
@@ -248,16 +248,16 @@ def _is_held(task: Task) -> bool:
     return compared and not is_streamed(prod(task.source.shape), limit_of(task))
 
 
-def _unless_verbatim(task: Task, best: Model) -> Model:
-    """The model, or the values as they are, as bytes or float16, where these do better."""
-    found = Followed(task, best)
+def _unless_verbatim(best: Followed) -> Followed:
+    """The best, or the values as they are, as bytes or float16, where these do better."""
+    task, found = best.task, best
     for bits in BITS:
         plan = replace(task.plan, levels=(LevelSpec.of_one_cell((None,) * len(task.plan.organisation), bits),))
-        is_there = is_verbatim(best.plan) and best.plan.levels[-1].bits == bits
+        is_there = is_verbatim(best.model.plan) and best.model.plan.levels[-1].bits == bits
         tried = not is_there and may_be(task, plan) and (task.plan.snr is not None or is_worth(task))
         if tried and _verbatim_bytes(task, plan) < (task.plan.size or found.model.nbytes):
             found = best_of([found, *further(task, [plan])])
-    return found.model
+    return found
 
 
 def _verbatim_bytes(task: Task, plan: Plan) -> int:
