@@ -63,7 +63,7 @@ def _taken(group: Path) -> int:
 
 
 def stays_cached(count: int) -> bool:
-    """Whether a file of so many bytes stays in the system's cache while it is worked on: it takes up to half of the
+    """Whether a file of `count` bytes stays in the system's cache while it is worked on: it takes up to half of the
     memory that the machine, or the container, has. False where the system does not say."""
     had: list[int] = []
     with suppress(OSError, ValueError, KeyError):  # another system
