@@ -147,7 +147,7 @@ def _touched(view: NDArray[Any]) -> int:
 def touched(steps: Sequence[tuple[float, int]], itemsize: int) -> int:
     """Bytes of a mapped file, about, that come into memory when numbers in it are looked at.
 
-    They lie so many bytes apart along each axis, so many along it.
+    `steps` has, for each axis, how many bytes apart they lie and how many there are.
     """
     found, span = float(_AROUND), float(itemsize)
     for step, size in sorted(steps):
