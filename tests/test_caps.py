@@ -115,7 +115,7 @@ def test_where_nothing_fits_that_is_said_before_the_search(monkeypatch: pytest.M
         pytest.fail("began to search")
 
     monkeypatch.setattr("hmkcta.choosing.tuning.trial_of", searched)
-    with pytest.raises(HmkctaError, match=r"any plan for 13 x .*found 264.* MiB, .*--organisation") as refused:
+    with pytest.raises(HmkctaError, match=r"any plan for 13 x .*264.* MiB are needed, .*--organisation") as refused:
         choose_plan(array, organisation="axis0,axis1,axis2,axis3,axis4,axis5", max_memory=LEAST)
     assert "lower R" not in str(refused.value)
     check_room(described(array), None, room_of(array.size, LEAST))  # merged modes can be thinned

@@ -8,6 +8,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -177,13 +178,21 @@ def test_damaged_files(packed: Path, tmp_path: Path) -> None:
     for damaged, code in (
         (data[:-1], 4), (data[:-8] + bytes(8), 4), (data + b"\0", 4),
         (data.replace(b'\\"version\\":\\"1.0\\"', b'\\"version\\":\\"9.0\\"'), 4),
-        (np.uint64(2).tobytes() + b"{}", 5),
+        (np.uint64(2).tobytes() + b"{}", 3),
     ):
         assert damaged != data
         path.write_bytes(damaged)
         for words in (("info", path), ("verify", path), ("decompress", path, "-o", tmp_path / "a.npy")):
             refused(*words, code=code)
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_file_of_a_later_version(packed: Path, tmp_path: Path) -> None:
+    data = packed.read_bytes().replace(b'\\"version\\":\\"1.0\\"', b'\\"version\\":\\"9.0\\"')
+    texts = json.loads(data[8:8 + int.from_bytes(data[:8], "little")])["__metadata__"]
+    digest = sha256(texts["hmkcta"].encode()).hexdigest()
+    (tmp_path / "a.hmk").write_bytes(data.replace(texts["hmkcta_sha256"].encode(), digest.encode()))
+    assert "version-unknown" in refused("info", tmp_path / "a.hmk", code=5)
 
 
 def test_another_source(source: Path, packed: Path, tmp_path: Path) -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import re
 import shlex
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
@@ -12,6 +14,7 @@ import pytest
 from benchmarks.rate_distortion import OURS, measure, read, write
 from benchmarks.rate_distortion import markdown as as_markdown
 
+import hmkcta
 from hmkcta.axes import name_axes, parse_organisation, separate
 from hmkcta.cli import main
 from hmkcta.plan import parse_plan
@@ -20,6 +23,15 @@ ROOT = Path(__file__).parent.parent
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
 #: What the plans of the README's table are read for.
 MODES = (("light", "rgb"), ("view",), ("y",), ("x",))
+#: Names of sources in prose (`program.py` is made by a test), and of what is in the package, in sources in backquotes.
+SUFFIXES = (".rs", ".py", ".pyi", ".ts", ".wgsl")
+FILE_NAMES = re.compile(r"(?<![\w.*/{}-])((?:\.?/)?(?:[\w-]+/)*[\w-]+(?:\.[\w-]+)*\.(?:rs|pyi?|ts|wgsl))(?![\w\"'])")
+MADE = "program.py"
+PACKAGE_NAMES, QUOTED_NAMES = re.compile(r"(?<![\w./\"])(hmkcta(?:\.[A-Za-z_]\w*)+)"), re.compile(r"`(hmkcta[.\w]+)`")
+#: The viewer's module and its types.
+NO_MODULES = ("hmkcta.js", "hmkcta.d.ts")
+#: Folders that hold nobody's own sources.
+OTHERS = {"node_modules", "target", "viewer_page", "dist"}
 
 
 def shown(path: Path) -> str:
@@ -38,6 +50,26 @@ def commands() -> list[str]:
     lines = re.findall(r"^(?: {4})?(hmkcta [a-z].*)$", text, re.MULTILINE)
     examples = [example for command in main.commands.values() for example in getattr(command, "examples", ())]
     return list(dict.fromkeys([line.partition("  #")[0].strip() for line in lines] + examples))
+
+
+def sources(*suffixes: str) -> list[Path]:
+    """The sources with these endings, of the folders that are the project's."""
+    folders = ("benchmarks", "crates", "docs", "python", "tests", "viewer")
+    paths = (path for folder in folders for path in (ROOT / folder).rglob("*") if path.suffix in suffixes)
+    return sorted(path for path in paths if not OTHERS & set(path.relative_to(ROOT).parts))
+
+
+def is_there(name: str) -> bool:
+    """Whether a dotted name leads to a module or to something in one."""
+    found: Any = hmkcta
+    for depth, part in enumerate(parts := name.split(".")[1:], start=1):
+        if not hasattr(found, part):
+            try:
+                import_module(".".join(["hmkcta", *parts[:depth]]))
+            except ImportError:
+                return False
+        found = getattr(found, part)
+    return True
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=shown)
@@ -78,11 +110,23 @@ def test_links_lead_somewhere(path: Path) -> None:
     assert not [link for link in links if "://" not in link and not (path.parent / link).exists()]
 
 
-def test_modules_in_the_documents_exist() -> None:
-    package, kernels = ROOT / "python" / "hmkcta", ROOT / "crates" / "hmkcta-kernels" / "src"
-    for path in (ROOT / "docs" / "notation.md", ROOT / "docs" / "design-notes.md"):
-        named = set(re.findall(r"`([a-z_/]+\.(?:py|rs))`", path.read_text(encoding="utf-8")))
-        assert not [name for name in named if not any((folder / name).exists() for folder in (package, kernels, ROOT))]
+def test_files_named_in_documents_and_sources_exist() -> None:
+    """With or without their folders; what stands in quotes may be made by a test."""
+    files = {f"/{path.relative_to(ROOT).as_posix()}" for path in sources(*SUFFIXES)}
+    missing = [f"{path.relative_to(ROOT)}: {name}" for path in [*DOCUMENTS, *sources(".rs", ".py", ".ts", ".wgsl")]
+               for name in FILE_NAMES.findall(path.read_text(encoding="utf-8")) if name != MADE
+               and not any(file.endswith(f"/{name.removeprefix('./')}") for file in files)]
+    assert not missing
+
+
+def test_names_of_the_package_exist() -> None:
+    """Every dotted name in documents, docstrings and comments leads to a module, or to what is in one."""
+    searched = [(path, PACKAGE_NAMES) for path in DOCUMENTS]
+    searched += [(path, QUOTED_NAMES) for path in sources(".rs", ".py", ".ts", ".wgsl")]
+    missing = [f"{path.relative_to(ROOT)}: {name}" for path, pattern in searched
+               for name in pattern.findall(path.read_text(encoding="utf-8"))
+               if name not in NO_MODULES and not is_there(name)]
+    assert not missing
 
 
 def test_names_in_the_notation_exist() -> None:

@@ -211,9 +211,9 @@ def test_bytes_are_what_was_said_of_coordinates_transforms_and_merged_axes() -> 
 
 
 def test_less_memory_than_anything_needs_is_refused(waves: Path) -> None:
-    with pytest.raises(HmkctaError, match=r"found 214.00 MiB.*--max-memory"):
+    with pytest.raises(HmkctaError, match=r"214.00 MiB are needed.*--max-memory"):
         compress(open_array(waves), "R=2", max_memory=1_000_000)
-    with pytest.raises(HmkctaError, match=r"found 240.00 MiB.*--max-memory"):  # what choosing takes, at once
+    with pytest.raises(HmkctaError, match=r"240.00 MiB are needed.*--max-memory"):  # what choosing takes, at once
         compress(open_array(waves), max_memory=1_000_000)
 
 

@@ -284,7 +284,7 @@ def test_a_folder_that_may_not_be_read(tmp_path: Path, mode: int) -> None:
         if os.access(folder, os.X_OK):
             pytest.skip("this user may read everything")
         assert str(refusal(folder)) == (
-            f"{folder}: found Permission denied, allowed a readable folder. "
+            f"{folder}: cannot be read: Permission denied. "
             "Next: check its permissions. [Io/unreadable]"
         )
     finally:

@@ -67,15 +67,17 @@ class HmkctaError(Exception):
         allowed: what is allowed instead, in words, or None.
         hint: what to do next, or empty.
 
+    Args:
+        told: what the sentence says in place of "found .., allowed ..", where that would read oddly.
+
     >>> error = HmkctaError(Kind.INVALID_ARGUMENT, "rank-too-large", "R of mode 2",
     ...                     found="9", allowed="1 to 8", hint="lower R or write R=*")
     >>> print(error)
     R of mode 2: found 9, allowed 1 to 8. Next: lower R or write R=*. [InvalidArgument/rank-too-large]
     """
 
-    def __init__(
-        self, kind: Kind, reason: str, where: str, *, found: object = None, allowed: object = None, hint: str = ""
-    ) -> None:
+    def __init__(self, kind: Kind, reason: str, where: str, *, found: object = None, allowed: object = None,
+                 hint: str = "", told: str = "") -> None:
         self.kind = kind
         self.reason = reason
         self.where = where
@@ -84,7 +86,8 @@ class HmkctaError(Exception):
         self.hint = hint
         parts = [] if found is None else [f"found {found}"]
         parts += [] if allowed is None else [f"allowed {allowed}"]
-        sentence = f"{where}: {', '.join(parts)}" if parts else where
+        said = told or ", ".join(parts)
+        sentence = f"{where}: {said}" if said else where
         advice = f". Next: {hint}." if hint else "."
         super().__init__(f"{sentence}{advice} [{kind.label}/{reason}]")
 
@@ -94,7 +97,9 @@ class HmkctaError(Exception):
 
 
 class ForeignFile(HmkctaError):
-    """A file that does not begin as an `.hmk` file does: kind and reason are the format's, the sentence says so.
+    """No `.hmk` file, by how it begins or as safetensors of somebody else: kind and reason are the format's.
+
+    The command line ends with 3, as it does for a file that cannot be read.
 
     >>> issubclass(ForeignFile, HmkctaError)
     True

@@ -101,7 +101,7 @@ def planned_bytes(plan: Plan, source: Source, kind: str | None = None, seed: int
 
 
 def _shape(level: LevelSpec, n: int, size: int) -> tuple[int, int, int]:
-    """C, K and R of a node in mode n, of which it has so many rows."""
+    """C, K and R of a node in mode n, of which it has `size` rows."""
     clusters, rank = min(level.clusters[n], size), level.ranks[n]
     return clusters, min(level.mixture[n], clusters), size if rank is None else min(rank, size)
 

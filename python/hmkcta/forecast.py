@@ -322,7 +322,7 @@ def peak_memory() -> int:
 
 
 def _peak(*stages: int, beside: int = 0) -> int:
-    """Most bytes of a process that needs so many in one stage after another, and some for a moment besides."""
+    """Most bytes of a process that needs those of `stages` one after another, and `beside` for a moment besides."""
     most = max(need + _KEPT * sum(stages[:number]) for number, need in enumerate(stages))
     return max(_LOADED, _BASE + beside + int(most))
 

@@ -51,7 +51,7 @@ def changed(grid: tuple[int, ...], n: int, count: int) -> tuple[int, ...]:
 
 
 def more(count: int, size: int, by: int = 0) -> int:
-    """Twice as many blocks of an axis, or so many more; its single indices where blocks would be too short.
+    """Twice as many blocks of an axis, or `by` more; its single indices where blocks would be too short.
 
     >>> more(3, 32), more(3, 32, 1), more(5, 32)
     (6, 4, 32)
@@ -61,7 +61,7 @@ def more(count: int, size: int, by: int = 0) -> int:
 
 
 def fewer(count: int, size: int, by: int = 0) -> int:
-    """Half as many blocks, or so many less; of single indices the smallest blocks there are.
+    """Half as many blocks, or `by` fewer; of single indices the smallest blocks there are.
 
     >>> fewer(6, 32), fewer(6, 32, 1), fewer(32, 32), fewer(1, 32)
     (3, 5, 8, 0)
@@ -83,7 +83,7 @@ def coarser(grid: Sequence[int], shape: Sequence[int]) -> tuple[int, ...]:
 
 
 def allowed(count: int, n: int, grid: tuple[int, ...], shape: Sequence[int]) -> bool:
-    """Whether axis n may be cut into so many blocks, the others as they are."""
+    """Whether axis n may be cut into `count` blocks, the others as they are."""
     if count < grid[n]:
         return count > 0
     long_enough = count * SMALLEST_EDGE <= shape[n] or count == shape[n]

@@ -315,8 +315,9 @@ class Journal(NoJournal):
         except OSError as error:
             full = error.errno in DISK_FULL
             hint = "free some space, then go on by resume=True or --resume" if full else "check the folder"
-            raise fault("disk-full" if full else "unwritable", str(self.folder), error.strerror or error,
-                        "a folder with room for what is finished", hint) from error
+            said = error.strerror or error
+            raise fault("disk-full" if full else "unwritable", str(self.folder), said,
+                        "a folder with room for what is finished", hint, told=f"cannot be written: {said}") from error
 
 
 def decisive(source: Source, plan: Plan | None, **settings: Any) -> dict[str, Any]:

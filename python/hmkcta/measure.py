@@ -1,4 +1,7 @@
-"""Measure a model against its source: SNR, RMSE and largest error up to each level, slab by slab in float64."""
+"""Measure a model against its source: SNR, RMSE and largest error up to each level, slab by slab.
+
+Errors are summed in float64; values are decoded in float32 where no level is above `FINE` dB, else in float64.
+"""
 
 from __future__ import annotations
 

@@ -90,7 +90,7 @@ def _as_seen(known: Sequence[Left], source: Source) -> tuple[LevelQuality, ...]:
 
 
 def slab_within(limit: int) -> int:
-    """Elements of a slab, where so many may be worked on at once."""
+    """Elements of a slab, where `limit` of them may be worked on at once."""
     return min(SLAB, max(SLAB // 8, limit // (4 * AT_ONCE)))
 
 

@@ -96,7 +96,7 @@ class PackedLevel:
 
 @dataclass(frozen=True)
 class LevelQuality:
-    """Quality up to a level, measured on the stored numbers in float64 against the source."""
+    """Quality up to a level, measured on the stored numbers against the source; see `measure`."""
 
     snr_db: float
     rmse: float
@@ -151,7 +151,7 @@ class Metadata:
                 for snr in cast("list[Any]", told)]
 
     def upto(self, level: int) -> Metadata:
-        """Of a model of the first so many levels."""
+        """Of a model of the levels 1 to `level`."""
         source, told = self.source, self.source.get("transformed_snr_db")
         if isinstance(told, list):  # one for each level
             source = {**source, "transformed_snr_db": cast("list[Any]", told)[:level]}

@@ -152,7 +152,8 @@ def comparison_sheet(
         picture.save(path, format="PNG")
     except OSError as error:
         raise HmkctaError(Kind.IO, "not-writable", str(path), found=error,
-                          allowed="a file in a folder that can be written") from error
+                          allowed="a file in a folder that can be written",
+                          told=f"cannot be written: {error}") from error
     return Path(path)
 
 

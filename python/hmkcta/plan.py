@@ -152,8 +152,9 @@ class LevelSpec:
     def search(self) -> str:
         """How the K_n clusters of a row are found (paper, section 5: optimal search), by what the level allows.
 
-        ``optimal`` looks at all binom(C_n, K_n) sets, ``greedy`` takes one cluster after another where these are more
-        than 64. ``fast`` is for K_n > 1 and so many cells that the Gram matrix of all their bases would not fit.
+        ``optimal`` looks at all binom(C_n, K_n) sets, ``greedy`` takes one cluster after another in every mode where
+        one has more than 64 sets. ``fast`` is for K_n > 1 and more cells than the Gram matrix of their bases has room
+        for.
         """
         if max(self.mixture) > 1 and (self.cells > GRAM_CELLS or self.columns > GRAM_COLUMNS):
             return "fast"

@@ -89,7 +89,7 @@ def read_plan(plan: Plan | str, source: Source, wanted: Wanted, scheme: str | No
 
 
 def of_bits(levels: Sequence[LevelSpec], bits: int | None) -> tuple[LevelSpec, ...]:
-    """The levels with so many bits for every number; None: as they are.
+    """The levels with `bits` for every number; None: as they are.
 
     >>> modes = (("y",), ("x",))
     >>> [level.bits for level in of_bits(parse_plan("R=4 / R=2 bits=8", modes).levels, 8)]

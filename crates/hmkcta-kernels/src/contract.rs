@@ -1,4 +1,4 @@
-//! A further mode summed over, lane by lane, after `pair.rs`.
+//! A further mode summed over, lane by lane, after `pair_projection.rs`.
 
 use crate::machine::dispatch;
 use crate::threads::{PARALLEL, for_each};

@@ -1,4 +1,4 @@
-//! The products of `pair.rs`: some tuples at a time, the lanes of vectors.
+//! The products of `pair_projection.rs`: some tuples at a time, the lanes of vectors.
 
 use crate::machine::dispatch;
 use pulp::{Simd, WithSimd};

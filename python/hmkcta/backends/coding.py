@@ -132,7 +132,7 @@ class Best:
         self.subset: list[Subset] = [()] * len(self.gain)
 
     def search(self, mixture: int) -> None:
-        """Among all subsets of so many clusters."""
+        """Among all subsets of `mixture` clusters."""
         for subset in combinations(range(len(self.dictionary.b)), mixture):
             self.offer(subset, np.arange(len(self.gain)))
 

@@ -163,7 +163,7 @@ class Cuda:
         self._cupy.get_default_pinned_memory_pool().free_all_blocks()
 
     def _pays(self, work: float, moved: int, begun: float) -> bool:
-        """Whether the GPU takes less time for so many multiply-adds, bytes moved and seconds until it has begun."""
+        """Whether the GPU takes less time for `work` multiply-adds and `moved` bytes, `begun` seconds ahead of it."""
         pays = self._always or moved / LINK + begun < work / CORES
         with _counting:
             self._device.calls += pays
@@ -205,7 +205,7 @@ def _batches(cells: Cells) -> int:
 
 
 def arrays(cupy: Any, budget: int) -> Arrays:
-    """CuPy's arrays, so many elements at once."""
+    """CuPy's arrays, `budget` elements at once."""
     return Arrays(cupy, cupy.asnumpy, lambda target, values: values.get(out=target), budget)
 
 

@@ -56,11 +56,11 @@ def bench_command() -> None:
 
 @bench_command.command("render", cls=Command, examples=EXAMPLES)
 @click.option("-c", "--configuration", "names", multiple=True, metavar="NAME",
-              help="Column of the paper's tables, such as WH4; several with several options. All by default.")
+              help="Column of the paper's tables, such as WH4; may be repeated (default: all).")
 @click.option("-r", "--resolution", "sizes", multiple=True, type=Resolution(), metavar="WxH",
-              help="Size of frames; 1280x720 and 1920x1080 by default, 256x256 without a GPU.")
-@click.option("--seconds", type=click.FloatRange(0.01, 600), default=1.0, show_default=True, metavar="N",
-              help="About how long each measurement takes.")
+              help="Size of frames; may be repeated (default: 1280x720 and 1920x1080, 256x256 without a GPU).")
+@click.option("--seconds", type=click.FloatRange(0.01, 600), default=1.0, metavar="N",
+              help="About how long each measurement takes (default 1).")
 @json_option
 @verbose_option
 def bench_render_command(names: tuple[str, ...], sizes: tuple[tuple[int, int], ...], seconds: float, as_json: bool,

@@ -41,8 +41,8 @@ EXAMPLES = (
     'hmkcta compress jet.npy -o jet.hmk --plan "R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2"',
 )
 
-#: From about so many dB a level on it is its numbers, by their bits, that end what it reaches, not its ranks. From so
-#: many in all on it is float32, in which everything is decoded.
+#: SNR in dB from which about a level's numbers, by their bits, limit it, and not its ranks; and the SNR in all from
+#: which float32 does, in which everything is decoded.
 NUMBERS_SNR, FLOAT32_SNR = {16: 60.0, 8: 40.0}, 130.0
 
 

@@ -91,8 +91,9 @@ def _check_room(output: str, needed: int) -> None:
     """A full disk is found before the work, where the system tells."""
     free = shutil.disk_usage(Path(output).resolve().parent).free
     if needed > free:
-        most = f"up to {format_bytes(free)}, which are free"
-        raise fault("disk-full", output, format_bytes(needed), most, "free some space")
+        most = format_bytes(free)
+        raise fault("disk-full", output, format_bytes(needed), most, "free some space",
+                    told=f"takes {format_bytes(needed)}, and {most} of the disk are free")
 
 
 def _write(model: Model, target: BinaryIO, kind: np.dtype[Any], slab: int, progress: Progress) -> None:

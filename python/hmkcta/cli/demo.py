@@ -104,7 +104,7 @@ def _folder(output: str) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise HmkctaError(Kind.IO, "unwritable", output, found=error.strerror, allowed="a folder",
-                          hint="choose another one with -o") from error
+                          hint="choose another one with -o", told=f"cannot be made: {error.strerror}") from error
     return folder
 
 

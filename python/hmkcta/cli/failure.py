@@ -27,7 +27,7 @@ EXIT_CODES = {
     2: "wrong usage or argument",
     3: "input unreadable or no .hmk file, or output cannot be written",
     4: "corrupt file",
-    5: "version or codec of the file is not supported",
+    5: "version or value transform of the file is not known",
     6: "resource limit",
     7: "target not reached: the file is written, and is the best found",
     130: "interrupted (143: by SIGTERM); what is finished is kept for --resume",

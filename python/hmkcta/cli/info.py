@@ -37,7 +37,7 @@ def info_command(file: str, as_json: bool, verbose: bool) -> None:
 
 
 def describe(model: Model, size: int, tables: Sequence[int]) -> dict[str, Any]:
-    """The facts of a model whose file has `size` bytes, so many of them `tables` of each level."""
+    """The facts of a model whose file has `size` bytes, of which each level's tables take what `tables` says."""
     metadata = model.metadata
     numbers = sum(level.number_bytes for level in model.levels)
     sizes = [level.number_bytes + own for level, own in zip(model.levels, tables, strict=True)]
@@ -60,7 +60,7 @@ def describe(model: Model, size: int, tables: Sequence[int]) -> dict[str, Any]:
 
 
 def _level(model: Model, number: int, own: int, upto: int) -> dict[str, Any]:
-    """The facts of a level of so many bytes of its `own`; to decode it so many are read, of all `upto` it."""
+    """The facts of a level: `own` are its bytes, `upto` those that are read to decode it, with all above it."""
     bounds, level, quality = model.bounds[number - 1], model.levels[number - 1], model.quality[number - 1]
     cells, zero_cells = cells_of(level)
     return {

@@ -14,8 +14,8 @@ from typing import Any
 
 #: Seconds to clean up in. Native code cannot be interrupted and may take minutes.
 GRACE = 1.0
-#: Signals that follow the first within so many seconds are the same one: `timeout` and other wrappers send it twice, to
-#: their child and to its group.
+#: Seconds within which a signal after the first is the same one: `timeout` and other wrappers send it twice, to their
+#: child and to its group.
 ECHO = 0.25
 
 

@@ -18,13 +18,13 @@ SAMPLE = 1 << 20
 PARTS = 64
 #: Elements of which each is compared with what the model makes of it.
 COMPARED = 1 << 12
-#: Few values make the SNR, where it is beyond so many dB, if all values are so many times as large as most of them.
+#: Few values make the SNR where it is beyond `LOUD` dB and all values are `FEW` times as large as most of them.
 LOUD, FEW = 20.0, 3.0
 #: Most of them are as good as zero where they lie within this share of all of them.
 ZERO = 1e-5
 #: What a number takes, by its bits.
 BYTES = {8: "a byte", 16: "two bytes"}
-#: An offset counts as one beyond so many deviations, and hides the values where the error is this share of one.
+#: A mean is an offset beyond `OFFSET` deviations, and hides the values where the error is `HIDDEN` of a deviation.
 OFFSET, HIDDEN = 3.0, 0.5
 #: Samples of a signal side by side.
 WINDOW = 256

@@ -210,13 +210,13 @@ def _remember(key: str) -> Callable[[click.Context, click.Parameter, Any], Any]:
 
 
 source_options = together(
-    click.option("--member", metavar="NAME", help="Array of several; or write FILE.h5:NAME."),
+    click.option("--member", metavar="NAME", help="One of several arrays; or FILE.h5:NAME."),
     click.option("--shape", type=Shape(), metavar="N,N,..", help="Shape of raw binary."),
     click.option("--dtype", metavar="TYPE", help="Numbers of raw binary: float32, uint8, >f4, .."),
     click.option("--order", type=click.Choice(["C", "F"]), default="C", metavar="C|F",
-                 help="Raw binary: last (C, default) or first axis fastest."),
+                 help="Raw binary: last axis fastest, or first (default C)."),
     click.option("--offset", type=Count(0), default=0, metavar="BYTES",
-                 help="Bytes to skip at the start of raw binary."),
+                 help="Bytes before raw binary (default 0)."),
 )
 json_option = click.option("--json", "as_json", is_flag=True, is_eager=True, callback=_remember(JSON),
                            help="One JSON object on stdout; messages on stderr.")
@@ -226,10 +226,10 @@ verbose_option = click.option("-v", "--verbose", is_flag=True, is_eager=True, ca
 memory_option = click.option("--max-memory", type=ByteSize(), metavar="SIZE",
                              help="Memory to work in; what needs more is refused.")
 device_option = click.option("--device", type=click.Choice(("cpu", "cuda")), default="cpu", metavar="NAME",
-                             help="cpu (default), or cuda for an NVIDIA GPU.")
+                             help="cpu, or cuda for an NVIDIA GPU (default cpu).")
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace an output that is there already.")
 nan_option = click.option("--nan", type=Fill(), metavar="fill=VALUE",
-                          help="Put VALUE for NaN and infinity, else refused.")
+                          help="Replace NaN and infinity, which are refused otherwise.")
 file_argument = click.argument("file", type=File())
 
 

@@ -105,7 +105,7 @@ def ratio(times: float) -> str:
 
 
 def share(times: float) -> str:
-    """How large something is that is so many times smaller than another.
+    """How large something is that is `times` times smaller than another.
 
     >>> share(16.04), share(0.4)
     ('1/16.0 of', '2.5 times')

@@ -44,15 +44,16 @@ FRAMES, FPS = 48, 24.0
 @file_argument
 @click.option("-o", "--output", required=True, type=click.Path(), metavar="OUT",
               help="OUT.png, .exr (radiance), .mp4 or .gif.")
-@click.option("--scene", type=click.Path(), metavar="JSON", help="Scene to start from; the options go before it.")
+@click.option("--scene", type=click.Path(), metavar="JSON", help="Scene to start from; options override it.")
 @scene_options
 @click.option("--against", metavar="SRC", help="Original, for --split 0 and --heat.")
 @source_options
 @click.option("--animate", metavar="MOTION", help="Film: orbit, light, view or time.")
-@click.option("--frames", type=Count(1), default=FRAMES, metavar="N", help=f"Film: frames ({FRAMES}).")
-@click.option("--fps", type=click.FloatRange(0.1, 240), default=FPS, metavar="N", help=f"Film: a second ({FPS:g}).")
+@click.option("--frames", type=Count(1), default=FRAMES, metavar="N", help=f"Film: frames (default {FRAMES}).")
+@click.option("--fps", type=click.FloatRange(0.1, 240), default=FPS, metavar="N",
+              help=f"Film: frames per second (default {FPS:g}).")
 @click.option("--backend", type=click.Choice(["auto", "gpu", "numpy"]), default="auto", metavar="auto|gpu|numpy",
-              help="Shaders (also by an adapter in software), NumPy, or a GPU where there is one, else NumPy (auto).")
+              help="Shaders (also in software), NumPy, or by whether there is a GPU (default auto).")
 @overwrite_option
 @json_option
 @quiet_option

@@ -29,7 +29,8 @@ from .progress import Progress
 EXAMPLES = ("hmkcta verify wood.hmk", "hmkcta verify wood.hmk --against wood.npy",
             "hmkcta verify jet.hmk --against jet.raw --shape 64,64,64 --dtype float32")
 
-#: How far measurements may differ from the file's: both are float64, only the order of summation differs.
+#: How far measurements may differ from the file's: sums are float64 in another order, and where no level is above
+#: 40 dB (`measure.FINE`) values are decoded in float32.
 SNR_TOLERANCE, ERROR_TOLERANCE = 0.01, 1e-3
 
 

@@ -23,7 +23,7 @@ EXAMPLES = ("hmkcta view wood.hmk", "hmkcta view wood.hmk --original wood.npy",
 @source_options
 @nan_option
 @click.option("--port", type=click.IntRange(0, 65535), default=0, metavar="N",
-              help="Port on 127.0.0.1; any by default.")
+              help="Port on 127.0.0.1 (default: any that is free).")
 @click.option("--no-browser", is_flag=True, help="Print the address, open nothing.")
 @verbose_option
 def view_command(file: str, original: str | None, nan: float | None, port: int, no_browser: bool, verbose: bool,

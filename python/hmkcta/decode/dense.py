@@ -261,7 +261,7 @@ def _rows_of(level: PackedLevel, front: _Front, n: int) -> Index:
 
 
 def _slots_of_rows(level: PackedLevel, front: _Front, n: int, base: Index, slots: int) -> tuple[Index, Index]:
-    """Slot `base[t] + part`, of so many, of each requested row of mode n, and the rows sorted by it."""
+    """Slot `base[t] + part`, of `slots`, of each requested row of mode n, and the rows sorted by it."""
     parts = level.part[n]
     assert parts is not None, NO_TABLE
     owner = np.repeat(count(len(front.node)), np.diff(front.start[n]))

@@ -14,9 +14,10 @@ from decimal import Decimal
 from math import prod
 from typing import cast
 
+from ..errors import ForeignFile
 from .fields import Json, as_integer, as_list, as_map, as_object, as_text, check_sizes, parse_json
 from .limits import Limits
-from .reasons import fault
+from .reasons import REASONS, fault
 
 #: Bytes of one number of each type that a file may hold.
 ITEM_SIZES = {"I8": 1, "U8": 1, "F16": 2, "F32": 4, "F64": 8, "U16": 2, "U32": 4}
@@ -99,8 +100,8 @@ def parse_header(raw: bytes, size: int, limits: Limits) -> Header:
 def _metadata_text(texts: Json, where: str) -> str:
     """The metadata text, compared with its hash."""
     if not isinstance(texts, dict) or TEXT_KEY not in texts:
-        raise fault("not-hmk", where, f"no key {TEXT_KEY}", f"the key {TEXT_KEY}",
-                    "compress the data with hmkcta first")
+        raise ForeignFile(REASONS["not-hmk"].kind, "not-hmk", where, found=f"safetensors without {TEXT_KEY}",
+                          allowed="an .hmk file", hint="compress the data with hmkcta first")
     texts = as_object(texts, where, (TEXT_KEY, HASH_KEY))
     text, text_hash = (as_text(texts[key], f"{where}.{key}") for key in (TEXT_KEY, HASH_KEY))
     try:

@@ -29,7 +29,8 @@ def check_output(path: str | os.PathLike[str], overwrite: bool = False) -> Path:
             allowed = "a new file" if not overwrite else "a file, or nothing"
             instead = ", or replace it by overwrite=True or --overwrite" if regular else ""
             raise fault("output-exists", str(target), "a file" if regular else "no regular file", allowed,
-                        f"choose another name{instead}")
+                        f"choose another name{instead}",
+                        told="is there already" if regular else "is there already, and no regular file")
         if not target.parent.is_dir():
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(target.parent))
         if not os.access(target.parent, os.W_OK | os.X_OK):
@@ -88,5 +89,7 @@ def _as_io(path: str) -> Generator[None]:
         yield
     except OSError as error:
         full = error.errno in DISK_FULL
-        raise fault("disk-full" if full else "unwritable", path, error.strerror or error, "a folder with room for it",
-                    "free some space" if full else "check the folder and its permissions") from error
+        said = error.strerror or error
+        raise fault("disk-full" if full else "unwritable", path, said, "a folder with room for it",
+                    "free some space" if full else "check the folder and its permissions",
+                    told=f"cannot be written: {said}") from error

@@ -69,14 +69,15 @@ def _mapped(path: str | os.PathLike[str]) -> bytes | mmap.mmap:
     try:
         # A pipe would block on opening, a device may have no end.
         if not stat.S_ISREG(os.stat(path).st_mode):
-            raise fault("unreadable", str(path), "no regular file", "a file")
+            raise fault("unreadable", str(path), "no regular file", "a file", told="is no regular file")
         with open(path, "rb") as file:
             size = os.fstat(file.fileno()).st_size
             # An empty file cannot be mapped.
             return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) if size else b""
     except (OSError, ValueError) as error:
         where = shown(path) if isinstance(path, bytes) else str(path)  # which may be what somebody read from a file
-        raise fault("unreadable", where, getattr(error, "strerror", None) or error, "a readable file") from error
+        said = getattr(error, "strerror", None) or error
+        raise fault("unreadable", where, said, "a readable file", told=f"cannot be read: {said}") from error
 
 
 def loads(data: bytes | bytearray | mmap.mmap, *, verify: bool = True, limits: Limits = DEFAULT_LIMITS) -> Loaded:

@@ -96,11 +96,12 @@ WRITER_REASONS: dict[str, Reason] = {
 }
 
 
-def fault(reason: str, where: str, found: object = None, allowed: object = None, hint: str = "") -> HmkctaError:
+def fault(reason: str, where: str, found: object = None, allowed: object = None, hint: str = "", *, told: str = ""
+          ) -> HmkctaError:
     """The error for a reason code, with the kind that belongs to it.
 
     >>> fault("array-crc", "level/1/core", "0x1", "0x2").kind
     <Kind.CORRUPTION: ('Corruption', 4)>
     """
     kind = (REASONS.get(reason) or WRITER_REASONS[reason]).kind
-    return HmkctaError(kind, reason, where, found=found, allowed=allowed, hint=hint)
+    return HmkctaError(kind, reason, where, found=found, allowed=allowed, hint=hint, told=told)

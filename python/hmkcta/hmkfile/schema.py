@@ -60,7 +60,7 @@ def level_schema(order: int, undecomposed: Sequence[int], nodes: int, last: bool
                  short: bool = False) -> Iterator[tuple[str, ArrayInfo]]:
     """Names (without prefix) and infos of the arrays of a level with S = `nodes`; -1 for a ragged length.
 
-    Core and basis numbers have so many `bits`. Arrays of one number type come in the order of the file. If `short`
+    Core and basis numbers have that many `bits`. Arrays of one number type come in the order of the file. If `short`
     without offsets, and with all that may be left out, in the types of memory.
 
     >>> sum(1 for _ in level_schema(4, (), 12, last=False)), sum(1 for _ in level_schema(4, (3,), 12, last=True))

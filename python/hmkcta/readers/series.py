@@ -37,7 +37,8 @@ def pictures_of(folder: Path, endings: Sequence[str]) -> list[Path]:
                  and not path.name.startswith(".")]
     except OSError as error:
         hint = "check its permissions"
-        raise io_error("unreadable", str(folder), error.strerror, "a readable folder", hint) from error
+        raise io_error("unreadable", str(folder), error.strerror, "a readable folder", hint,
+                       told=f"cannot be read: {error.strerror}") from error
     found = sorted({path.suffix.lower() for path in files})
     if not found:
         raise io_error("unreadable", str(folder), "a folder without pictures", "a file, or a folder of pictures",

@@ -39,9 +39,10 @@ class Layout:
         return f"{' x '.join(map(str, self.shape)) or 'one number'} of {self.dtype.name}"
 
 
-def io_error(reason: str, where: str, found: object = None, allowed: object = None, hint: str = "") -> HmkctaError:
+def io_error(reason: str, where: str, found: object = None, allowed: object = None, hint: str = "", *, told: str = ""
+             ) -> HmkctaError:
     """An `Io` error: the input is not what it should be."""
-    return HmkctaError(Kind.IO, reason, where, found=found, allowed=allowed, hint=hint)
+    return HmkctaError(Kind.IO, reason, where, found=found, allowed=allowed, hint=hint, told=told)
 
 
 @contextmanager
@@ -54,13 +55,14 @@ def opened(path: Path) -> Generator[BinaryIO]:
     try:
         # A pipe would block on opening, a device may have no end.
         if not stat.S_ISREG(os.stat(path).st_mode):
-            raise io_error("unreadable", str(path), "no regular file", "a file")
+            raise io_error("unreadable", str(path), "no regular file", "a file", told="is no regular file")
         with open(path, "rb") as file:
             yield file
     except (OSError, ValueError) as error:  # a path with a zero byte is a ValueError
         found = getattr(error, "strerror", None) or error
         hint = "check the path and its permissions"
-        raise io_error("unreadable", str(path), found, "a readable file", hint) from error
+        raise io_error("unreadable", str(path), found, "a readable file", hint,
+                       told=f"cannot be read: {found}") from error
 
 
 def library(module: str, package: str, extra: str, what: str) -> Any:
@@ -178,4 +180,5 @@ def mapped(path: Path, layout: Layout, offset: int) -> NDArray[Any]:
     try:
         return np.memmap(path, layout.dtype, "r", offset, layout.shape, order="F" if layout.fortran else "C")
     except (OSError, ValueError) as error:
-        raise io_error("unreadable", str(path), error, "a file that can be mapped") from error
+        raise io_error("unreadable", str(path), error, "a file that can be mapped",
+                       told=f"cannot be mapped: {error}") from error

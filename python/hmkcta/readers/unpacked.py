@@ -86,7 +86,7 @@ class Unpacker:
 
         Args:
             where: the file, for errors.
-            source: gives so many of the bytes that come next, fewer at their end.
+            source: called with a number of bytes, gives as many of those that come next, fewer at their end.
             stored: how the bytes are to be understood.
             convert: makes of the numbers what is meant.
 

@@ -43,7 +43,7 @@ _FIXED_WORDS = 1 + 2 * MOST_ROWS
 def contractable(model: Model, still: Sequence[int], folds: int = 1) -> tuple[int, ...]:
     """The modes to contract where these source axes stand still for a whole dispatch.
 
-    A mode is among them if all its axes are. There is none if their contracted cores, so many times, would not fit into
+    A mode is among them if all its axes are. There is none if `folds` times their contracted cores would not fit into
     one binding.
 
     >>> from hmkcta._example import example_level, example_metadata
@@ -87,7 +87,7 @@ def set_numbers(levels: Sequence[PackedLevel], contracted: Sequence[int]) -> int
 
 
 def core_starts(levels: Sequence[PackedLevel], contracted: Sequence[int], channels: int = 1) -> U32:
-    """For each node of all levels the start of its contracted cores, behind all these, in numbers of so many words."""
+    """For each node of all levels the start of its contracted cores, behind all these, in units of `channels` words."""
     sizes = np.concatenate([_cells(level) * _numbers(level, contracted) for level in levels])
     return (-(-len(sizes) // channels) + np.cumsum(sizes) - sizes).astype(np.uint32)
 
@@ -177,11 +177,11 @@ class FrameContraction:
         self._counts = spread(-(-constants["CELLS"] * constants["LANES"] // _GROUP))
 
     def fits(self, sets: int) -> bool:
-        """Whether so many sets of cores fit into one binding."""
+        """Whether that many `sets` of cores fit into one binding."""
         return _words(self._model.levels, self._contracted, sets * self._channels) <= 1 << PAGE_SHIFT
 
     def reserve(self, sets: int) -> bool:
-        """Have room for so many sets of cores; whether there is a new buffer for it."""
+        """Have room for that many `sets` of cores; whether there is a new buffer for it."""
         if sets <= self._sets:
             return False
         self._sets = sets
@@ -221,5 +221,5 @@ def _numbers(level: PackedLevel, contracted: Sequence[int]) -> NDArray[np.int64]
 
 
 def _words(levels: Sequence[PackedLevel], contracted: Sequence[int], folds: int = 1) -> int:
-    """Words of the table of starts, with what rounds it up, and of all contracted cores, so many times."""
+    """Words of the table of starts, with what rounds it up, and of all contracted cores, `folds` times."""
     return sum(level.nodes for level in levels) + 2 + folds * set_numbers(levels, contracted)

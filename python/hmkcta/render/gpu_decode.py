@@ -84,7 +84,7 @@ class GpuDecoder:
         self._elements.submit(indices, self.buffers.bind_group())
 
     def refusal(self, picks: Sequence[int] | None = None, level: int | None = None) -> HmkctaError | None:
-        """Why a software adapter would not finish an element, or a sum with so many picks an axis; None if it would."""
+        """Why a software adapter would not finish an element, or a sum with `picks` an axis; None if it would."""
         counts = picks or (1,) * len(self.model.shape)
         turns = loop_turns(self.model, counts, level or len(self.model.levels)) if self.device.software else 0
         if turns <= MOST_TURNS:

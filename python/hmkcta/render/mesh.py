@@ -110,7 +110,8 @@ def load_mesh(path: Path, repeat: tuple[float, float] = (1.0, 1.0)) -> Mesh:
     """
     reader = library("trimesh", "trimesh", "mesh", "surface.shape")
     if not path.is_file():
-        raise HmkctaError(Kind.IO, "unreadable", str(path), found="no such file", allowed="a mesh")
+        raise HmkctaError(Kind.IO, "unreadable", str(path), found="no such file", allowed="a mesh",
+                          told="cannot be read: no such file")
     try:
         loaded = _loaded(reader, path)
         uv = np.asarray(getattr(loaded.visual, "uv", None), np.float64)

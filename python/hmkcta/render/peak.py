@@ -14,7 +14,7 @@ from .prelude import shader
 _INVOCATIONS, _OPERATIONS = 1 << 18, 256 * 4 * 4 * 2
 #: Bytes of a copy: more than caches hold.
 _COPIED = 1 << 26
-#: A GPU gets so many times as much at once, or it would wait for what hands it the work.
+#: How many times as much a GPU gets at once, as it would otherwise wait for what hands it the work.
 _AT_ONCE = 16
 
 
@@ -27,7 +27,7 @@ class Peak:
 
 
 def measure_peak(device: Device, seconds: float) -> Peak:
-    """Measure both, in about so many seconds each."""
+    """Measure both, each for about `seconds`."""
     layout, times = device.layout("peak", ["storage"]), 1 if device.software else _AT_ONCE
     results = device.room("peak", 16 * _INVOCATIONS * times)
     group = device.group("peak", layout, [results])

@@ -133,7 +133,7 @@ def rooms(metadata: Metadata, options: Options) -> list[int]:
 
 
 def picks_fit(metadata: Metadata, picks: Sequence[int]) -> bool:
-    """Whether there is room for so many weighted indices of each axis."""
+    """Whether there is room for `picks` weighted indices of each axis."""
     return max(_rows(metadata, picks)) <= MOST_ROWS
 
 
@@ -226,7 +226,7 @@ def decoder_uniform(metadata: Metadata, levels: int) -> bytes:
 
 
 def image_pages(words: int, page_shift: int = PAGE_SHIFT) -> int:
-    """Pages of an image of so many words.
+    """Pages of an image of that many `words`.
 
     >>> image_pages(1 << 25), image_pages((1 << 25) + 1)
     (1, 2)

@@ -296,7 +296,8 @@ def read_json(path: str | Path) -> dict[str, Any]:
     try:
         value: Any = json.loads(Path(path).read_text(encoding="utf-8"), parse_constant=_no_number)
     except OSError as error:
-        raise HmkctaError(Kind.IO, "unreadable", str(path), found=error.strerror, allowed="a JSON file") from error
+        raise HmkctaError(Kind.IO, "unreadable", str(path), found=error.strerror, allowed="a JSON file",
+                          told=f"cannot be read: {error.strerror}") from error
     except (ValueError, RecursionError) as error:
         raise invalid("not-json", str(path), error, "a JSON object, e.g. {\"width\": 640}") from error
     if not isinstance(value, dict):

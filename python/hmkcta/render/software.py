@@ -23,7 +23,7 @@ MOST_TURNS = 60_000
 
 
 def loop_turns(model: Model, picks: Sequence[int], level: int, contracted: Sequence[int] = ()) -> int:
-    """A bound of the turns of all loops of `decode_picked` with so many picks for each source axis.
+    """A bound of the turns of all loops of `decode_picked` with these `picks` for each source axis.
 
     `contracted` are the modes that have been summed into the cores.
 

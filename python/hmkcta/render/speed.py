@@ -111,7 +111,7 @@ def surface_cost(model: Model, layout: Layout) -> Cost:
 
 
 def box_cost(model: Model, layout: Layout, elements: int) -> Cost:
-    """Cost of a time step: its contraction, and so many elements of the contracted model."""
+    """Cost of a time step: its contraction, and that many `elements` of the contracted model."""
     still = () if layout.time is None else (layout.time,)
     contracted = contractable(model, still)
     rng = np.random.default_rng(4)

@@ -74,7 +74,7 @@ class DecoderBuffers:
         return 0 if self._contraction is None else self._contraction.stride
 
     def fits(self, sets: int) -> bool:
-        """Whether so many sets of contracted cores fit into one binding."""
+        """Whether that many `sets` of contracted cores fit into one binding."""
         return self._contraction is None or self._contraction.fits(sets)
 
     def contract(self, *sets: AxisPicks) -> None:

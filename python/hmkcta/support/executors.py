@@ -63,7 +63,7 @@ def in_order(work: Callable[[S], T], items: Sequence[S], workers: int) -> Iterat
 
 
 def repeatedly(work: Callable[[], int], times: int, workers: int, told: Callable[[int], None]) -> None:
-    """Do the work so many times, side by side; `told` hears what the results add up to.
+    """Do the work that many `times`, side by side; `told` hears what the results add up to.
 
     >>> repeatedly(lambda: 2, 3, 1, print)
     2

@@ -9,7 +9,7 @@ Rows = NDArray[np.intp]
 
 
 def rows_of_parts(part: NDArray[np.integer], count: int = 0) -> list[Rows]:
-    """For each of so many parts, or of all up to the last that occurs, the rows that belong to it, ascending.
+    """For each of `count` parts, or of all up to the last that occurs, the rows that belong to it, ascending.
 
     >>> [rows.tolist() for rows in rows_of_parts(np.array([1, 0, 1, 3]), 4)]
     [[1], [0, 2], [], [3]]
@@ -19,7 +19,7 @@ def rows_of_parts(part: NDArray[np.integer], count: int = 0) -> list[Rows]:
 
 
 def sorted_by(part: NDArray[np.integer], count: int) -> Rows:
-    """All rows, those of one of so many parts after those of another; NumPy sorts short numbers by radix.
+    """All rows, those of one of `count` parts after those of another; NumPy sorts short numbers by radix.
 
     >>> sorted_by(np.array([1, 0, 1, 3]), 4).tolist()
     [1, 0, 2, 3]

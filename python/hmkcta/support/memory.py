@@ -63,7 +63,7 @@ def _taken(group: Path) -> int:
 
 
 def stays_cached(count: int) -> bool:
-    """Whether a file of so many bytes stays in the system's cache while it is worked on: it takes up to half of the
+    """Whether a file of `count` bytes stays in the system's cache while it is worked on: it takes up to half of the
     memory that the machine, or the container, has. False where the system does not say."""
     had: list[int] = []
     with suppress(OSError, ValueError, KeyError):  # another system
@@ -147,7 +147,7 @@ def _touched(view: NDArray[Any]) -> int:
 def touched(steps: Sequence[tuple[float, int]], itemsize: int) -> int:
     """Bytes of a mapped file, about, that come into memory when numbers in it are looked at.
 
-    They lie so many bytes apart along each axis, so many along it.
+    `steps` has, for each axis, how many bytes apart they lie and how many there are.
     """
     found, span = float(_AROUND), float(itemsize)
     for step, size in sorted(steps):
@@ -172,20 +172,22 @@ def check_memory(needed: int, what: str, hint: str, limit: int | None = None) ->
     >>> check_memory(10, "a row", "ask for less", limit=9)
     Traceback (most recent call last):
         ...
-    hmkcta.errors.HmkctaError: memory for a row: found 10 B, allowed 9 B. Next: ask for less. [ResourceLimit/memory]
+    hmkcta.errors.HmkctaError: memory for a row: 10 B are needed, 9 B are allowed. Next: ask for less. \
+[ResourceLimit/memory]
     >>> check_memory(2**31 + 1, "a row", "ask for less", limit=2**31)
     Traceback (most recent call last):
         ...
-    hmkcta.errors.HmkctaError: memory for a row: found 2147483649 B, allowed 2147483648 B. Next: ask for less. \
-[ResourceLimit/memory]
+    hmkcta.errors.HmkctaError: memory for a row: 2147483649 B are needed, 2147483648 B are allowed. Next: \
+ask for less. [ResourceLimit/memory]
     """
     if limit is None and needed <= FEW:
         return
     allowed = available_memory() if limit is None else limit
     if allowed is not None and needed > allowed:
         told = format_bytes if format_bytes(needed) != format_bytes(allowed) else "{} B".format
-        raise HmkctaError(Kind.RESOURCE_LIMIT, "memory", f"memory for {what}", found=told(needed),
-                          allowed=told(allowed), hint=hint)
+        found, most = told(needed), told(allowed)
+        raise HmkctaError(Kind.RESOURCE_LIMIT, "memory", f"memory for {what}", found=found, allowed=most, hint=hint,
+                          told=f"{found} are needed, {most} are {'free' if limit is None else 'allowed'}")
 
 
 def format_bytes(count: int) -> str:

@@ -12,7 +12,7 @@ Told = Callable[[float], None]
 
 
 def share_of(told: Told, number: int, count: int) -> Told:
-    """Whom to tell how much of one of so many parts is done.
+    """Whom to tell how much of part `number` of `count` is done.
 
     >>> share_of(print, 1, 4)(0.5)
     0.375

@@ -1,6 +1,7 @@
 /**
  * The part of a prelude that adds up the cells of a node for `weighted.wgsl`, for levels whose nodes all have the same
- * ranks: loops with everything in registers, and no branches in a cell. The same text as `hmkcta.render.cells` makes.
+ * ranks: loops with everything in registers, and no branches in a cell. The same text as `hmkcta.render.cell_loops`
+ * makes.
  */
 
 import type { Metadata } from "../reader/metadata";

@@ -1,4 +1,4 @@
-/** The part of a prelude that multiplies the core of a cell with its weights. Twin of `hmkcta.render.contraction`. */
+/** The part of a prelude that multiplies the core of a cell with its weights. Twin of `hmkcta.render.core_sums`. */
 
 import type { Metadata } from "../reader/metadata";
 import type { PackedLevel } from "../reader/packed";

@@ -1,6 +1,6 @@
 /**
  * Frame contraction: modes that stand still for a frame are summed into the cores once (`contract.wgsl`). Twin of
- * `hmkcta.render.contract`.
+ * `hmkcta.render.frame_contraction`.
  */
 
 import { axisPlaces } from "../decode/element";

@@ -1,4 +1,4 @@
-/** Which modes it pays to contract: the twin of `hmkcta.render.fixed`. */
+/** Which modes it pays to contract: the twin of `hmkcta.render.paying_modes`. */
 
 import type { Metadata } from "../reader/metadata";
 import { contractable, contractedModes } from "./frameContraction";

@@ -1,6 +1,6 @@
 /**
  * The part of a prelude that decodes a model of one cell, as PCA and HOSVD make them. The same text as
- * `hmkcta.render.single` makes.
+ * `hmkcta.render.single_cell` makes.
  */
 
 import type { Metadata } from "../reader/metadata";

@@ -91,7 +91,7 @@ function decodeUtf8(raw: Uint8Array, where: string): string {
 /** The metadata text, compared with its hash. */
 function metadataText(texts: Json | undefined, where: string): string {
   if (!(texts instanceof Map) || !texts.has("hmkcta")) {
-    throw fault("not-hmk", where, "no key hmkcta", "the key hmkcta", "compress the data with hmkcta first");
+    throw fault("not-hmk", where, "safetensors without hmkcta", "an .hmk file", "compress the data with hmkcta first");
   }
   const found = asObject(texts, where, ["hmkcta", "hmkcta_sha256"]);
   const text = asText(found.hmkcta, `${where}.hmkcta`);
