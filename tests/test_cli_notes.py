@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from math import floor
 from pathlib import Path
 from typing import Any
@@ -46,6 +47,20 @@ def test_what_keeps_a_file_from_its_size_is_said(words: tuple[str, ...], sentenc
     result = run("compress", path, "-o", tmp_path / "a.hmk", "--axes", "z,y,x", "--size", "13000", *words)
     assert (" % are used" in result.stderr) == (sentence is not None)
     assert (sentence or "") in result.stderr
+
+
+def test_an_offset_that_hides_what_varies_is_warned_of_once(tmp_path: Path) -> None:
+    values = 101325 + 5 * np.random.default_rng(0).standard_normal((12, 14, 16))
+    with pytest.warns(UserWarning, match=r"are 101325 give or take 4\.9.*subtract the mean first") as told:
+        hmkcta.compress(values, snr=40, quality="fast")
+    assert [warning.filename for warning in told] == [__file__]
+    path = saved(tmp_path / "a.npy", values)
+    words = ("--snr", "40", "--quality", "fast")
+    assert run("compress", path, "-o", tmp_path / "a.hmk", *words).stderr.count("give or take") == 1
+    with warnings.catch_warnings():  # of an offset alone, and of what varies enough, there is nothing to say
+        warnings.simplefilter("error")
+        hmkcta.compress(np.full((12, 14, 16), 101325.0), snr=40, quality="fast")
+        hmkcta.compress(values - 101225, snr=50, quality="fast")
 
 
 def test_worse_than_zeros_is_said_to_be(tmp_path: Path) -> None:

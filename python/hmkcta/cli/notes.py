@@ -1,4 +1,7 @@
-"""What somebody should know of a result that its figures do not tell: that it is larger, or holds an offset alone."""
+"""What somebody should know of a result that its figures do not tell: that it is larger, or holds large values alone.
+
+What `compress` warns of, such as an offset that hides what varies, is said beside these.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +15,6 @@ from ..model import Model
 from ..support.memory import drop_pages
 from ..support.slabs import thinning
 
-#: Elements that mean and deviation are told from.
-SAMPLE = 1 << 20
-#: Parts of a mapped file that are looked at one after another, as even a sample touches most of its pages.
-PARTS = 64
 #: Elements of which each is compared with what the model makes of it.
 COMPARED = 1 << 12
 #: Few values make the SNR, where it is beyond so many dB, if all values are so many times as large as most of them.
@@ -24,8 +23,8 @@ LOUD, FEW = 20.0, 3.0
 ZERO = 1e-5
 #: What a number takes, by its bits.
 BYTES = {8: "a byte", 16: "two bytes"}
-#: An offset counts as one beyond so many deviations, and hides the values where the error is this share of one.
-OFFSET, HIDDEN = 3.0, 0.5
+#: An error hides the values where it is this share of what they spread by.
+HIDDEN = 0.5
 #: Samples of a signal side by side.
 WINDOW = 256
 #: Rows of one mode are most of a file from this share on.
@@ -50,14 +49,7 @@ def notes(model: Model, array: NDArray[Any], *, planned: bool = True) -> list[st
     elif (windows := folded(array.shape)) is not None and (share := _share_of_longest(model)) > MOSTLY:
         found.append(f"the longest axis has more rows than all others together, which take {100 * share:.0f} % of "
                      f"the file. Next: where neighbours are alike, make windows of it, {windows}")
-    mean, deviation = _moments(array)
-    rmse = model.quality[-1].rmse if model.quality else 0.0
-    if abs(mean) > OFFSET * deviation and rmse > HIDDEN * deviation > 0:
-        found.append(f"the values are {mean:.6g} give or take {deviation:.3g}, and the RMSE is {rmse:.3g}: of what "
-                     "varies the file holds little, whatever the SNR. Next: subtract the mean first")
-    else:
-        found += _few_loud(model, array)
-    return found
+    return found + _few_loud(model, array)
 
 
 def _share_of_longest(model: Model) -> float:
@@ -101,17 +93,3 @@ def _few_loud(model: Model, array: NDArray[Any]) -> list[str]:
              "or clip the large ones")
     return [f"half of the values are off by {error:.2g} or more, though half of them lie within {spread:.2g} of their "
             f"median: a few large values make the SNR, and the others are lost. Next: {helps}"]
-
-
-def _moments(array: NDArray[Any]) -> tuple[float, float]:
-    """Mean and standard deviation of the finite numbers of a sample."""
-    steps = thinning(array.shape, SAMPLE)
-    parts: list[NDArray[np.float64]] = []
-    length = steps[0] * -(-array.shape[0] // (steps[0] * PARTS))
-    for start in range(0, array.shape[0], length):
-        spans = (slice(start, start + length, steps[0]), *(slice(None, None, step) for step in steps[1:]))
-        sample = np.asarray(array[spans], np.float64)
-        parts.append(sample[np.isfinite(sample)])
-        drop_pages(array)
-    finite = np.concatenate(parts)
-    return (float(finite.mean()), float(finite.std())) if finite.size else (0.0, 0.0)
