@@ -35,6 +35,18 @@ def test_what_figures_do_not_tell_is_said(array: NDArray[Any], sentence: str | N
     assert len(report("compress", path, "-o", tmp_path / "a.hmk", *words)["notes"]) == (sentence is not None)
 
 
+@pytest.mark.parametrize(("dtype", "step", "is_said"), [
+    ("uint8", 1, False), ("uint16", 1, False), ("uint16", 100, True), ("float32", 1, False), ("float32", 0.5, True),
+])
+def test_noise_of_whole_numbers_is_not_said_to_be_lost(dtype: str, step: float, is_said: bool, tmp_path: Path) -> None:
+    """A transform that gives it more weight makes a file of noise."""
+    noise = np.random.default_rng(0).integers(0, 4, (12, 20, 28)) * step
+    noise[:, 5:8, 5:10] += 200 * step
+    path = saved(tmp_path / "a.npy", noise.astype(dtype))
+    said = run("compress", path, "-o", tmp_path / "a.hmk", "--plan", "R=1,2,2").stderr
+    assert ("--transform asinh:" in said) == is_said
+
+
 @pytest.mark.parametrize(("words", "sentence"), [
     (("--plan", "R=1 grid=x:2 / R<=2"), "the ranks of the plan allow no more"),
     (("--decode-cost", "4", "--organisation", "z,y,x"), "within --decode-cost 4"),

@@ -21,6 +21,8 @@ COMPARED = 1 << 12
 LOUD, FEW = 20.0, 3.0
 #: Most of them are as good as zero where they lie within this share of all of them.
 ZERO = 1e-5
+#: What whole numbers spread by is rounding, or noise of a sensor, up to so many steps; so it is of all of one byte.
+STEPS = 4.0
 #: What a number takes, by its bits.
 BYTES = {8: "a byte", 16: "two bytes"}
 #: An error hides the values where it is this share of what they spread by.
@@ -86,6 +88,8 @@ def _few_loud(model: Model, array: NDArray[Any]) -> list[str]:
     spread = float(np.median(np.abs(values - middle)))
     all_of_them = model.quality[-1].rmse * 10 ** (model.snr / 20)
     most = np.hypot(middle, spread)
+    if array.dtype.itemsize == 1 or (spread <= STEPS and bool((values == np.rint(values)).all())):
+        return []
     if not (error > HIDDEN * spread > 0 and most / ZERO > all_of_them > FEW * most):
         return []
     helps = ("clip them" if model.metadata.is_transformed else
