@@ -58,6 +58,14 @@ def test_values_that_are_not_finite(value: float, tmp_path: Path) -> None:
     run("verify", tmp_path / "a.hmk", "--against", source, "--nan", "fill=0")
 
 
+@pytest.mark.parametrize(("names", "advice"), [
+    ("z y x", "part names with commas: z,y,x."), ("z;y; x", "part names with commas: z,y,x."), ("z, y", "give one name an"),
+])
+def test_names_that_commas_do_not_part(names: str, advice: str, source: Path, tmp_path: Path) -> None:
+    said = refused("compress", source, "-o", tmp_path / "a.hmk", "--axes", names, code=2)
+    assert f"Next: {advice}" in said
+
+
 @pytest.mark.parametrize("goal", [
     ("--plan", "R=2"), ("--plan", "R=2 C=2 K=2"), ("--snr", "40"), ("--size", "20KiB"), (),
 ], ids=" ".join)
