@@ -59,7 +59,8 @@ def test_values_that_are_not_finite(value: float, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("names", "advice"), [
-    ("z y x", "part names with commas: z,y,x."), ("z;y; x", "part names with commas: z,y,x."), ("z, y", "give one name an"),
+    ("z y x", "part names with commas: z,y,x."), ("z;y; x", "part names with commas: z,y,x."),
+    ("z, y", "give one name an"),
 ])
 def test_names_that_commas_do_not_part(names: str, advice: str, source: Path, tmp_path: Path) -> None:
     said = refused("compress", source, "-o", tmp_path / "a.hmk", "--axes", names, code=2)

@@ -47,6 +47,48 @@ def test_noise_of_whole_numbers_is_not_said_to_be_lost(dtype: str, step: float, 
     assert ("--transform asinh:" in said) == is_said
 
 
+@pytest.mark.parametrize(("values", "plan", "is_said"), [
+    (np.random.default_rng(0).integers(0, 5, (12, 14, 16), np.uint8), "R=2", True),
+    (np.random.default_rng(0).random((12, 14, 16)) < 0.3, "R=2", True),
+    (np.random.default_rng(0).integers(0, 50, (12, 14, 16)), "R=2", False),
+    (np.random.default_rng(0).integers(0, 5, (12, 14, 16)).astype(float), "R=2", False),
+    (np.add.outer(np.arange(5), np.arange(8)), "R=2", False),  # rounded, all of them are right
+    (np.zeros((12, 14, 16), bool), "R=2", False),
+], ids=["labels", "mask", "counts", "floats", "right ones", "zeros"])
+def test_labels_are_said_to_be_better_kept_losslessly(
+    values: NDArray[Any], plan: str, is_said: bool, tmp_path: Path
+) -> None:
+    path = saved(tmp_path / "a.npy", values)
+    said = run("compress", path, "-o", tmp_path / "a.hmk", "--plan", plan).stderr
+    assert ("whole numbers alone: if they are labels or a mask" in said) == is_said
+
+
+def test_directions_that_are_missing_are_asked_for(tmp_path: Path) -> None:
+    path, words = saved(tmp_path / "a.npy", smooth(6, 5, 8, 10)), ("--plan", "R=2", "--overwrite")
+    axes, given = ("--axes", "light,view,y,x"), list[str]()
+    for name, count in (("light", 6), ("view", 5)):
+        said = run("compress", path, "-o", tmp_path / "a.hmk", *words, *axes, *given).stderr
+        assert "render and view will assume a spiral" in said
+        assert f"--coords {name}=FILE" in said
+        given += ["--coords", f"{name}={saved(tmp_path / f'{name}.npy', np.ones((count, 3)))}"]
+    assert "spiral" not in run("compress", path, "-o", tmp_path / "a.hmk", *words, *axes, *given).stderr
+    assert "spiral" not in run("compress", path, "-o", tmp_path / "a.hmk", *words, "--axes", "t,view,y,x").stderr
+
+
+@pytest.mark.parametrize(("words", "advised"), [
+    (("--axes", "u,v,y,x"), "u:view,v:view,y,x"), (("--axes", "V,U,y,x"), "V:view,U:view,y,x"),
+    (("--axes", "u:space,v,y,x"), None), (("--axes", "u:view,v:view,y,x"), None),
+    (("--axes", "u,v,y,x", "--kind", "volume"), None), (("--axes", "y,x,v,u"), None),
+    (("--axes", "light,u,v,w"), None), ((), None),
+])
+def test_cameras_that_are_read_as_space_are_told(words: tuple[str, ...], advised: str | None, tmp_path: Path) -> None:
+    path = saved(tmp_path / "a.npy", smooth(6, 5, 8, 10))
+    for said in (run("compress", path, "-o", tmp_path / "a.hmk", "--plan", "R=2", *words).stderr,
+                 run("plan", path, "--plan", "R=2", *words).stderr):
+        assert ("not as cameras" in said) == (advised is not None)
+        assert advised is None or f"Next: for a light field write --axes {advised}.\n" in said
+
+
 @pytest.mark.parametrize(("words", "sentence"), [
     (("--plan", "R=1 grid=x:2 / R<=2"), "the ranks of the plan allow no more"),
     (("--decode-cost", "4", "--organisation", "z,y,x"), "within --decode-cost 4"),

@@ -25,6 +25,8 @@ ZERO = 1e-5
 STEPS = 4.0
 #: What a number takes, by its bits.
 BYTES = {8: "a byte", 16: "two bytes"}
+#: Whole numbers may be labels where a sample of so many elements has up to so many values.
+LOOKED_AT, LABELS = 1 << 16, 16
 #: An error hides the values where it is this share of what they spread by.
 HIDDEN = 0.5
 #: Samples of a signal side by side.
@@ -51,7 +53,7 @@ def notes(model: Model, array: NDArray[Any], *, planned: bool = True) -> list[st
     elif (windows := folded(array.shape)) is not None and (share := _share_of_longest(model)) > MOSTLY:
         found.append(f"the longest axis has more rows than all others together, which take {100 * share:.0f} % of "
                      f"the file. Next: where neighbours are alike, make windows of it, {windows}")
-    return found + _few_loud(model, array)
+    return found + _few_loud(model, array) + _labels(model, array) + _undirected(model)
 
 
 def _share_of_longest(model: Model) -> float:
@@ -97,3 +99,28 @@ def _few_loud(model: Model, array: NDArray[Any]) -> list[str]:
              "or clip the large ones")
     return [f"half of the values are off by {error:.2g} or more, though half of them lie within {spread:.2g} of their "
             f"median: a few large values make the SNR, and the others are lost. Next: {helps}"]
+
+
+def _labels(model: Model, array: NDArray[Any]) -> list[str]:
+    """Whether the values may be labels, of which some are decoded wrong."""
+    if array.dtype.kind not in "iub" or not model.quality or model.quality[-1].max_abs_error < 0.5:
+        return []
+    places = tuple(slice(None, None, step) for step in thinning(array.shape, LOOKED_AT))
+    count = len(np.unique(np.asarray(array[places])))
+    drop_pages(array)
+    if not 1 < count <= LABELS:
+        return []
+    return [f"the values are {count} whole numbers alone: if they are labels or a mask, what is decoded lies between "
+            "them, and an SNR says nothing of how many are right. Next: keep labels in a lossless format"]
+
+
+def _undirected(model: Model) -> list[str]:
+    """Whether pictures of a material have to assume what it was lit and seen from."""
+    if model.metadata.kind != "svbrdf":
+        return []
+    names = [axis.name for axis in model.metadata.axes if axis.role in ("light", "view") and axis.coords is None]
+    if not names:
+        return []
+    given = " ".join(f"--coords {name}=FILE" for name in names)
+    return [f"{' and '.join(names)}: no directions are given, so that render and view will assume a spiral. "
+            f"Next: give what was measured, {given}"]
