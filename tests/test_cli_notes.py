@@ -113,7 +113,7 @@ def test_an_offset_that_hides_what_varies_is_warned_of_once(tmp_path: Path) -> N
     assert run("compress", path, "-o", tmp_path / "a.hmk", *words).stderr.count("give or take") == 1
     with warnings.catch_warnings():  # of an offset alone, and of what varies enough, there is nothing to say
         warnings.simplefilter("error")
-        hmkcta.compress(np.full((12, 14, 16), 101325.0), snr=40, quality="fast")
+        hmkcta.compress(np.full((12, 14, 15), 101325.1), snr=40, quality="fast")
         hmkcta.compress(values - 101225, snr=50, quality="fast")
 
 

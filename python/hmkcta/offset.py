@@ -11,6 +11,8 @@ from .support.slabs import moments
 
 #: An offset counts as one beyond so many deviations, and hides the values where the error is this share of one.
 OFFSET, HIDDEN = 3.0, 0.5
+#: What values deviate by within this share of their mean is what sums of equal ones are rounded by.
+EQUAL = 1e-12
 
 
 def lost_beside_offset(model: Model, array: NDArray[Any]) -> str | None:
@@ -27,7 +29,7 @@ def lost_beside_offset(model: Model, array: NDArray[Any]) -> str | None:
     if not rmse > 0:
         return None
     mean, deviation = moments(array)
-    if not (abs(mean) > OFFSET * deviation and rmse > HIDDEN * deviation > 0):
+    if not (abs(mean) > OFFSET * deviation > EQUAL * abs(mean) and rmse > HIDDEN * deviation):
         return None
     return (f"the values are {mean:.6g} give or take {deviation:.3g}, and the RMSE is {rmse:.3g}: of what varies the "
             "file holds little, whatever the SNR. Next: subtract the mean first")
