@@ -60,7 +60,7 @@ def test_labels_are_said_to_be_better_kept_losslessly(
 ) -> None:
     path = saved(tmp_path / "a.npy", values)
     said = run("compress", path, "-o", tmp_path / "a.hmk", "--plan", plan).stderr
-    assert ("whole numbers alone: if they are labels or a mask" in said) == is_said
+    assert ("different values, all whole: if they are labels or a mask" in said) == is_said
 
 
 def test_directions_that_are_missing_are_asked_for(tmp_path: Path) -> None:

@@ -110,8 +110,8 @@ def _labels(model: Model, array: NDArray[Any]) -> list[str]:
     drop_pages(array)
     if not 1 < count <= LABELS:
         return []
-    return [f"the values are {count} whole numbers alone: if they are labels or a mask, what is decoded lies between "
-            "them, and an SNR says nothing of how many are right. Next: keep labels in a lossless format"]
+    return [f"a sample has {count} different values, all whole: if they are labels or a mask, what is decoded lies "
+            "between them, and an SNR says nothing of how many are right. Next: keep labels in a lossless format"]
 
 
 def _undirected(model: Model) -> list[str]:
