@@ -23,7 +23,7 @@ goal_options = together(
     click.option("--snr", type=float, metavar="DB", help="Goal: this signal-to-noise ratio, few bytes."),
     click.option("--size", type=ByteSize(), metavar="SIZE", help="Goal: the best in this size: 20MiB, 500KB."),
     click.option("--decode-cost", type=Count(1), default=4096, metavar="N",
-                 help="Most multiply-adds for an element, of ranks that are chosen (4096)."),
+                 help="Of chosen ranks: multiply-adds, at most (4096)."),
     click.option("--quality", type=click.Choice(list(EFFORTS)), default="medium", metavar="NAME",
                  help="Effort: fast, medium (default) or thorough."),
     click.option("--plan", "plan", metavar="TEXT", help="Levels to fit: R=.. C=.. K=.. / R=.. C=.. K=.."),
