@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import sys
 import time
@@ -42,17 +43,29 @@ def packed(source: Path) -> Path:
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_values_that_are_not_finite(value: float, tmp_path: Path) -> None:
     values = smooth(6, 8, 10)
+    mean = values.mean()
     values[1, 2, 3] = values[5, 7, 9] = value
     source = saved(tmp_path / "a.npy", values)
     sentence = refused("compress", source, "-o", tmp_path / "a.hmk", *PLAN, code=2)
     assert "2 values" in sentence
     assert "(1, 2, 3)" in sentence
-    assert "--nan fill=0" in sentence
+    near = re.search(r"near the mean of the others is nan=(\S+) or --nan fill=\1\.", sentence)
+    assert near is not None
+    assert abs(float(near[1]) - mean) < 0.1 * values[0].std()
     assert not (tmp_path / "a.hmk").exists()
     run("compress", source, "-o", tmp_path / "a.hmk", "--plan", "R=6,8,10", "--nan", "fill=0")
     assert abs(hmkcta.open(tmp_path / "a.hmk")[1, 2, 3]) < 0.1
     refused("verify", tmp_path / "a.hmk", "--against", source, code=2)
     run("verify", tmp_path / "a.hmk", "--against", source, "--nan", "fill=0")
+
+
+@pytest.mark.parametrize(("names", "advice"), [
+    ("z y x", "part names with commas: z,y,x."), ("z;y; x", "part names with commas: z,y,x."),
+    ("z, y", "give one name an"),
+])
+def test_names_that_commas_do_not_part(names: str, advice: str, source: Path, tmp_path: Path) -> None:
+    said = refused("compress", source, "-o", tmp_path / "a.hmk", "--axes", names, code=2)
+    assert f"Next: {advice}" in said
 
 
 @pytest.mark.parametrize("goal", [

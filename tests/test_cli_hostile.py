@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import hmkcta
-from cli_tools import PYTHON, finish, refused, run, saved, smooth, start
+from cli_tools import PYTHON, finish, refused, report, run, saved, smooth, start
 
 PLAN = ("--plan", "R=1")
 
@@ -100,7 +100,7 @@ def test_archives(tmp_path: Path) -> None:
     (b"\x1f\x8b\x08\0\0\0\0\0", "gunzip"), (b"version https://git-lfs.github.com/spec/v1\n", "git lfs pull"),
 ])
 def test_a_file_that_is_no_hmk_file_is_recognised(content: bytes, part: str, tmp_path: Path) -> None:
-    """Reason and kind are those of the format, and stay."""
+    """Reason and kind of the exception are those of the format, and stay; the command says that it is no such file."""
     path = tmp_path / "a.hmk"
     path.write_bytes(content + bytes(60))
     with pytest.raises(hmkcta.HmkctaError) as caught:
@@ -108,6 +108,8 @@ def test_a_file_that_is_no_hmk_file_is_recognised(content: bytes, part: str, tmp
     assert caught.value.reason == ("truncated" if content.startswith(b"\x1f") else "header-too-large")
     sentence = refused("verify", path, code=3)
     assert part in sentence
+    assert sentence.endswith(". [Io/foreign-file]")
+    assert report("verify", path, code=3)["error"]["reason"] == "foreign-file"
     assert "header: found what begins like a" in sentence or "header: found what begins like HDF5" in sentence
     assert "allowed an .hmk file" in sentence
 
@@ -134,7 +136,7 @@ def test_a_damaged_hmk_file_is_not_taken_for_another(source: Path, tmp_path: Pat
     whole = (tmp_path / "a.hmk").read_bytes()
     for damaged, code in ((whole[:40], 4), (whole[:5] + b"\x01" + whole[6:], 6), (whole[:8] + b"[" + whole[9:], 4)):
         (tmp_path / "a.hmk").write_bytes(damaged)
-        refused("info", tmp_path / "a.hmk", code=code)
+        assert "foreign-file" not in refused("info", tmp_path / "a.hmk", code=code)
 
 
 def test_a_compressed_file_is_no_source(source: Path, tmp_path: Path) -> None:

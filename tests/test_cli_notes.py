@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from math import floor
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,60 @@ def test_what_figures_do_not_tell_is_said(array: NDArray[Any], sentence: str | N
     assert len(report("compress", path, "-o", tmp_path / "a.hmk", *words)["notes"]) == (sentence is not None)
 
 
+@pytest.mark.parametrize(("dtype", "step", "is_said"), [
+    ("uint8", 1, False), ("uint16", 1, False), ("uint16", 100, True), ("float32", 1, False), ("float32", 0.5, True),
+])
+def test_noise_of_whole_numbers_is_not_said_to_be_lost(dtype: str, step: float, is_said: bool, tmp_path: Path) -> None:
+    """A transform that gives it more weight makes a file of noise."""
+    noise = np.random.default_rng(0).integers(0, 4, (12, 20, 28)) * step
+    noise[:, 5:8, 5:10] += 200 * step
+    path = saved(tmp_path / "a.npy", noise.astype(dtype))
+    said = run("compress", path, "-o", tmp_path / "a.hmk", "--plan", "R=1,2,2").stderr
+    assert ("--transform asinh:" in said) == is_said
+
+
+@pytest.mark.parametrize(("values", "plan", "is_said"), [
+    (np.random.default_rng(0).integers(0, 5, (12, 14, 16), np.uint8), "R=2", True),
+    (np.random.default_rng(0).random((12, 14, 16)) < 0.3, "R=2", True),
+    (np.random.default_rng(0).integers(0, 50, (12, 14, 16)), "R=2", False),
+    (np.random.default_rng(0).integers(0, 5, (12, 14, 16)).astype(float), "R=2", False),
+    (np.add.outer(np.arange(5), np.arange(8)), "R=2", False),  # rounded, all of them are right
+    (np.zeros((12, 14, 16), bool), "R=2", False),
+], ids=["labels", "mask", "counts", "floats", "right ones", "zeros"])
+def test_labels_are_said_to_be_better_kept_losslessly(
+    values: NDArray[Any], plan: str, is_said: bool, tmp_path: Path
+) -> None:
+    path = saved(tmp_path / "a.npy", values)
+    said = run("compress", path, "-o", tmp_path / "a.hmk", "--plan", plan).stderr
+    assert ("different values, all whole: if they are labels or a mask" in said) == is_said
+
+
+def test_directions_that_are_missing_are_asked_for(tmp_path: Path) -> None:
+    path, words = saved(tmp_path / "a.npy", smooth(6, 5, 8, 10)), ("--plan", "R=2", "--overwrite")
+    axes, given = ("--axes", "light,view,y,x"), list[str]()
+    for name, count in (("light", 6), ("view", 5)):
+        said = run("compress", path, "-o", tmp_path / "a.hmk", *words, *axes, *given).stderr
+        assert "render and view will assume a spiral" in said
+        assert f"--coords {name}=FILE" in said
+        given += ["--coords", f"{name}={saved(tmp_path / f'{name}.npy', np.ones((count, 3)))}"]
+    assert "spiral" not in run("compress", path, "-o", tmp_path / "a.hmk", *words, *axes, *given).stderr
+    assert "spiral" not in run("compress", path, "-o", tmp_path / "a.hmk", *words, "--axes", "t,view,y,x").stderr
+
+
+@pytest.mark.parametrize(("words", "advised"), [
+    (("--axes", "u,v,y,x"), "u:view,v:view,y,x"), (("--axes", "V,U,y,x"), "V:view,U:view,y,x"),
+    (("--axes", "u:space,v,y,x"), None), (("--axes", "u:view,v:view,y,x"), None),
+    (("--axes", "u,v,y,x", "--kind", "volume"), None), (("--axes", "y,x,v,u"), None),
+    (("--axes", "light,u,v,w"), None), ((), None),
+])
+def test_cameras_that_are_read_as_space_are_told(words: tuple[str, ...], advised: str | None, tmp_path: Path) -> None:
+    path = saved(tmp_path / "a.npy", smooth(6, 5, 8, 10))
+    for said in (run("compress", path, "-o", tmp_path / "a.hmk", "--plan", "R=2", *words).stderr,
+                 run("plan", path, "--plan", "R=2", *words).stderr):
+        assert ("not as cameras" in said) == (advised is not None)
+        assert advised is None or f"Next: for a light field write --axes {advised}.\n" in said
+
+
 @pytest.mark.parametrize(("words", "sentence"), [
     (("--plan", "R=1 grid=x:2 / R<=2"), "the ranks of the plan allow no more"),
     (("--decode-cost", "4", "--organisation", "z,y,x"), "within --decode-cost 4"),
@@ -46,6 +101,20 @@ def test_what_keeps_a_file_from_its_size_is_said(words: tuple[str, ...], sentenc
     result = run("compress", path, "-o", tmp_path / "a.hmk", "--axes", "z,y,x", "--size", "13000", *words)
     assert (" % are used" in result.stderr) == (sentence is not None)
     assert (sentence or "") in result.stderr
+
+
+def test_an_offset_that_hides_what_varies_is_warned_of_once(tmp_path: Path) -> None:
+    values = 101325 + 5 * np.random.default_rng(0).standard_normal((12, 14, 16))
+    with pytest.warns(UserWarning, match=r"are 101325 give or take 4\.9.*subtract the mean first") as told:
+        hmkcta.compress(values, snr=40, quality="fast")
+    assert [warning.filename for warning in told] == [__file__]
+    path = saved(tmp_path / "a.npy", values)
+    words = ("--snr", "40", "--quality", "fast")
+    assert run("compress", path, "-o", tmp_path / "a.hmk", *words).stderr.count("give or take") == 1
+    with warnings.catch_warnings():  # of an offset alone, and of what varies enough, there is nothing to say
+        warnings.simplefilter("error")
+        hmkcta.compress(np.full((12, 14, 15), 101325.1), snr=40, quality="fast")
+        hmkcta.compress(values - 101225, snr=50, quality="fast")
 
 
 def test_worse_than_zeros_is_said_to_be(tmp_path: Path) -> None:

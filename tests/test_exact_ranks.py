@@ -41,7 +41,7 @@ def test_bytes_do_for_what_float16_numbers_leave(snr: float, most: int) -> None:
 def test_no_more_clusters_are_tried_than_there_are_rows() -> None:
     source = prepare(rank_three()[..., :3], ["y", "x", "a", "c"], None, None, 1)
     plan = parse_plan("R=1 C=1,1,1,3 / R<=4", (("y",), ("x",), ("a",), ("c",)))
-    task = Task(source, plan, "most", 4096, "generic", Run(EFFORTS["medium"], 0, 1, nobody))
+    task = Task(source, plan, 4096, "generic", Run(EFFORTS["medium"], 0, 1, nobody))
     model = compress(rank_three()[..., :3], "R=1", threads=1)
     more = with_clusters_times(plan, 1.5)
     assert more is not None

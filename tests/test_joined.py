@@ -91,5 +91,5 @@ def followed(values: NDArray[np.float64], plan: str, snr: float) -> Followed:
     """A plan in which x is a mode of its own, and what it comes to."""
     source = prepare(values, ["t", "z", "y", "x"], None, None, 1)
     wanted = replace(parse_plan(plan, (("t", "z", "y"), ("x",))), snr=snr)
-    task = Task(source, wanted, "most", 4096, "generic", Run(EFFORTS["medium"], 0, 1, nobody))
+    task = Task(source, wanted, 4096, "generic", Run(EFFORTS["medium"], 0, 1, nobody))
     return Followed(task, follow(task))

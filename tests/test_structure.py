@@ -28,7 +28,7 @@ LAYERS = (
     ("journal",),
     ("fitting",),
     ("filesize", "model", "pack", "verbatim"),
-    ("measure",),
+    ("measure", "offset"),
     ("measure_streamed", "ranks"),
     ("choosing",),
     ("comparing",),

@@ -6,6 +6,7 @@ listed order (`docs/format.md`, section 2). The paper folds colour into the ligh
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass, replace
 from math import isqrt, prod
@@ -137,7 +138,7 @@ def name_axes(shape: Sequence[int], names: Sequence[str] | None = None) -> tuple
             "axes",
             f"{len(names)} names ({', '.join(names)})",
             f"{len(shape)}, one for each axis of the {shown} array",
-            "give one name an axis, in array order",
+            _parted(names, len(shape)) or "give one name an axis, in array order",
         )
     axes: list[Axis] = []
     for text, size in zip(names, shape, strict=True):
@@ -146,6 +147,16 @@ def name_axes(shape: Sequence[int], names: Sequence[str] | None = None) -> tuple
     if len({axis.name for axis in axes}) != len(axes):
         raise invalid("axis-twice", "axes", ", ".join(axis.name for axis in axes), "names that differ")
     return tuple(axes)
+
+
+def _parted(names: Sequence[str], count: int) -> str:
+    """What to do with names that something else than commas parts; empty where these do not make so many.
+
+    >>> _parted(["z y x"], 3), _parted(["z", "x"], 3)
+    ('part names with commas: z,y,x', '')
+    """
+    words = [word for name in names for word in re.split(r"[\s;/]+", name.strip()) if word]
+    return f"part names with commas: {','.join(words)}" if len(words) == count else ""
 
 
 def as_drawn(axes: Sequence[Axis], numbers: Sequence[int]) -> list[int]:

@@ -14,6 +14,7 @@ from typing import Any, cast
 from warnings import warn
 
 import numpy as np
+from numpy.typing import NDArray
 
 from . import backends as kernels
 from .axes import Axis, check_kind, mode_sizes
@@ -30,6 +31,7 @@ from .goals import misses
 from .hmkfile import KINDS
 from .journal import Journal, decisive
 from .model import Model
+from .offset import lost_beside_offset
 from .plan import AUTO, SCHEMES, Plan
 from .streaming.budget import check_least_memory
 from .streaming.source import Source, prepare
@@ -158,7 +160,7 @@ def compress(
     Warns:
         GoalMissed: the SNR is out of reach; the model is the best found.
         UserWarning: a plan chosen for an SNR missed it, and another one is fitted; a device is missing; the model is no
-            better than zeros alone, of which the SNR is 0 dB.
+            better than zeros alone, of which the SNR is 0 dB; it holds an offset, and little of what varies around it.
 
     >>> import numpy as np
     >>> ramp = np.add.outer(np.arange(32.0), np.arange(24.0))
@@ -204,12 +206,13 @@ def compress(
         with kernels.use(device):
             model = follow(task) if plan else follow_both(
                 task, plans[1:], lambda said: warn(said, stacklevel=6), chosen, wanted.ceiling).model
-    _warn_of(model, task.plan.snr if plan else wanted.snr)  # a plan chosen for no goal ends at 50 dB if it can
+    _warn_of(model, source.array, task.plan.snr if plan else wanted.snr)  # without a goal it ends at 50 dB if it can
     return model
 
 
-def _warn_of(model: Model, goal: float | None) -> None:
-    """Warn, where `compress` was called, of an SNR below the goal, and of one that needs no file."""
+def _warn_of(model: Model, array: NDArray[Any], goal: float | None) -> None:
+    """Warn, where `compress` was called, of an SNR below the goal, of one that needs no file, and of one that is the
+    offset's alone."""
     if misses(model.snr, goal):
         said = f"the SNR is {model.snr:.2f} dB, below the {goal:g} dB asked for; the model is the best found"
         warn(said, GoalMissed, stacklevel=3)
@@ -217,6 +220,8 @@ def _warn_of(model: Model, goal: float | None) -> None:
         changed = model.metadata.is_transformed
         better = "another transform, or the same with a larger scale" if changed else "ask for more bytes"
         warn(f"an SNR of {model.snr:.1f} dB is no better than zeros alone. Next: {better}", stacklevel=3)
+    elif lost := lost_beside_offset(model, array):
+        warn(lost, stacklevel=3)
 
 
 @contextmanager

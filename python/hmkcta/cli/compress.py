@@ -17,7 +17,7 @@ from ..goals import misses
 from ..hmkfile import check_output, level_sizes
 from ..model import Model
 from .failure import Exit
-from .goal import Goal, beyond_cost, goal_from, goal_options
+from .goal import Goal, beyond_cost, goal_from, goal_options, ordinary_cameras
 from .notes import notes
 from .options import (
     Command,
@@ -74,7 +74,7 @@ def compress_command(source: str, output: str, plan: str | None, device: str, re
               "plans_tried": progress.plans}
     missed = missed_goal(model, goal)
     said += notes(model, array, planned=plan is not None) + unused(model, goal, plan)
-    said += beyond_cost(model.decode_cost, goal, plan)
+    said += beyond_cost(model.decode_cost, goal, plan) + ordinary_cameras(goal, model.metadata.kind)
     if as_json:
         emit({"output": output, **report, "reached": missed is None, "notes": said})
     elif not quiet:

@@ -24,7 +24,7 @@ goal_options = together(
     click.option("--size", type=ByteSize(), metavar="SIZE",
                  help="Goal: the highest SNR in this file size, e.g. 20MiB."),
     click.option("--decode-cost", type=Count(1), default=4096, metavar="N",
-                 help="Decode an element in at most N multiply-adds (default 4096)."),
+                 help="Of chosen ranks: most multiply-adds an element (default 4096)."),
     click.option("--quality", type=click.Choice(list(EFFORTS)), default="medium", metavar="NAME",
                  help="Effort: fast, medium or thorough (default medium)."),
     click.option("--plan", "plan", metavar="TEXT", help="Levels to fit: R=.. C=.. K=.. / R=.. C=.. K=.."),
@@ -134,3 +134,15 @@ def beyond_cost(cost: int, goal: Goal, plan: str | None) -> list[str]:
         return []
     return [f"an element takes {multiply_adds(cost)}, more than --decode-cost {most}, which bounds ranks that are "
             "chosen (R<=..), not written ones. Next: write lower ranks, or leave --plan out"]
+
+
+def ordinary_cameras(goal: Goal, kind: str) -> list[str]:
+    """A sentence on axes that are called as cameras of a light field are, and do not make one."""
+    names: list[str] = goal.settings["axes"] or []
+    at = {name.lower(): n for n, name in enumerate(names)}  # a name with a role is another
+    told = goal.kind is None and kind in ("volume", "generic") and {"u", "v", "y", "x"} <= at.keys()
+    if not told or max(at["u"], at["v"]) > min(at["y"], at["x"]):
+        return []
+    written = ",".join(f"{name}:view" if name.lower() in "uv" else name for name in names)
+    return [f"u and v are read as axes of space, not as cameras, which makes it a {kind}. Next: for a light field "
+            f"write --axes {written}"]

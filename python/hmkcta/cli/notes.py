@@ -1,4 +1,7 @@
-"""What somebody should know of a result that its figures do not tell: that it is larger, or holds an offset alone."""
+"""What somebody should know of a result that its figures do not tell: that it is larger, or holds large values alone.
+
+What `compress` warns of, such as an offset that hides what varies, is said beside these.
+"""
 
 from __future__ import annotations
 
@@ -12,20 +15,20 @@ from ..model import Model
 from ..support.memory import drop_pages
 from ..support.slabs import thinning
 
-#: Elements that mean and deviation are told from.
-SAMPLE = 1 << 20
-#: Parts of a mapped file that are looked at one after another, as even a sample touches most of its pages.
-PARTS = 64
 #: Elements of which each is compared with what the model makes of it.
 COMPARED = 1 << 12
 #: Few values make the SNR where it is beyond `LOUD` dB and all values are `FEW` times as large as most of them.
 LOUD, FEW = 20.0, 3.0
 #: Most of them are as good as zero where they lie within this share of all of them.
 ZERO = 1e-5
+#: What whole numbers spread by is rounding, or noise of a sensor, up to so many steps; so it is of all of one byte.
+STEPS = 4.0
 #: What a number takes, by its bits.
 BYTES = {8: "a byte", 16: "two bytes"}
-#: A mean is an offset beyond `OFFSET` deviations, and hides the values where the error is `HIDDEN` of a deviation.
-OFFSET, HIDDEN = 3.0, 0.5
+#: Whole numbers may be labels where a sample of so many elements has up to so many values.
+LOOKED_AT, LABELS = 1 << 16, 16
+#: An error hides the values where it is this share of what they spread by.
+HIDDEN = 0.5
 #: Samples of a signal side by side.
 WINDOW = 256
 #: Rows of one mode are most of a file from this share on.
@@ -50,14 +53,7 @@ def notes(model: Model, array: NDArray[Any], *, planned: bool = True) -> list[st
     elif (windows := folded(array.shape)) is not None and (share := _share_of_longest(model)) > MOSTLY:
         found.append(f"the longest axis has more rows than all others together, which take {100 * share:.0f} % of "
                      f"the file. Next: where neighbours are alike, make windows of it, {windows}")
-    mean, deviation = _moments(array)
-    rmse = model.quality[-1].rmse if model.quality else 0.0
-    if abs(mean) > OFFSET * deviation and rmse > HIDDEN * deviation > 0:
-        found.append(f"the values are {mean:.6g} give or take {deviation:.3g}, and the RMSE is {rmse:.3g}: of what "
-                     "varies the file holds little, whatever the SNR. Next: subtract the mean first")
-    else:
-        found += _few_loud(model, array)
-    return found
+    return found + _few_loud(model, array) + _labels(model, array) + _undirected(model)
 
 
 def _share_of_longest(model: Model) -> float:
@@ -94,6 +90,8 @@ def _few_loud(model: Model, array: NDArray[Any]) -> list[str]:
     spread = float(np.median(np.abs(values - middle)))
     all_of_them = model.quality[-1].rmse * 10 ** (model.snr / 20)
     most = np.hypot(middle, spread)
+    if array.dtype.itemsize == 1 or (spread <= STEPS and bool((values == np.rint(values)).all())):
+        return []
     if not (error > HIDDEN * spread > 0 and most / ZERO > all_of_them > FEW * most):
         return []
     helps = ("clip them" if model.metadata.is_transformed else
@@ -103,15 +101,26 @@ def _few_loud(model: Model, array: NDArray[Any]) -> list[str]:
             f"median: a few large values make the SNR, and the others are lost. Next: {helps}"]
 
 
-def _moments(array: NDArray[Any]) -> tuple[float, float]:
-    """Mean and standard deviation of the finite numbers of a sample."""
-    steps = thinning(array.shape, SAMPLE)
-    parts: list[NDArray[np.float64]] = []
-    length = steps[0] * -(-array.shape[0] // (steps[0] * PARTS))
-    for start in range(0, array.shape[0], length):
-        spans = (slice(start, start + length, steps[0]), *(slice(None, None, step) for step in steps[1:]))
-        sample = np.asarray(array[spans], np.float64)
-        parts.append(sample[np.isfinite(sample)])
-        drop_pages(array)
-    finite = np.concatenate(parts)
-    return (float(finite.mean()), float(finite.std())) if finite.size else (0.0, 0.0)
+def _labels(model: Model, array: NDArray[Any]) -> list[str]:
+    """Whether the values may be labels, of which some are decoded wrong."""
+    if array.dtype.kind not in "iub" or not model.quality or model.quality[-1].max_abs_error < 0.5:
+        return []
+    places = tuple(slice(None, None, step) for step in thinning(array.shape, LOOKED_AT))
+    count = len(np.unique(np.asarray(array[places])))
+    drop_pages(array)
+    if not 1 < count <= LABELS:
+        return []
+    return [f"a sample has {count} different values, all whole: if they are labels or a mask, what is decoded lies "
+            "between them, and an SNR says nothing of how many are right. Next: keep labels in a lossless format"]
+
+
+def _undirected(model: Model) -> list[str]:
+    """Whether pictures of a material have to assume what it was lit and seen from."""
+    if model.metadata.kind != "svbrdf":
+        return []
+    names = [axis.name for axis in model.metadata.axes if axis.role in ("light", "view") and axis.coords is None]
+    if not names:
+        return []
+    given = " ".join(f"--coords {name}=FILE" for name in names)
+    return [f"{' and '.join(names)}: no directions are given, so that render and view will assume a spiral. "
+            f"Next: give what was measured, {given}"]

@@ -26,7 +26,7 @@ from ..streaming.source import described as describe_source
 from ..support.executors import thread_count
 from ..support.memory import format_bytes
 from ..wanted import Wanted, read_plan
-from .goal import Goal, beyond_cost, command_for, goal_from, goal_options
+from .goal import Goal, beyond_cost, command_for, goal_from, goal_options, ordinary_cameras
 from .options import Command, File, json_option, quiet_option, together, verbose_option
 from .output import emit, seconds, share, table
 from .progress import Progress
@@ -64,7 +64,7 @@ def plan_command(source: str, plan: str | None, as_json: bool, quiet: bool, verb
     report["command"] = command_for(source, "OUT.hmk", chosen, goal)
     report["goal_command"] = command_for(source, "OUT.hmk", None, goal) if plan is None else None
     report["seconds"] = round(progress.elapsed, 3)
-    said = beyond_cost(report["decode_cost"], goal, plan)
+    said = beyond_cost(report["decode_cost"], goal, plan) + ordinary_cameras(goal, described.kind)
     if as_json:
         emit({"source": source, **report, "notes": said})
     else:

@@ -28,7 +28,7 @@ from ..conventions import meant
 from ..errors import invalid, shown
 from ..support.executors import thread_count
 from ..support.memory import LOOKED_AT, drop_pages, looked_at
-from ..support.slabs import slabs
+from ..support.slabs import moments, slabs
 from ..transform import Transform, parse
 from .collecting import collected
 
@@ -287,9 +287,16 @@ def _scan(array: NDArray[Any], nan: float | None) -> tuple[str, bool, list[tuple
     if count and nan is None:
         index = tuple(int(i) for i in np.unravel_index(first, array.shape))
         found = f"{count} values that are NaN or infinite, the first at index {index}"
-        hint = "give a value to put there, nan=0 or --nan fill=0"
+        value = _near_mean(array)
+        hint = f"give a value to put there; near the mean of the others is nan={value} or --nan fill={value}"
         raise invalid("not-finite", "array", found, "finite numbers", hint)
     return digest.hexdigest(), bool(count), extents
+
+
+def _near_mean(array: NDArray[Any]) -> str:
+    """The mean of what is finite, as a sample has it, to a tenth of the deviation or finer."""
+    mean, deviation = moments(array)
+    return f"{round(mean, 1 - int(np.floor(np.log10(deviation)))) + 0.0 if deviation else mean:.10g}"
 
 
 def _extent(values: F32) -> tuple[float, float]:

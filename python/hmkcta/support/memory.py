@@ -184,10 +184,23 @@ ask for less. [ResourceLimit/memory]
         return
     allowed = available_memory() if limit is None else limit
     if allowed is not None and needed > allowed:
-        told = format_bytes if format_bytes(needed) != format_bytes(allowed) else "{} B".format
-        found, most = told(needed), told(allowed)
+        alike = format_bytes(needed) == format_bytes(allowed)
+        found, most = (f"{needed} B", f"{allowed} B") if alike else (format_bytes(needed), _as_given(allowed))
         raise HmkctaError(Kind.RESOURCE_LIMIT, "memory", f"memory for {what}", found=found, allowed=most, hint=hint,
                           told=f"{found} are needed, {most} are {'free' if limit is None else 'allowed'}")
+
+
+def _as_given(count: int) -> str:
+    """Bytes for people who may have given them in units of 10^3.
+
+    >>> _as_given(240_000_000), _as_given(2**28)
+    ('240 MB (228.88 MiB)', '256.00 MiB')
+    """
+    digits = str(count)
+    zeros = min(9, (len(digits) - len(digits.rstrip("0"))) // 3 * 3)
+    if zeros < 3:
+        return format_bytes(count)
+    return f"{count // 10**zeros} {' KMG'[zeros // 3]}B ({format_bytes(count)})"
 
 
 def format_bytes(count: int) -> str:

@@ -4,8 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from math import prod
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+
+from .memory import drop_pages
+
+#: Elements that mean and deviation are told from.
+SAMPLE = 1 << 20
+#: Parts of a mapped file that are looked at one after another, as even a sample touches most of its pages.
+PARTS = 64
 
 
 def thinning(shape: Sequence[int], limit: int) -> list[int]:
@@ -38,3 +47,21 @@ def slabs(shape: Sequence[int], limit: int) -> Iterator[tuple[slice, ...]]:
     for lead in np.ndindex(*shape[:axis]):
         for start in range(0, shape[axis], length):
             yield (*(slice(i, i + 1) for i in lead), slice(start, min(start + length, shape[axis])))
+
+
+def moments(array: NDArray[Any]) -> tuple[float, float]:
+    """Mean and standard deviation of the finite numbers of a sample; zeros if there is none.
+
+    >>> moments(np.array([[1, 3], [np.nan, 5]]))[0]
+    3.0
+    """
+    steps = thinning(array.shape, SAMPLE)
+    parts: list[NDArray[np.float64]] = []
+    length = steps[0] * -(-array.shape[0] // (steps[0] * PARTS))
+    for start in range(0, array.shape[0], length):
+        spans = (slice(start, start + length, steps[0]), *(slice(None, None, step) for step in steps[1:]))
+        sample = np.asarray(array[spans], np.float64)
+        parts.append(sample[np.isfinite(sample)])
+        drop_pages(array)
+    finite = np.concatenate(parts)
+    return (float(finite.mean()), float(finite.std())) if finite.size else (0.0, 0.0)
