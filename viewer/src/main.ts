@@ -172,7 +172,9 @@ class Page {
     }
     if (!signal.aborted) {
       this.status.progress(source.size, source.size);
-      this.mark(end);
+      if (this.state !== "failed") {
+        this.mark(end);
+      }
     }
   }
 
@@ -203,6 +205,10 @@ class Page {
     const app = await App.make(this.gpu!, this.canvas, this.screen!, reading, {
       onFrame: unlessAborted((statistics) => this.frame(statistics)),
       onProblem: unlessAborted((problem) => this.fail(problem)),
+      onRefused: unlessAborted((problem) => {
+        this.panel?.refresh();
+        this.tell(problem);
+      }),
       onNotes: unlessAborted((notes) => {
         this.notes = notes.join(" ");
         byId("loading").textContent = this.notes;

@@ -66,3 +66,20 @@ export function newState(axes: number): State {
     },
   };
 }
+
+/** Bring a state back to what a copy of it says, in place: controls hold on to its parts. */
+export function restore(state: State, copy: State): void {
+  const put = (to: Record<string, unknown>, from: Record<string, unknown>): void => {
+    for (const [key, value] of Object.entries(from)) {
+      const part = to[key];
+      if (Array.isArray(part) && Array.isArray(value)) {
+        part.splice(0, part.length, ...(value as unknown[]));
+      } else if (typeof part === "object" && part !== null && typeof value === "object" && value !== null) {
+        put(part as Record<string, unknown>, value as Record<string, unknown>);
+      } else {
+        to[key] = value;
+      }
+    }
+  };
+  put(state as unknown as Record<string, unknown>, structuredClone(copy) as unknown as Record<string, unknown>);
+}

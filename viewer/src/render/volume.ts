@@ -7,6 +7,7 @@ import { BACKGROUND, type State, VOLUME_MODES } from "../state";
 import { colourTable } from "./colours";
 import { Grids } from "./grid";
 import { type Layout, layOut } from "./layout";
+import { type Span, wholeSpan } from "./part";
 import { type Progress, type Renderer, type Side, filledBuffer } from "./renderer";
 import { type Vector, cameraRays, direction } from "./vector";
 
@@ -47,11 +48,12 @@ export class VolumeRenderer implements Renderer {
   draw(side: Side, slot: 0 | 1, state: State, target: GPUTexture, budget: number): Progress {
     const { axes } = side.decoder.metadata;
     const [z, y, x] = this.layout.space as [number, number, number];
-    const groups = Array.from({ length: axes[z]!.size }, (_, k) => [state.position.map((place, n) => (
-      n === z ? k : n === x || n === y || n === this.layout.time ? 0 : place))]);
+    const [slices, rows, columns] = [z, y, x].map((n) => wholeSpan(axes[n]!.size)) as [Span, Span, Span];
+    const groups = Array.from({ length: slices.count }, (_, k) => [state.position.map((place, n) => (
+      n === z ? slices.first + k * slices.step : n === x || n === y || n === this.layout.time ? 0 : place))]);
     const time = this.layout.time === null ? null : { axis: this.layout.time, at: state.time };
     const cache = this.grids.cache(side.decoder, slot);
-    const { progress } = cache.fill({ level: side.level, x, y, time, groups }, budget);
+    const { progress } = cache.fill({ level: side.level, x, y, rows, columns, time, groups }, budget);
     this.updateTransfer(state);
     this.pass.run(this.frame(state, axes, target), [this.transfer, cache.texture!, target],
       [target.width, target.height, 1]);

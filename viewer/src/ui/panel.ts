@@ -1,6 +1,7 @@
 /** The panel: which controls there are for a model, and what they change. */
 
 import type { App } from "../app";
+import type { FileKind } from "../reader/metadata";
 import { findCameras } from "../render/lightfield";
 import { layOut } from "../render/layout";
 import { colourAxis } from "../render/slices";
@@ -14,6 +15,7 @@ const MOST_LIGHTS = 8;
 /** Builds the controls of an app into an element; `refresh` shows the state anew. */
 export class Panel extends Groups {
   private controls: Control[] = [];
+  private built: FileKind | null = null; // the kind that they are for
   private light = 0;
 
   constructor(app: App, private readonly element: HTMLElement, services: Services) {
@@ -23,7 +25,8 @@ export class Panel extends Groups {
 
   override build(): void {
     const { app } = this;
-    const kind = app.kind;
+    const { kind } = app;
+    this.built = kind;
     this.controls = [
       this.levels(), this.compare(),
       ...(kind === "svbrdf" ? this.material() : kind === "lightfield" ? this.lightfield() : kind === "volume" ? this.volume() : this.slices()),
@@ -34,6 +37,10 @@ export class Panel extends Groups {
   }
 
   override refresh(): void {
+    if (this.built !== this.app.kind) {
+      this.build();
+      return;
+    }
     this.controls.forEach((control) => control.refresh());
   }
 

@@ -3,7 +3,8 @@
 import type { App } from "../app";
 import { findCameras } from "../render/lightfield";
 import { layOut } from "../render/layout";
-import { fitted, sliceSize } from "../render/slices";
+import { fitted } from "../render/part";
+import { sliceSize } from "../render/slices";
 import type { Services } from "./groups";
 import { pictureBox, placeIn } from "./place";
 

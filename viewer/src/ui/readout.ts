@@ -3,7 +3,8 @@
 import type { App } from "../app";
 import { decodeElement } from "../decode/element";
 import { shownChannels } from "../render/layout";
-import { colourAxis, fitted, sliceSize } from "../render/slices";
+import { fitted } from "../render/part";
+import { colourAxis, sliceSize } from "../render/slices";
 import { plain } from "./controls";
 
 /** Where a place of the canvas (0 to 1) is in the array, and what is there; null beside the picture, or of no slices. */
