@@ -70,4 +70,51 @@ describe.runIf(there)("choices in Chromium", () => {
     await page.getByRole("button", { name: "Close the message" }).click();
     expect(await told.isVisible()).toBe(false);
   });
+
+  it("plays time and steps through it in slices, too", async () => {
+    await open("volume.hmk");
+    await reached(page, "ready");
+    await setControls(page, { "Show as": "generic" });
+    const time = control(page, "time");
+    const before = await pixels(page, 64);
+    await page.locator("canvas").focus();
+    await page.keyboard.press(".");
+    expect(await time.inputValue()).toBe("1");
+    expect(await pixels(page, 64)).not.toEqual(before);
+    await page.keyboard.press(",");
+    expect(await time.inputValue()).toBe("0");
+    await page.keyboard.press("Space");
+    const play = page.getByRole("button", { name: "Play" });
+    expect(await play.getAttribute("aria-pressed")).toBe("true");
+    await expect.poll(() => time.inputValue(), { timeout: 30_000 }).not.toBe("0");
+    await setControls(page, { Across: "0" });
+    await expect.poll(() => play.isVisible(), { message: "all frames are in the picture" }).toBe(false);
+    await setControls(page, { Across: "3" });
+    expect(await play.getAttribute("aria-pressed")).toBe("false");
+  });
+
+  it("reads what is under a pointer that rests while something else changes", async () => {
+    await open("stack.hmk");
+    await reached(page, "ready");
+    await settled(page);
+    const box = (await page.locator("canvas").boundingBox())!;
+    await page.mouse.move(box.x + box.width / 2 + 120, box.y + box.height / 2 + 120);
+    const readout = async (): Promise<string> => {
+      await settled(page);
+      return await page.locator("#readout").textContent() ?? "";
+    };
+    const seen = [await readout()];
+    await page.locator("canvas").focus();
+    for (const key of ["[", "+", "ArrowLeft"]) {
+      for (let i = 0; i < 3; i += 1) {
+        await page.keyboard.press(key);
+      }
+      seen.push(await readout());
+    }
+    await setControls(page, { trial: "1" });
+    seen.push(await readout());
+    expect(new Set(seen).size, seen.join("; ")).toBe(5);
+    await page.mouse.move(box.x + box.width / 2 + 121, box.y + box.height / 2 + 120);
+    expect(await readout()).toBe(seen.at(-1));
+  });
 });

@@ -6,6 +6,7 @@ import { COLOURS } from "../render/colours";
 import { CURVES, type State } from "../state";
 import { type Control, buttons, choice, group, make, only, plain, slider } from "./controls";
 import { KEYS } from "./keys";
+import type { Player } from "./player";
 
 const KINDS: Record<FileKind, string> = {
   svbrdf: "Material", lightfield: "Light field", volume: "Volume", generic: "Slices",
@@ -13,8 +14,7 @@ const KINDS: Record<FileKind, string> = {
 
 /** What the page around does for the controls. */
 export interface Services {
-  playing: boolean;
-  play(): void; // or stop
+  player: Player;
   save(): void;
 }
 
@@ -82,8 +82,13 @@ export abstract class Groups {
           this.state.time = value;
         }),
       }),
-      buttons({ label: "Play", pressed: () => this.services.playing, act: () => this.services.play() }),
+      this.play(),
     ], () => (axes[n]?.size ?? 1) > 1);
+  }
+
+  protected play(): Control {
+    const { player } = this.services;
+    return buttons({ label: "Play", pressed: () => player.playing, act: () => player.toggle() });
   }
 
   protected tone(): Control {

@@ -1,6 +1,7 @@
 /** The panel: which controls there are for a model, and what they change. */
 
 import type { App } from "../app";
+import { framesOf } from "../places";
 import type { FileKind } from "../reader/metadata";
 import { findCameras } from "../render/lightfield";
 import { layOut } from "../render/layout";
@@ -300,7 +301,8 @@ export class Panel extends Groups {
           this.state.position[n] = value;
         }),
       })));
-    return group(kind === "generic" ? "Other axes" : "Further axes", sliders, () => metadata.axes.some((_, n) => stands(n)));
+    const playing = only(() => kind === "generic" && framesOf(metadata.axes, kind, this.state) > 1, this.play());
+    return group(kind === "generic" ? "Other axes" : "Further axes", [...sliders, playing], () => metadata.axes.some((_, n) => stands(n)));
   }
 
   /** Axes that the renderer of the kind moves along. */

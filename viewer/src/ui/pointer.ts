@@ -1,6 +1,7 @@
 /** Mouse, touch and keyboard on the picture. */
 
 import type { App } from "../app";
+import { frameOf, showFrame } from "../places";
 import { findCameras } from "../render/lightfield";
 import { layOut } from "../render/layout";
 import { fitted } from "../render/part";
@@ -50,8 +51,8 @@ export class Pointer {
 
   private move(event: PointerEvent): void {
     const before = this.fingers.get(event.pointerId);
+    this.hover(placeIn(this.canvas, event));
     if (before === undefined) {
-      this.hover(placeIn(this.canvas, event));
       return;
     }
     const [x, y] = [event.clientX - before.clientX, event.clientY - before.clientY];
@@ -140,7 +141,6 @@ export class Pointer {
   private actions(): Record<string, () => void> {
     const { app } = this;
     const { state, metadata } = app;
-    const frames = (metadata.axes.find((axis) => axis.role === "time")?.size ?? 1) - 1;
     const set = (change: () => void) => () => {
       change();
       this.changed();
@@ -149,7 +149,7 @@ export class Pointer {
       state.level = clamped(Math.min(state.level, app.arrived) + step, 1, app.arrived);
     });
     const frame = (step: number): (() => void) => set(() => {
-      state.time = clamped(Math.round(state.time) + step, 0, frames);
+      showFrame(metadata.axes, app.kind, state, Math.round(frameOf(metadata.axes, app.kind, state)) + step);
     });
     const exposure = (step: number): (() => void) => set(() => {
       state.tone.stops = clamped(state.tone.stops + step, -6, 6);
@@ -164,7 +164,7 @@ export class Pointer {
     const reset = set(() => app.resetView());
     return {
       "+": () => this.zoom(1.2), "=": () => this.zoom(1.2), "-": () => this.zoom(1 / 1.2), "[": level(-1), "]": level(1),
-      ",": frame(-1), ".": frame(1), " ": () => this.services.play(), c: compare, C: compare, e: exposure(0.5),
+      ",": frame(-1), ".": frame(1), " ": () => this.services.player.toggle(), c: compare, C: compare, e: exposure(0.5),
       E: exposure(-0.5), r: reset, R: reset, s: () => this.services.save(), S: () => this.services.save(),
       "?": () => {
         const keys = document.getElementById("keys");
