@@ -56,7 +56,8 @@ def main(folder: Path) -> None:
         (folder / f"{case.name}.rgb").write_bytes(picture.tobytes())
         entries.append({"name": case.name, "file": f"{case.file}.hmk", "controls": case.controls, "drag": case.drag,
                         "mesh": case.mesh})
-    document = {"size": SIZE, "pictures": entries, "slices": _slices(models["stack"][0])}
+    document = {"size": SIZE, "pictures": entries, "slices": _slices(models["stack"][0]),
+                "constant": Renderer(models["constant"][0]).picture(Scene(8, 8))[4, 4].tolist()}
     (folder / "pictures.json").write_text(json.dumps(document), encoding="utf-8")
 
 
@@ -158,6 +159,12 @@ def wide() -> tuple[Model, Any]:
     return compress(array, "R=2", axes=axes, kind="lightfield"), array
 
 
+def constant() -> tuple[Model, Any]:
+    """One value everywhere."""
+    array = np.full((8, 8), 5, np.float32)
+    return compress(array, "R=1", axes=[Axis("a", 8), Axis("b", 8)]), array
+
+
 def renamed() -> tuple[Model, Any]:
     """The material as a file whose axes say neither what they are called nor what they are for."""
     model, values = material()
@@ -169,7 +176,8 @@ def renamed() -> tuple[Model, Any]:
 
 MAKERS = {"material": material, "ageing": ageing, "merged": merged, "grids": grids,
           "lightfield": light_field, "volume": volume, "bytes": volume_in_bytes, "stack": stack, "bare": bare,
-          "series": series, "renamed": renamed, "wide": wide}
+          "series": series, "renamed": renamed, "wide": wide,
+          "constant": constant}
 
 
 def patch(path: Path) -> None:

@@ -117,4 +117,23 @@ describe.runIf(there)("choices in Chromium", () => {
     await page.mouse.move(box.x + box.width / 2 + 121, box.y + box.height / 2 + 120);
     expect(await readout()).toBe(seen.at(-1));
   });
+
+  it("shows data of one value as it is rendered, with a window that can be typed", async () => {
+    await open("constant.hmk");
+    await reached(page, "ready");
+    const { constant } = JSON.parse(readFileSync(join(folder, "pictures.json"), "utf-8")) as { constant: number[] };
+    const middle = async (): Promise<number[]> => [...(await pixels(page, 64)).subarray(3 * 2080, 3 * 2080 + 3)];
+    expect(await middle()).toEqual(constant);
+    const number = page.getByLabel("High, as a number");
+    expect([await control(page, "Low").inputValue(), await number.inputValue()]).toEqual(["0", "5"]);
+    await number.fill("10");
+    await number.press("Enter");
+    expect((await middle())[0]! / 255).toBeCloseTo(0.5, 1);
+    await number.fill("much");
+    await number.press("Enter");
+    expect(await number.inputValue()).toBe("10");
+    await setControls(page, { High: "0" });
+    await expect.poll(() => number.inputValue()).toBe("0");
+    expect(await middle(), "a window upside down is one, too").toEqual([255, 255, 255]);
+  });
 });

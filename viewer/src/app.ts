@@ -1,6 +1,6 @@
 /** One model on the page: its levels as they arrive, the renderer of what it is shown as, and the drawing of frames. */
 
-import { SAMPLES, valueRange } from "./decode/element";
+import { SAMPLES, type ValueRange, valueRange } from "./decode/element";
 import { Decoder } from "./gpu/decoder";
 import { type Gpu, guarded } from "./gpu/device";
 import { asOriginal } from "./original";
@@ -16,6 +16,7 @@ import { Screen } from "./render/screen";
 import { SliceRenderer } from "./render/slices";
 import { SvbrdfRenderer } from "./render/svbrdf";
 import { VolumeRenderer } from "./render/volume";
+import { startWindows } from "./render/window";
 import { type State, newState, restore } from "./state";
 
 const SETTLED = 250; // milliseconds after the last change
@@ -253,18 +254,15 @@ export class App {
     this.unmeasured = false;
     const { arrived } = this.decoder;
     const provisional = arrived < this.metadata.levels.length; // measured again with all levels
-    const [low, high] = valueRange(this.metadata, this.reading.levels, arrived, provisional ? SAMPLES / 8 : SAMPLES);
-    this.white = high > 0 ? high : 1;
-    const { slice, volume } = this.state;
+    this.range = valueRange(this.metadata, this.reading.levels, arrived, provisional ? SAMPLES / 8 : SAMPLES);
+    this.white = this.range.high > 0 ? this.range.high : 1;
     if (first || !this.windowTouched) {
-      Object.assign(slice, { low: slice.colour ? Math.min(0, low) : low, high });
-      Object.assign(volume, { low, high: high > low ? high : low + 1 });
+      startWindows(this.state, this.range);
     }
-    this.range = [low, high];
   }
 
   /** The values' range, for sliders; and whether the window was changed by hand. */
-  range: [number, number] = [0, 1];
+  range: ValueRange = { low: 0, high: 1, least: 0, most: 1 };
   windowTouched = false;
 
   private async drawFrames(): Promise<void> {

@@ -9,6 +9,7 @@ import { Grids } from "./grid";
 import { shownChannels } from "./layout";
 import { partSeen } from "./part";
 import { type Progress, type Renderer, type Side, filledBuffer } from "./renderer";
+import { windowEnd } from "./window";
 
 const STRIP = 8; // times as long as it is high
 
@@ -73,7 +74,7 @@ export class SliceRenderer implements Renderer {
     }
     this.pass.run({
       width: target.width, height: target.height, channels: shown.length, rows: rows.count, columns: columns.count, scale, offset_y: offsetY,
-      offset_x: offsetX, low, high: high > low ? high : low + 1e-30,
+      offset_x: offsetX, low, high: windowEnd(low, high),
     }, [this.colours, cache.texture!, target], [target.width, target.height, 1]);
     return progress;
   }

@@ -10,6 +10,7 @@ import { type Layout, layOut } from "./layout";
 import { type Span, wholeSpan } from "./part";
 import { type Progress, type Renderer, type Side, filledBuffer } from "./renderer";
 import { type Vector, cameraRays, direction } from "./vector";
+import { windowEnd } from "./window";
 
 const AMBIENT = 0.35;
 const SPECULAR = 0.25;
@@ -88,7 +89,7 @@ export class VolumeRenderer implements Renderer {
       eye, right, up, forward, half, step, unit, width: target.width, height: target.height,
       mode: VOLUME_MODES.indexOf(volume.mode), most_steps: Math.ceil((2 * Math.hypot(...half)) / step) + 1,
       clip_low: volume.clipLow, clip_high: volume.clipHigh, iso: volume.iso, low: volume.low,
-      high: volume.high > volume.low ? volume.high : volume.low + 1, ambient: AMBIENT, specular: SPECULAR,
+      high: windowEnd(volume.low, volume.high), ambient: AMBIENT, specular: SPECULAR,
       light: light === undefined ? [0, 0, 1] : direction(light.azimuth, light.elevation), background: BACKGROUND,
     };
   }
