@@ -136,4 +136,86 @@ describe.runIf(there)("choices in Chromium", () => {
     await expect.poll(() => number.inputValue()).toBe("0");
     expect(await middle(), "a window upside down is one, too").toEqual([255, 255, 255]);
   });
+
+  it("opens another model and a mesh by the panel's button, and offers the mesh once there is one", async () => {
+    await open("material.hmk");
+    await reached(page, "ready");
+    const mesh = page.locator("option[value=mesh]");
+    expect(await mesh.isDisabled()).toBe(true);
+    const choose = async (file: string): Promise<void> => {
+      const [chooser] = await Promise.all([page.waitForEvent("filechooser"), page.getByRole("button", { name: "Open …" }).press("Enter")]);
+      await chooser.setFiles(join(folder, file));
+    };
+    await choose("patch.glb");
+    await expect.poll(() => control(page, "Shape").inputValue()).toBe("mesh");
+    expect(await mesh.isDisabled()).toBe(false);
+    const before = await pixels(page, 64);
+    await setControls(page, { "Show as": "generic" });
+    await page.getByLabel("Across", { exact: true }).waitFor();
+    await setControls(page, { "Show as": "svbrdf" });
+    await page.getByLabel("Shape", { exact: true }).waitFor();
+    expect(await pixels(page, 64), "the mesh is still there").toEqual(before);
+    await choose("stack.hmk");
+    await expect.poll(() => page.title()).toBe("stack.hmk: hmkcta");
+    await page.goto(`${page.url().split("?")[0]!}?file=files/other.hmk`);
+    await reached(page, "failed");
+    await choose("stack.hmk");
+    await expect.poll(() => page.title()).toBe("stack.hmk: hmkcta");
+    await reached(page, "ready");
+  });
+
+  it("opens what the keyboard is on, and the panel for the list of keys", async () => {
+    await open("volume.hmk", "&pixels=64x64&panel=closed");
+    await reached(page, "ready");
+    const panel = page.locator("#panel");
+    expect(await panel.isVisible()).toBe(false);
+    await page.locator("canvas").focus();
+    await page.keyboard.press("?");
+    expect(await page.locator("#keys table").isVisible()).toBe(true);
+    await page.keyboard.press("?");
+    expect([await panel.isVisible(), await page.locator("#keys table").isVisible()]).toEqual([true, false]);
+    await page.getByText("Clip", { exact: true }).focus();
+    await page.keyboard.press("Space");
+    expect(await control(page, "x from").isVisible()).toBe(true);
+    expect(await page.getByRole("button", { name: "Play" }).getAttribute("aria-pressed")).toBe("false");
+    await page.getByRole("button", { name: "Controls" }).click();
+    expect(await panel.isVisible()).toBe(false);
+  });
+
+  it("moves the light that the panel shows", async () => {
+    await open("material.hmk");
+    await reached(page, "ready");
+    await page.getByRole("button", { name: "Add a light" }).click();
+    const azimuth = (): Promise<string> => control(page, "Azimuth").inputValue();
+    const before = await azimuth();
+    await page.locator("canvas").focus();
+    await page.keyboard.press("Shift+ArrowLeft");
+    expect(await azimuth()).not.toBe(before);
+    await setControls(page, { Light: "0" });
+    expect(await azimuth(), "the first one did not move").toBe("60");
+    await setControls(page, { Light: "1" });
+    await page.getByRole("button", { name: "Remove" }).click();
+    await page.locator("canvas").focus();
+    await page.keyboard.press("Shift+ArrowLeft");
+    expect(await azimuth(), "the one that is left moves").not.toBe("60");
+  });
+
+  it("zooms slices about the pointer", async () => {
+    await open("stack.hmk");
+    await reached(page, "ready");
+    await settled(page);
+    const box = (await page.locator("canvas").boundingBox())!;
+    await page.mouse.move(box.x + box.width / 2 + 120, box.y + box.height / 2 + 120);
+    const place = async (): Promise<string> => {
+      await settled(page);
+      return (await page.locator("#readout").textContent())!;
+    };
+    const before = await place();
+    for (let i = 0; i < 5; i += 1) {
+      await page.mouse.wheel(0, -400);
+    }
+    expect(await place()).toBe(before);
+    await page.mouse.move(box.x + box.width / 2 + 160, box.y + box.height / 2 + 120);
+    expect(await place(), "pixels are large").toBe(before);
+  });
 });

@@ -11,6 +11,7 @@ import type { FileKind, Metadata } from "./reader/metadata";
 import type { Reading } from "./reader/read";
 import { LightfieldRenderer, findCameras } from "./render/lightfield";
 import { layOut } from "./render/layout";
+import type { MeshMaker } from "./render/mesh";
 import type { Progress, Renderer, Side } from "./render/renderer";
 import { Screen } from "./render/screen";
 import { SliceRenderer } from "./render/slices";
@@ -45,6 +46,7 @@ export class App {
   kind: FileKind = "generic";
   private wanted: FileKind = "generic"; // the kind it shall become, once its renderer is ready
   original: Reading | null = null;
+  mesh: MeshMaker | null = null; // the user's
   private readonly decoder: Decoder;
   private originalDecoder: Decoder | null = null;
   private compared: Decoder | null = null; // the original, once the renderer has it
@@ -174,6 +176,9 @@ export class App {
     this.kind = this.wanted = kind;
     this.renderer?.destroy();
     this.renderer = renderer;
+    if (renderer instanceof SvbrdfRenderer && this.mesh !== null) {
+      renderer.setMesh(this.mesh);
+    }
     this.compared = decoders[1] ?? null;
     this.pace.reset();
     this.whole = false;
@@ -217,8 +222,9 @@ export class App {
   }
 
   /** Show a mesh of the user's. */
-  setMesh(make: Parameters<SvbrdfRenderer["setMesh"]>[0]): void {
+  setMesh(make: MeshMaker): void {
     if (this.renderer instanceof SvbrdfRenderer) {
+      this.mesh = make;
       this.renderer.setMesh(make);
       this.state.surface.shape = "mesh";
       this.redraw();

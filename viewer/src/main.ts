@@ -21,6 +21,7 @@ import { Player } from "./ui/player";
 import { Pointer } from "./ui/pointer";
 import { readout } from "./ui/readout";
 import { savePicture } from "./ui/save";
+import { listenToToggle, showPanel } from "./ui/shown";
 import { Status } from "./ui/status";
 
 const DEFAULT_FILE = "model.hmk";
@@ -50,6 +51,7 @@ class Page {
 
   async start(): Promise<void> {
     this.listen();
+    showPanel(given(PARAMETERS, "panel") !== "closed");
     this.mark("starting");
     try {
       this.opening = this.openGpu();
@@ -324,10 +326,7 @@ class Page {
   private listen(): void {
     listenForFiles((file) => void this.take(file));
     listenToMessage();
-    byId("toggle").addEventListener("click", () => {
-      const wide = document.body.classList.toggle("wide");
-      byId("toggle").setAttribute("aria-expanded", String(!wide));
-    });
+    listenToToggle();
     listenToDivider(this.canvas, (position) => {
       if (this.app !== null) {
         this.app.state.compare.position = position;

@@ -30,6 +30,7 @@ export interface State {
   tone: { stops: number; curve: Curve };
   camera: Camera;
   lights: Light[];
+  light: number; // which of them pointer, keys and panel change
   surface: { shape: Shape | "mesh"; repeat: number; yUp: boolean; cosine: boolean };
   view: { row: number; column: number; focus: number; aperture: number };
   zoom: number;
@@ -55,6 +56,7 @@ export function newState(axes: number): State {
     tone: { stops: 0, curve: "linear" },
     camera: { azimuth: 20, elevation: 20, distance: 3.4, fov: 38, target: [0, 0, 0] },
     lights: [newLight()],
+    light: 0,
     surface: { shape: "sphere", repeat: 1, yUp: false, cosine: true },
     view: { row: 0, column: 0, focus: 0, aperture: 0 },
     zoom: 1,

@@ -1,7 +1,7 @@
 /** Which part of a picture is decoded, and where it lies in a frame. */
 
 import { expect, it } from "vitest";
-import { MOST, type Part, fitted, partSeen, wholeSpan } from "../src/render/part";
+import { MOST, type Part, fitted, partSeen, wholeSpan, zoomAbout } from "../src/render/part";
 import { type State, newState, restore } from "../src/state";
 
 const FRAME = { width: 700, height: 500 };
@@ -88,4 +88,21 @@ it("brings a state back in place, without a tie to its copy", () => {
   expect(state.lights).toBe(lights);
   state.lights[0]!.azimuth = 8;
   expect(copy).toEqual(kept);
+});
+
+it("zooms about a place, which stays where it is", () => {
+  const state = at(1.5, [20, -7]);
+  const element = (x: number, y: number): number[] => {
+    const { scale, offsetX, offsetY } = fitted(300, 400, 700, 500, state);
+    return [offsetX + scale * (700 * x - 0.5), offsetY + scale * (500 * y - 0.5)];
+  };
+  const before = element(0.9, 0.2);
+  zoomAbout([0.9, 0.2], 3, [300, 400], [700, 500], state);
+  expect(state.zoom).toBe(4.5);
+  element(0.9, 0.2).forEach((each, i) => expect(each).toBeCloseTo(before[i]!, 9));
+  zoomAbout([0.1, 0.1], 1e9, [300, 400], [700, 500], state);
+  expect(state.zoom).toBe(200);
+  const middle = structuredClone(state.pan);
+  zoomAbout([0.5, 0.5], 0.5, [300, 400], [700, 500], state);
+  expect(state.pan).toEqual(middle);
 });

@@ -9,6 +9,9 @@ export interface Mesh {
   indices: Uint32Array<ArrayBuffer>;
 }
 
+/** What makes a mesh, for a number of repeats. */
+export type MeshMaker = (repeat: number) => Mesh;
+
 export const VERTEX_NUMBERS = 12;
 export type Shape = "sphere" | "plane" | "cloth";
 

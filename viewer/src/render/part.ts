@@ -5,6 +5,7 @@
 
 import type { State } from "../state";
 
+const [LEAST_ZOOM, MOST_ZOOM] = [0.2, 200];
 export const MOST = 2048; // samples of a side: WebGPU promises no larger 3D textures
 const TILE = MOST / 4; // parts begin at multiples of it, so that a small step decodes nothing
 
@@ -36,6 +37,16 @@ export function fitted(rows: number, columns: number, width: number, height: num
     scale, offsetY: (rows - 1) / 2 - (scale * (height - 1)) / 2 - state.pan[1],
     offsetX: (columns - 1) / 2 - (scale * (width - 1)) / 2 - state.pan[0],
   };
+}
+
+/** Show a picture of rows x columns so many times as large; what is at a place of the frame, from 0 to 1, stays there. */
+export function zoomAbout(
+  place: [x: number, y: number], factor: number, [rows, columns]: [number, number], [width, height]: [number, number], state: State,
+): void {
+  const before = fitted(rows, columns, width, height, state).scale;
+  state.zoom = Math.min(MOST_ZOOM, Math.max(LEAST_ZOOM, state.zoom * factor));
+  const more = fitted(rows, columns, width, height, state).scale - before;
+  state.pan = [state.pan[0] + more * (place[0] - 0.5) * width, state.pan[1] + more * (place[1] - 0.5) * height];
 }
 
 /** Samples of an axis with so many elements, from an element that is seen on. */

@@ -101,16 +101,21 @@ export function plain(value: number, digits = 3): string {
   return size >= 1e-3 && size < 1e6 ? String(Number(value.toPrecision(digits))) : value.toExponential(digits - 1).replace("+", "");
 }
 
-/** A choice of one out of several. */
+/** A choice of one out of several, of which some may be there at times only. */
 export function choice<Value extends string>(
   label: string, options: readonly (readonly [Value, string])[], get: () => Value, set: (value: Value) => void,
+  enabled: (value: Value) => boolean = () => true,
 ): Control {
-  const select = make("select", {}, ...options.map(([value, text]) => make("option", { value }, text)));
+  const made = options.map(([value, text]) => make("option", { value }, text));
+  const select = make("select", {}, ...made);
   select.addEventListener("change", () => {
     set(select.value as Value);
   });
   return {
     element: labelled(label, select), refresh: () => {
+      options.forEach(([value], i) => {
+        made[i]!.disabled = !enabled(value);
+      });
       select.value = get();
     },
   };

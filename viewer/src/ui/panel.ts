@@ -17,7 +17,6 @@ const MOST_LIGHTS = 8;
 export class Panel extends Groups {
   private controls: Control[] = [];
   private built: FileKind | null = null; // the kind that they are for
-  private light = 0;
 
   constructor(app: App, private readonly element: HTMLElement, services: Services) {
     super(app, services);
@@ -105,12 +104,12 @@ export class Panel extends Groups {
   private material(): Control[] {
     const { surface } = this.state;
     return [group("Object", [
-      choice("Shape", [["sphere", "Sphere"], ["plane", "Plane"], ["cloth", "Cloth"], ["mesh", "Dropped mesh (.obj, .glb)"]],
+      choice("Shape", [["sphere", "Sphere"], ["plane", "Plane"], ["cloth", "Cloth"], ["mesh", "Mesh (open one first)"]],
         () => surface.shape, (shape) => {
           surface.shape = shape;
           this.app.resetView();
           this.changed();
-        }),
+        }, (shape) => shape !== "mesh" || this.app.mesh !== null),
       slider("Repeats", {
         min: 0, max: 3, step: 0.5, get: () => Math.log2(surface.repeat), show: (value) => `x ${plain(2 ** value)}`,
         set: this.change((value) => {
@@ -127,17 +126,16 @@ export class Panel extends Groups {
   }
 
   private lights(): Control {
-    const light = (): State["lights"][number] => this.state.lights[Math.min(this.light, this.state.lights.length - 1)]!;
+    const light = (): State["lights"][number] => this.state.lights[this.state.light]!;
     const { lights } = this.state;
     const select = choice("Light", Array.from({ length: MOST_LIGHTS }, (_, n) => [String(n), `Light ${n + 1}`] as const),
-      () => String(this.light), (value) => {
-        this.light = Number(value);
+      () => String(this.state.light), (value) => {
+        this.state.light = Number(value);
         this.changed();
       });
     const options = select.element.querySelectorAll("option");
     const refresh = select.refresh.bind(select);
     select.refresh = () => {
-      this.light = Math.min(this.light, lights.length - 1);
       options.forEach((option, n) => {
         option.hidden = n >= lights.length;
         option.disabled = option.hidden;
@@ -174,12 +172,13 @@ export class Panel extends Groups {
       buttons({
         label: "Add a light", enabled: () => lights.length < MOST_LIGHTS, act: () => {
           lights.push(newLight(light().azimuth + 120, 40));
-          this.light = lights.length - 1;
+          this.state.light = lights.length - 1;
           this.changed();
         },
       }, {
         label: "Remove", enabled: () => lights.length > 1, act: () => {
-          lights.splice(this.light, 1);
+          lights.splice(this.state.light, 1);
+          this.state.light = Math.min(this.state.light, lights.length - 1);
           this.changed();
         },
       }),

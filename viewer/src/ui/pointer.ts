@@ -4,16 +4,26 @@ import type { App } from "../app";
 import { frameOf, showFrame } from "../places";
 import { findCameras } from "../render/lightfield";
 import { layOut } from "../render/layout";
-import { fitted } from "../render/part";
+import { fitted, zoomAbout } from "../render/part";
 import { sliceSize } from "../render/slices";
 import type { Services } from "./groups";
 import { pictureBox, placeIn } from "./place";
+import { panelShown, showPanel } from "./shown";
 
 const TURN = 0.4; // degrees a pixel
 const KEY_STEP = 24; // pixels that an arrow key counts as
 
 function clamped(value: number, low: number, high: number): number {
   return Math.min(high, Math.max(low, value));
+}
+
+/** Rows and columns of slices, or of a light field. */
+function pictureSize({ metadata, kind, state }: App): [number, number] {
+  if (kind === "generic") {
+    return sliceSize(metadata, state);
+  }
+  const [y, x] = layOut(metadata.axes, "lightfield").space as [number, number];
+  return [metadata.axes[y]!.size, metadata.axes[x]!.size];
 }
 
 export class Pointer {
@@ -34,7 +44,7 @@ export class Pointer {
     canvas.addEventListener("contextmenu", (event) => event.preventDefault(), options);
     canvas.addEventListener("wheel", (event) => {
       event.preventDefault();
-      this.zoom(Math.exp(-event.deltaY * (event.deltaMode === 0 ? 0.0015 : 0.05)));
+      this.zoom(Math.exp(-event.deltaY * (event.deltaMode === 0 ? 0.0015 : 0.05)), placeIn(this.canvas, event));
     }, { ...options, passive: false });
     window.addEventListener("keydown", (event) => this.key(event), options);
   }
@@ -70,7 +80,8 @@ export class Pointer {
     const other = [...this.fingers.values()].find((finger) => finger.pointerId !== event.pointerId)!;
     const distance = (finger: PointerEvent): number =>
       Math.hypot(finger.clientX - other.clientX, finger.clientY - other.clientY);
-    this.zoom(distance(event) / Math.max(1, distance(before)));
+    const between = { clientX: (event.clientX + other.clientX) / 2, clientY: (event.clientY + other.clientY) / 2 };
+    this.zoom(distance(event) / Math.max(1, distance(before)), placeIn(this.canvas, between));
     this.moveLight(x, y);
   }
 
@@ -100,7 +111,8 @@ export class Pointer {
   }
 
   private moveLight(x: number, y: number): void {
-    const light = this.app.state.lights[0];
+    const { lights, light: chosen } = this.app.state;
+    const light = lights[this.app.kind === "volume" ? 0 : chosen]; // a volume has one
     if (this.app.kind === "generic") {
       this.pan(x, y);
     } else if (this.app.kind !== "lightfield" && light !== undefined) {
@@ -110,10 +122,12 @@ export class Pointer {
     this.changed();
   }
 
-  private zoom(factor: number): void {
+  /** Come nearer; in a picture, what is at a place of it stays there. */
+  private zoom(factor: number, place: [number, number] | null = null): void {
     const { state, kind } = this.app;
     if (kind === "generic" || kind === "lightfield") {
-      state.zoom = clamped(state.zoom * factor, 0.2, 200);
+      const { width, height } = pictureBox(this.canvas);
+      zoomAbout(place ?? [0.5, 0.5], factor, pictureSize(this.app), [width, height], state);
     } else {
       state.camera.distance = clamped(state.camera.distance / factor, 0.3, 40);
     }
@@ -123,7 +137,7 @@ export class Pointer {
   private key(event: KeyboardEvent): void {
     const target = event.target as HTMLElement;
     if (event.ctrlKey || event.metaKey || event.altKey || /^(INPUT|SELECT|TEXTAREA)$/.test(target.tagName)
-      || (target.tagName === "BUTTON" && (event.key === " " || event.key === "Enter" || event.key.startsWith("Arrow")))) {
+      || (/^(BUTTON|SUMMARY)$/.test(target.tagName) && (event.key === " " || event.key === "Enter" || event.key.startsWith("Arrow")))) {
       return;
     }
     const arrows: Record<string, [number, number]> = {
@@ -168,8 +182,11 @@ export class Pointer {
       E: exposure(-0.5), r: reset, R: reset, s: () => this.services.save(), S: () => this.services.save(),
       "?": () => {
         const keys = document.getElementById("keys");
-        if (keys?.toggleAttribute("open") === true) {
-          keys.scrollIntoView(); // It is the last of the panel, mostly below what is seen.
+        const open = !panelShown() || keys?.hasAttribute("open") !== true;
+        showPanel(true);
+        keys?.toggleAttribute("open", open);
+        if (open) {
+          keys?.scrollIntoView(); // It is the last of the panel, mostly below what is seen.
         }
       },
     };
