@@ -21,7 +21,7 @@ import { startWindows } from "./render/window";
 import { type State, newState, restore } from "./state";
 
 const SETTLED = 250; // milliseconds after the last change
-const CAMERAS = { svbrdf: [20, 20, 3.4], volume: [30, 25, 5], plane: [0, 0, 3.6], cloth: [20, 38, 5.3] } as const;
+const CAMERAS = { svbrdf: [20, 20, 3.4], volume: [30, 25, 5.4], plane: [0, 0, 3.6], cloth: [20, 38, 5.3] } as const;
 
 export interface Statistics {
   milliseconds: number;
