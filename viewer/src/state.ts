@@ -15,9 +15,9 @@ export interface Light {
   intensity: number;
 }
 
-export type CompareMode = "none" | "split" | "heat";
+type CompareMode = "none" | "split" | "heat";
 export type Curve = "linear" | "reinhard" | "filmic";
-export type VolumeMode = "emission" | "shaded" | "iso" | "maximum";
+type VolumeMode = "emission" | "shaded" | "iso" | "maximum";
 
 export const CURVES: Curve[] = ["linear", "reinhard", "filmic"];
 export const VOLUME_MODES: VolumeMode[] = ["emission", "shaded", "iso", "maximum"];

@@ -15,7 +15,7 @@ import type { Progress } from "./renderer";
 const NO_AXIS = 0xff;
 
 /** Which elements: for each group (a camera, a z) its slices, each an index of every source axis. */
-export interface GridRequest {
+interface GridRequest {
   level: number;
   x: number; // axis numbers
   y: number | null; // null: all rows are the same
@@ -26,14 +26,14 @@ export interface GridRequest {
 }
 
 /** How a model's grids are decoded: the shader, and the modes that it finds contracted. */
-export interface GridShader {
+interface GridShader {
   pass: Pass;
   frame: FrameContraction;
   still: number[]; // axes that stand still in all requests, time aside
 }
 
 /** The shader that decodes grids along some axes; modes of which none moves are contracted for each frame. */
-export async function gridShader(device: GPUDevice, decoder: Decoder, moving: (number | null)[]): Promise<GridShader> {
+async function gridShader(device: GPUDevice, decoder: Decoder, moving: (number | null)[]): Promise<GridShader> {
   const { metadata } = decoder;
   const picks = metadata.axes.map((axis) => (axis.role === "time" ? 2 : 1));
   const still = metadata.axes.flatMap((_, axis) => (moving.includes(axis) ? [] : [axis]));
@@ -50,7 +50,7 @@ export async function gridShader(device: GPUDevice, decoder: Decoder, moving: (n
   return { pass, frame, still };
 }
 
-export class GridCache {
+class GridCache {
   texture: GPUTexture | null = null;
   private slots: GPUBuffer | null = null;
   private key = "";

@@ -18,7 +18,7 @@ export interface Span {
 }
 
 /** Where a picture of rows x columns lies in a frame: pixels of it a frame pixel, and those at the first one's centre. */
-export interface Place {
+interface Place {
   scale: number;
   offsetY: number;
   offsetX: number;

@@ -35,7 +35,7 @@ function labelled(label: string, input: HTMLElement, output?: HTMLElement): HTML
     make("label", { for: input.id, title: label }, label), input, ...(output === undefined ? [] : [output]));
 }
 
-export interface SliderOptions {
+interface SliderOptions {
   min: number;
   max: number;
   step: number | "any";

@@ -126,35 +126,16 @@ export class Panel extends Groups {
   }
 
   private lights(): Control {
-    const light = (): State["lights"][number] => this.state.lights[this.state.light]!;
     const { lights } = this.state;
-    const select = choice("Light", Array.from({ length: MOST_LIGHTS }, (_, n) => [String(n), `Light ${n + 1}`] as const),
-      () => String(this.state.light), (value) => {
-        this.state.light = Number(value);
-        this.changed();
-      });
-    const options = select.element.querySelectorAll("option");
-    const refresh = select.refresh.bind(select);
-    select.refresh = () => {
-      options.forEach((option, n) => {
-        option.hidden = n >= lights.length;
-        option.disabled = option.hidden;
-      });
-      refresh();
-    };
+    const light = (): State["lights"][number] => lights[this.state.light]!;
     return group("Light", [
-      only(() => lights.length > 1, select),
+      only(() => lights.length > 1, this.lightChoice()),
       choice("Kind", [["sun", "Directional"], ["point", "Point"]], () => (light().point ? "point" : "sun"), (value) => {
         light().point = value === "point";
         light().intensity = light().point ? light().distance ** 2 : 1;
         this.changed();
       }),
-      this.angle("Azimuth", -180, 180, () => light().azimuth, (value) => {
-        light().azimuth = value;
-      }),
-      this.angle("Elevation", -90, 90, () => light().elevation, (value) => {
-        light().elevation = value;
-      }),
+      ...this.towards(light),
       only(() => light().point, slider("Distance", {
         min: 1.05, max: 10, step: 0.05, get: () => light().distance, set: this.change((value) => {
           light().distance = value;
@@ -169,20 +150,55 @@ export class Panel extends Groups {
       colour("Colour", () => light().colour, this.change((value) => {
         light().colour = value;
       })),
-      buttons({
-        label: "Add a light", enabled: () => lights.length < MOST_LIGHTS, act: () => {
-          lights.push(newLight(light().azimuth + 120, 40));
-          this.state.light = lights.length - 1;
-          this.changed();
-        },
-      }, {
-        label: "Remove", enabled: () => lights.length > 1, act: () => {
-          lights.splice(this.state.light, 1);
-          this.state.light = Math.min(this.state.light, lights.length - 1);
-          this.changed();
-        },
-      }),
+      this.lightCount(),
     ]);
+  }
+
+  /** Which of the lights the other controls show; options of lights that there are not are hidden. */
+  private lightChoice(): Control {
+    const select = choice("Light", Array.from({ length: MOST_LIGHTS }, (_, n) => [String(n), `Light ${n + 1}`] as const),
+      () => String(this.state.light), (value) => {
+        this.state.light = Number(value);
+        this.changed();
+      }, (value) => Number(value) < this.state.lights.length);
+    const options = select.element.querySelectorAll("option");
+    return {
+      element: select.element, refresh: () => {
+        select.refresh();
+        options.forEach((option) => {
+          option.hidden = option.disabled;
+        });
+      },
+    };
+  }
+
+  private lightCount(): Control {
+    const { lights } = this.state;
+    return buttons({
+      label: "Add a light", enabled: () => lights.length < MOST_LIGHTS, act: () => {
+        lights.push(newLight(lights[this.state.light]!.azimuth + 120, 40));
+        this.state.light = lights.length - 1;
+        this.changed();
+      },
+    }, {
+      label: "Remove", enabled: () => lights.length > 1, act: () => {
+        lights.splice(this.state.light, 1);
+        this.state.light = Math.min(this.state.light, lights.length - 1);
+        this.changed();
+      },
+    });
+  }
+
+  /** Sliders for where a light comes from. */
+  private towards(light: () => State["lights"][number]): Control[] {
+    return [
+      this.angle("Azimuth", -180, 180, () => light().azimuth, (value) => {
+        light().azimuth = value;
+      }),
+      this.angle("Elevation", -90, 90, () => light().elevation, (value) => {
+        light().elevation = value;
+      }),
+    ];
   }
 
   private lightfield(): Control[] {
@@ -214,17 +230,6 @@ export class Panel extends Groups {
     const { volume } = this.state;
     const iso = (): boolean => volume.mode === "iso";
     const names = { emission: "Glow", shaded: "Shaded", iso: "Iso-surface", maximum: "Brightest on the ray" };
-    const clip = (name: string, axis: number, key: "clipLow" | "clipHigh"): Control => slider(name, {
-      min: 0, max: 1, step: 0.01, get: () => volume[key][axis]!, show: (value) => `${Math.round(100 * value)} %`,
-      set: this.change((value) => {
-        const other = key === "clipLow" ? volume.clipHigh[axis]! : volume.clipLow[axis]!;
-        volume[key][axis] = key === "clipLow" ? Math.min(value, other - 0.01) : Math.max(value, other + 0.01);
-      }),
-    });
-    const details = make("details", {}, make("summary", {}, "Clip"));
-    const clips = (["x", "y", "z"] as const).flatMap((name, axis) =>
-      [clip(`${name} from`, axis, "clipLow"), clip(`${name} to`, axis, "clipHigh")]);
-    details.append(...clips.map((control) => control.element));
     return [group("Look", [
       choice("Mode", VOLUME_MODES.map((mode) => [mode, names[mode]] as const), () => volume.mode, (mode) => {
         volume.mode = mode;
@@ -248,15 +253,24 @@ export class Panel extends Groups {
           volume.step = value;
         }),
       }),
-      { element: details, refresh: () => clips.forEach((control) => control.refresh()) },
-    ]), group("Light", [
-      this.angle("Azimuth", -180, 180, () => this.state.lights[0]!.azimuth, (value) => {
-        this.state.lights[0]!.azimuth = value;
+      this.clips(),
+    ]), group("Light", this.towards(() => this.state.lights[0]!), () => volume.mode === "shaded" || iso()), this.time()];
+  }
+
+  /** Where the box begins and ends, folded away. */
+  private clips(): Control {
+    const { volume } = this.state;
+    const clip = (name: string, axis: number, key: "clipLow" | "clipHigh"): Control => slider(name, {
+      min: 0, max: 1, step: 0.01, get: () => volume[key][axis]!, show: (value) => `${Math.round(100 * value)} %`,
+      set: this.change((value) => {
+        const other = key === "clipLow" ? volume.clipHigh[axis]! : volume.clipLow[axis]!;
+        volume[key][axis] = key === "clipLow" ? Math.min(value, other - 0.01) : Math.max(value, other + 0.01);
       }),
-      this.angle("Elevation", -90, 90, () => this.state.lights[0]!.elevation, (value) => {
-        this.state.lights[0]!.elevation = value;
-      }),
-    ], () => volume.mode === "shaded" || iso()), this.time()];
+    });
+    const clips = (["x", "y", "z"] as const).flatMap((name, axis) =>
+      [clip(`${name} from`, axis, "clipLow"), clip(`${name} to`, axis, "clipHigh")]);
+    const details = make("details", {}, make("summary", {}, "Clip"), ...clips.map((control) => control.element));
+    return { element: details, refresh: () => clips.forEach((control) => control.refresh()) };
   }
 
   private slices(): Control[] {
