@@ -234,7 +234,9 @@ def test_it_is_said_that_no_shader_shows_slices(files: Path, tmp_path: Path) -> 
 def test_outputs_are_not_replaced_unasked(files: Path, tmp_path: Path) -> None:
     out = tmp_path / "a.png"
     out.write_bytes(b"mine")
-    assert "output-exists" in refused("render", files / "jet.hmk", "-o", out, *SIZE, code=3)
+    said = refused("render", files / "jet.hmk", "-o", out, *SIZE, code=3)
+    assert "output-exists" in said
+    assert "replace it by --overwrite" in said
     assert out.read_bytes() == b"mine"
     run("render", files / "jet.hmk", "-o", out, "--overwrite", *SIZE)
     assert pixels(out).shape == (30, 40, 3)
