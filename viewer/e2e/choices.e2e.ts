@@ -89,6 +89,7 @@ describe.runIf(there)("choices in Chromium", () => {
     await expect.poll(() => time.inputValue(), { timeout: 30_000 }).not.toBe("0");
     await setControls(page, { Across: "0" });
     await expect.poll(() => play.isVisible(), { message: "all frames are in the picture" }).toBe(false);
+    await page.waitForTimeout(500); // longer than a frame is shown
     await setControls(page, { Across: "3" });
     expect(await play.getAttribute("aria-pressed")).toBe("false");
   });
