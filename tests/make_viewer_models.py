@@ -52,11 +52,12 @@ def main(folder: Path) -> None:
         scene = replace(case.scene, width=SIZE, height=SIZE)
         if case.mesh:
             scene = replace(scene, surface=Surface(str(folder / case.mesh)))
-        picture = Renderer(model, original=values, backend="numpy").picture(scene)
+        picture = Renderer(model, original=values, backend="numpy", kind=scene.kind).picture(scene)
         (folder / f"{case.name}.rgb").write_bytes(picture.tobytes())
         entries.append({"name": case.name, "file": f"{case.file}.hmk", "controls": case.controls, "drag": case.drag,
                         "mesh": case.mesh})
-    document = {"size": SIZE, "pictures": entries, "slices": _slices(models["stack"][0])}
+    document = {"size": SIZE, "pictures": entries, "slices": _slices(models["stack"][0]),
+                "constant": Renderer(models["constant"][0]).picture(Scene(8, 8))[4, 4].tolist()}
     (folder / "pictures.json").write_text(json.dumps(document), encoding="utf-8")
 
 
@@ -150,6 +151,20 @@ def series() -> tuple[Model, Any]:
     return compress(array, "R=1 C=5 K=1", axes=[Axis("t", 40)]), array
 
 
+def wide() -> tuple[Model, Any]:
+    """Two cameras whose pictures are larger than a texture, with negative values."""
+    y, x = np.arange(1600)[:, None] / 300, np.arange(2600) / 400
+    array = np.stack([np.sin(x + shift) * np.cos(y) for shift in (0, 0.3)]).astype(np.float32)
+    axes = [Axis("camera", 2, "view"), Axis("y", 1600, "space"), Axis("x", 2600, "space")]
+    return compress(array, "R=2", axes=axes, kind="lightfield"), array
+
+
+def constant() -> tuple[Model, Any]:
+    """One value everywhere."""
+    array = np.full((8, 8), 5, np.float32)
+    return compress(array, "R=1", axes=[Axis("a", 8), Axis("b", 8)]), array
+
+
 def renamed() -> tuple[Model, Any]:
     """The material as a file whose axes say neither what they are called nor what they are for."""
     model, values = material()
@@ -161,7 +176,8 @@ def renamed() -> tuple[Model, Any]:
 
 MAKERS = {"material": material, "ageing": ageing, "merged": merged, "grids": grids,
           "lightfield": light_field, "volume": volume, "bytes": volume_in_bytes, "stack": stack, "bare": bare,
-          "series": series, "renamed": renamed}
+          "series": series, "renamed": renamed, "wide": wide,
+          "constant": constant}
 
 
 def patch(path: Path) -> None:
@@ -197,6 +213,9 @@ def _cases() -> list[Case]:
         Case("lightfield-focus", "lightfield", Scene(viewpoint=Viewpoint(focus=1.5, aperture=1.0), time=1.5),
              {"Focus": "1.5", "Aperture": "1", "Frame": "1.5"}),
         Case("lightfield-level-1", "lightfield", Scene(level=1), low),
+        Case("lightfield-wide", "wide", Scene(viewpoint=Viewpoint(column=0.5, focus=8)),
+             {"Column": "0.5", "Focus": "8"}),
+        Case("slices-wide", "wide", Scene(kind="generic"), {"Show as": "generic", "camera": "1"}),
         Case("volume", "volume", Scene()),
         Case("volume-bytes", "bytes", Scene()),
         Case("volume-bytes-level-1", "bytes", Scene(level=1), low),

@@ -202,6 +202,8 @@ def test_nothing_is_said_of_options_that_do_something(
     (("-o", "a.exr", "--split", "1"), 2, "output-format"),
     (("-o", "a.png", "--level", "9"), 2, "level-out-of-range"),
     (("-o", "a.png", "--split", "0"), 2, "no-original"),
+    (("-o", "a.png", "--heat"), 2, "by --against FILE, or a level by --split N"),
+    (("-o", "a.gif", "--kind", "generic"), 2, "found slices, in which nothing moves"),
     (("-o", "a.png", "--time", "5", "--kind", "lightfield"), 2, "time-out-of-range"),
     (("-o", "a.png", "--scene", "none.json"), 3, "unreadable"),
     (("-o", "a.png", "--surface", "none.obj"), 3, "unreadable"),
@@ -215,10 +217,26 @@ def test_what_cannot_be_is_a_sentence(files: Path, tmp_path: Path, monkeypatch: 
     assert list(tmp_path.iterdir()) == [], "nothing is left half written"
 
 
+def test_a_film_of_slices_is_one_of_time(files: Path, tmp_path: Path) -> None:
+    words = ("render", files / "jet.hmk", "--kind", "generic", *SIZE)
+    assert report(*words, "-o", tmp_path / "a.gif", "--frames", 4)["frames"] == 4
+    with Image.open(tmp_path / "a.gif") as film:
+        frames = [np.asarray(film.convert("RGB")) for number in range(4) if film.seek(number) is None]
+    assert all((one != other).any() for one, other in pairwise(frames))
+
+
+def test_it_is_said_that_no_shader_shows_slices(files: Path, tmp_path: Path) -> None:
+    words = ("render", files / "jet.hmk", "--kind", "generic", "--size", "40x30", "-o", tmp_path / "a.png")
+    notes = report(*words, "--backend", "gpu")["notes"]
+    assert notes == ["slices are rendered by NumPy: --backend gpu does nothing for them"]
+
+
 def test_outputs_are_not_replaced_unasked(files: Path, tmp_path: Path) -> None:
     out = tmp_path / "a.png"
     out.write_bytes(b"mine")
-    assert "output-exists" in refused("render", files / "jet.hmk", "-o", out, *SIZE, code=3)
+    said = refused("render", files / "jet.hmk", "-o", out, *SIZE, code=3)
+    assert "output-exists" in said
+    assert "replace it by --overwrite" in said
     assert out.read_bytes() == b"mine"
     run("render", files / "jet.hmk", "-o", out, "--overwrite", *SIZE)
     assert pixels(out).shape == (30, 40, 3)

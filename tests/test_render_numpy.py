@@ -223,6 +223,16 @@ def test_a_volume_looks_the_same_in_whatever_order_its_axes_are() -> None:
     assert np.abs(Renderer(unnamed, backend="numpy").radiance(scene) - expected).max() > 0.01
 
 
+def test_a_cube_is_whole_from_wherever_the_default_camera_turns() -> None:
+    model = hmkcta.compress(np.ones((6, 6, 6), np.float32), "R=1", axes=["z", "y", "x"], kind="volume", quality="fast")
+    look = Look("iso", "grey", window=(0.0, 1.0), iso=0.5)
+    renderer = Renderer(model, backend="numpy")
+    for azimuth in (None, 0.0, 45.0, 200.0):
+        cover = renderer.radiance(Scene(48, 48, camera=Camera(azimuth=azimuth), volume=look))[..., 3]
+        assert cover.max() == 1
+        assert not any(edge.any() for edge in (cover[0], cover[-1], cover[:, 0], cover[:, -1]))
+
+
 def test_an_iso_surface_of_distance_is_a_sphere() -> None:
     z, y, x = (np.mgrid[:32, :32, :32] - 15.5) / 16
     ball = (1 - np.sqrt(z * z + y * y + x * x)).astype(np.float32)

@@ -236,6 +236,17 @@ describe.runIf(there)("viewer in Chromium", () => {
     expect(await pixels(page, size)).not.toEqual(before);
     await page.keyboard.press("Delete");
     expect(await points.count()).toBe(2);
+    expect(await points.nth(0).getAttribute("aria-label"), "the ends stay").not.toContain("Delete");
+    await page.keyboard.press("Delete");
+    expect(await points.count()).toBe(2);
+    const { x, y, width, height } = (await page.locator(".transfer svg").boundingBox())!;
+    await page.mouse.move(x + 0.5 * width, y + 0.5 * height);
+    await page.mouse.down();
+    expect(await points.count()).toBe(3);
+    await page.mouse.move(x + 0.25 * width, y + 0.1 * height, { steps: 4 });
+    await page.mouse.up();
+    expect(await points.nth(1).getAttribute("aria-label"), "a new point follows the drag").toContain("value 25 %");
+    expect(await points.count()).toBe(3);
   });
 
   it("plays time", async () => {
@@ -311,7 +322,7 @@ describe.runIf(there)("viewer in Chromium", () => {
     });
     await page.reload();
     await reached(page, "failed");
-    expect(await page.getByRole("alert").textContent()).toContain("The connection was lost after 0.0 of 0.0 MiB");
+    expect(await page.getByRole("alert").textContent()).toContain("The connection was lost after 300 B of ");
   });
 
   it("has names on all controls, at phone width too", async () => {

@@ -1,29 +1,27 @@
 /** One model on the page: its levels as they arrive, the renderer of what it is shown as, and the drawing of frames. */
 
-import { type Cost, measured, predicted } from "./cost";
-import { SAMPLES, valueRange } from "./decode/element";
+import { SAMPLES, type ValueRange, valueRange } from "./decode/element";
 import { Decoder } from "./gpu/decoder";
 import { type Gpu, guarded } from "./gpu/device";
 import { asOriginal } from "./original";
+import { Pace } from "./pace";
 import { carryPlaces, startPlaces } from "./places";
 import { type Problem, asProblem } from "./problem";
 import type { FileKind, Metadata } from "./reader/metadata";
 import type { Reading } from "./reader/read";
 import { LightfieldRenderer, findCameras } from "./render/lightfield";
 import { layOut } from "./render/layout";
-import type { Renderer, Side } from "./render/renderer";
+import type { MeshMaker } from "./render/mesh";
+import type { Progress, Renderer, Side } from "./render/renderer";
 import { Screen } from "./render/screen";
 import { SliceRenderer } from "./render/slices";
 import { SvbrdfRenderer } from "./render/svbrdf";
 import { VolumeRenderer } from "./render/volume";
-import { type State, newState } from "./state";
+import { startWindows } from "./render/window";
+import { type State, newState, restore } from "./state";
 
-const MOVING = 45; // milliseconds that a frame may take while something moves
-const STILL = 1000; // and when nothing does: longer ones are stopped by some systems
 const SETTLED = 250; // milliseconds after the last change
-const DECODE = 120; // milliseconds of decoding a frame
-const SCALES = [1, 0.7, 0.5, 0.35, 0.25, 0.18, 0.125];
-const CAMERAS = { svbrdf: [20, 20, 3.4], volume: [30, 25, 5], plane: [0, 0, 3.6], cloth: [20, 38, 5.3] } as const;
+const CAMERAS = { svbrdf: [20, 20, 3.4], volume: [30, 25, 5.4], plane: [0, 0, 3.6], cloth: [20, 38, 5.3] } as const;
 
 export interface Statistics {
   milliseconds: number;
@@ -37,6 +35,8 @@ export interface Statistics {
 export interface Watcher {
   onFrame(statistics: Statistics): void;
   onProblem(problem: Problem): void;
+  /** What was chosen last cannot be drawn; what was shown before is shown again. */
+  onRefused(problem: Problem): void;
   onNotes(notes: string[]): void;
 }
 
@@ -46,6 +46,7 @@ export class App {
   kind: FileKind = "generic";
   private wanted: FileKind = "generic"; // the kind it shall become, once its renderer is ready
   original: Reading | null = null;
+  mesh: MeshMaker | null = null; // the user's
   private readonly decoder: Decoder;
   private originalDecoder: Decoder | null = null;
   private compared: Decoder | null = null; // the original, once the renderer has it
@@ -59,17 +60,17 @@ export class App {
   private choices = 0; // of renderers, of which the last counts
   private changed = 0; // when something last did, and how often
   private changes = 0;
-  private cost: Cost | null = null;
   private pending = false; // something is still to be decoded
   private readonly first = Promise.withResolvers<void>();
   private whole = false; // a picture with nothing missing has been shown
-  private warm = false; // the first frame of a shader waits for the driver to compile it, and says nothing of its cost
-  private budget = 1 << 11; // elements decoded a frame
+  private readonly pace: Pace;
+  private proven: { kind: FileKind; state: State } | null = null; // what was drawn last
 
   private constructor(
     private readonly gpu: Gpu, private readonly canvas: HTMLCanvasElement, readonly reading: Reading,
-    private readonly watcher: Watcher, private readonly fixedSize: [number, number] | null,
+    private readonly watcher: Watcher, fixedSize: [number, number] | null,
   ) {
+    this.pace = new Pace(canvas, gpu.device.limits.maxTextureDimension2D, fixedSize);
     this.metadata = reading.metadata;
     this.decoder = new Decoder(gpu.device, reading.metadata, reading.levels);
     this.state = newState(reading.metadata.axes.length);
@@ -175,9 +176,11 @@ export class App {
     this.kind = this.wanted = kind;
     this.renderer?.destroy();
     this.renderer = renderer;
+    if (renderer instanceof SvbrdfRenderer && this.mesh !== null) {
+      renderer.setMesh(this.mesh);
+    }
     this.compared = decoders[1] ?? null;
-    this.cost = null;
-    this.warm = false;
+    this.pace.reset();
     this.whole = false;
     this.watcher.onNotes([...notes, ...renderer.notes]);
     if (kind !== before) { // else an original came, and the view stays
@@ -190,7 +193,7 @@ export class App {
   private made(kind: FileKind, decoders: Decoder[]): Promise<Renderer> {
     const { device } = this.gpu;
     switch (kind) {
-      case "svbrdf": return SvbrdfRenderer.make(device, this.metadata, decoders, [this.state, ...this.frameSize(true)]);
+      case "svbrdf": return SvbrdfRenderer.make(device, this.metadata, decoders, [this.state, ...this.pace.size(true)]);
       case "lightfield": return LightfieldRenderer.make(device, this.metadata, decoders);
       case "volume": return VolumeRenderer.make(device, this.metadata, decoders);
       default: return SliceRenderer.make(device, decoders);
@@ -219,8 +222,9 @@ export class App {
   }
 
   /** Show a mesh of the user's. */
-  setMesh(make: Parameters<SvbrdfRenderer["setMesh"]>[0]): void {
+  setMesh(make: MeshMaker): void {
     if (this.renderer instanceof SvbrdfRenderer) {
+      this.mesh = make;
       this.renderer.setMesh(make);
       this.state.surface.shape = "mesh";
       this.redraw();
@@ -256,34 +260,46 @@ export class App {
     this.unmeasured = false;
     const { arrived } = this.decoder;
     const provisional = arrived < this.metadata.levels.length; // measured again with all levels
-    const [low, high] = valueRange(this.metadata, this.reading.levels, arrived, provisional ? SAMPLES / 8 : SAMPLES);
-    this.white = high > 0 ? high : 1;
-    const { slice, volume } = this.state;
+    this.range = valueRange(this.metadata, this.reading.levels, arrived, provisional ? SAMPLES / 8 : SAMPLES);
+    this.white = this.range.high > 0 ? this.range.high : 1;
     if (first || !this.windowTouched) {
-      Object.assign(slice, { low: slice.colour ? Math.min(0, low) : low, high });
-      Object.assign(volume, { low, high: high > low ? high : low + 1 });
+      startWindows(this.state, this.range);
     }
-    this.range = [low, high];
   }
 
   /** The values' range, for sliders; and whether the window was changed by hand. */
-  range: [number, number] = [0, 1];
+  range: ValueRange = { low: 0, high: 1, least: 0, most: 1 };
   windowTouched = false;
 
   private async drawFrames(): Promise<void> {
-    try {
-      while (this.dirty && !this.closed) {
-        this.dirty = false;
+    while (this.dirty && !this.closed) {
+      this.dirty = false;
+      try {
         await this.drawFrame();
-      }
-    } catch (error) {
-      if (!this.closed) { // else a frame was under way when another file took its place
-        this.closed = true;
-        this.watcher.onProblem(asProblem(error));
+      } catch (error) {
+        if (!this.closed) { // else a frame was under way when another file took its place
+          await this.takeBack(asProblem(error));
+        }
       }
     }
     this.drawing = false;
     this.canvas.setAttribute("aria-busy", "false");
+  }
+
+  /** What cannot be drawn is not shown: what was drawn last is shown again, once; else nothing, until something changes. */
+  private async takeBack(problem: Problem): Promise<void> {
+    const { proven } = this;
+    this.proven = null;
+    if (proven === null) {
+      this.watcher.onProblem(problem);
+      return;
+    }
+    if (proven.kind !== this.kind) {
+      await this.showAs(proven.kind).catch(() => undefined); // the problem that there was says more
+    }
+    restore(this.state, proven.state);
+    this.dirty = true;
+    this.watcher.onRefused(problem);
   }
 
   private sides(): Side[] {
@@ -310,44 +326,39 @@ export class App {
   private async drawFrame(): Promise<void> {
     const sides = await this.preparedSides();
     const moving = performance.now() - this.changed < SETTLED || this.pending;
-    const [width, height] = this.frameSize(moving);
+    const [width, height] = this.pace.size(moving);
     const start = performance.now();
-    const { complete, decoded, level } = await guarded(this.gpu.device, "drawing", async () => {
-      this.screen.resize(width, height);
-      const parts = sides.map((side, n) =>
-        this.renderer!.draw(side, n as 0 | 1, this.state, this.screen.pictures[n]!, this.budget / sides.length));
-      if (this.unmeasured) {
-        this.measure(true);
-      }
-      const complete = parts.every((part) => part.complete);
-      // What is half decoded is shown only while there is nothing else, and never compared with.
-      if (complete || (sides.length === 1 && !this.whole)) {
-        this.present();
-      }
-      this.whole ||= complete;
-      await this.gpu.device.queue.onSubmittedWorkDone();
-      this.renderer!.ahead?.(); // behind the picture, not beside it: they would share the processor
-      return { complete, decoded: parts.reduce((sum, part) => sum + part.decoded, 0), level: sides[0]!.level };
-    });
+    const drawn = { kind: this.kind, state: structuredClone(this.state) };
+    const { complete, decoded } = await guarded(this.gpu.device, "drawing", () => this.drawSides(sides, width, height));
+    this.proven = drawn;
     this.first.resolve();
     const milliseconds = performance.now() - start;
     this.pending = !complete;
-    if (!this.warm) {
-      this.warm = true;
-      this.dirty ||= this.fixedSize === null || decoded > 0; // a change during the first frame stays to be drawn
-    } else if (decoded === 0) {
-      this.cost = measured(this.cost, width * height, milliseconds);
-    } else {
-      const decoding = milliseconds - (this.cost === null ? 0 : predicted(this.cost, width * height));
-      const faster = decoding < DECODE / 4 ? 4 : decoding < DECODE / 2 ? 2 : decoding > DECODE ? 0.5 : 1;
-      this.budget = Math.max(256, Math.min(1 << 26, this.budget * faster));
-      this.dirty = true;
-    }
-    this.watcher.onFrame({ milliseconds, width, height, decoding: !complete, level });
+    const again = this.pace.learn(width * height, milliseconds, decoded);
+    this.dirty ||= again; // a change during the frame stays to be drawn
+    this.watcher.onFrame({ milliseconds, width, height, decoding: !complete, level: sides[0]!.level });
     if (!this.dirty) {
       await this.refine(width);
     }
     await new Promise((resolve) => requestAnimationFrame(resolve));
+  }
+
+  private async drawSides(sides: Side[], width: number, height: number): Promise<Progress> {
+    this.screen.resize(width, height);
+    const parts = sides.map((side, n) =>
+      this.renderer!.draw(side, n as 0 | 1, this.state, this.screen.pictures[n]!, this.pace.budget / sides.length));
+    if (this.unmeasured) {
+      this.measure(true);
+    }
+    const complete = parts.every((part) => part.complete);
+    // What is half decoded is shown only while there is nothing else, and never compared with.
+    if (complete || (sides.length === 1 && !this.whole)) {
+      this.present();
+    }
+    this.whole ||= complete;
+    await this.gpu.device.queue.onSubmittedWorkDone();
+    this.renderer!.ahead?.(); // behind the picture, not beside it: they would share the processor
+    return { complete, decoded: parts.reduce((sum, part) => sum + part.decoded, 0) };
   }
 
   private present(): void {
@@ -359,27 +370,12 @@ export class App {
 
   /** Once nothing has moved for a while, draw again in full. */
   private async refine(width: number): Promise<void> {
-    if (this.frameSize(false)[0] <= width) {
+    if (this.pace.size(false)[0] <= width) {
       return;
     }
     const wait = SETTLED - (performance.now() - this.changed);
     const change = this.changed;
     await new Promise((resolve) => setTimeout(resolve, Math.max(0, wait)));
-    this.dirty ||= change === this.changed && this.frameSize(false)[0] > width;
-  }
-
-  /** Pixels of a frame: those of the page, fewer where they would take too long. */
-  private frameSize(moving: boolean): [number, number] {
-    if (this.fixedSize !== null) {
-      return this.fixedSize;
-    }
-    const density = Math.min(window.devicePixelRatio, 2);
-    const most = this.gpu.device.limits.maxTextureDimension2D;
-    const full = [this.canvas.clientWidth, this.canvas.clientHeight].map((side) =>
-      Math.max(8, Math.min(most, Math.round(side * density))));
-    const allowed = moving ? MOVING : STILL;
-    const scale = SCALES.find((each) =>
-      this.cost !== null && predicted(this.cost, each * each * full[0]! * full[1]!) <= allowed) ?? SCALES.at(-1)!;
-    return [Math.max(8, Math.round(full[0]! * scale)), Math.max(8, Math.round(full[1]! * scale))];
+    this.dirty ||= change === this.changed && this.pace.size(false)[0] > width;
   }
 }

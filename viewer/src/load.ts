@@ -10,7 +10,7 @@ import type { ByteSource } from "./stream";
 /** What the viewer takes less of than other readers. */
 const VIEWER_LIMITS: Limits = { ...DEFAULT_LIMITS, level_cost: ON_GPU };
 
-export interface Listener {
+interface Listener {
   onTables(reading: Reading): Promise<void> | void;
   onLevel(reading: Reading, level: number): Promise<void> | void;
 }

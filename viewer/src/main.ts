@@ -17,13 +17,14 @@ import type { Services } from "./ui/groups";
 import { listenToMessage, say } from "./ui/message";
 import { Panel } from "./ui/panel";
 import { keepShape } from "./ui/place";
+import { Player } from "./ui/player";
 import { Pointer } from "./ui/pointer";
 import { readout } from "./ui/readout";
 import { savePicture } from "./ui/save";
+import { listenToToggle, showPanel } from "./ui/shown";
 import { Status } from "./ui/status";
 
 const DEFAULT_FILE = "model.hmk";
-const FRAMES_A_SECOND = 8;
 const FIRST_FRAME = 600; // milliseconds that reading waits for it
 const PARAMETERS = new URLSearchParams(location.search);
 
@@ -39,7 +40,7 @@ class Page {
   private opening: Promise<void> = Promise.resolve();
   private screen: Promise<Screen> | null = null;
   private session = new AbortController();
-  private timer = 0;
+  private pointed: [number, number] | null = null; // where the pointer rests on the picture
   private shown = 0; // the deepest level that was on screen
   private source: ByteSource | null = null;
   private state = ""; // what has become of it
@@ -50,6 +51,7 @@ class Page {
 
   async start(): Promise<void> {
     this.listen();
+    showPanel(given(PARAMETERS, "panel") !== "closed");
     this.mark("starting");
     try {
       this.opening = this.openGpu();
@@ -172,7 +174,9 @@ class Page {
     }
     if (!signal.aborted) {
       this.status.progress(source.size, source.size);
-      this.mark(end);
+      if (this.state !== "failed") {
+        this.mark(end);
+      }
     }
   }
 
@@ -203,6 +207,10 @@ class Page {
     const app = await App.make(this.gpu!, this.canvas, this.screen!, reading, {
       onFrame: unlessAborted((statistics) => this.frame(statistics)),
       onProblem: unlessAborted((problem) => this.fail(problem)),
+      onRefused: unlessAborted((problem) => {
+        this.panel?.refresh();
+        this.tell(problem);
+      }),
       onNotes: unlessAborted((notes) => {
         this.notes = notes.join(" ");
         byId("loading").textContent = this.notes;
@@ -224,10 +232,11 @@ class Page {
     }
     this.speak();
     const { name } = this.source!;
-    const services: Services = { playing: false, play: () => this.play(services), save: () => savePicture(this.canvas, name) };
+    const player = new Player(app, () => this.panel?.refresh(), this.session.signal);
+    const services: Services = { player, save: () => savePicture(this.canvas, name) };
     const panel = new Panel(app, byId("controls"), services);
     this.panel = panel;
-    new Pointer(app, this.canvas, services, () => panel.refresh(), (place) => this.read(place), this.session.signal);
+    new Pointer(app, this.canvas, services, () => panel.refresh(), (place) => this.point(place), this.session.signal);
     let drawn = true; // an observer begins with the size that is there
     const observer = new ResizeObserver(() => {
       if (!drawn) {
@@ -259,7 +268,7 @@ class Page {
     this.app = null;
     this.panel = null;
     this.trial = null;
-    clearInterval(this.timer);
+    this.pointed = null;
     for (const id of ["message", "welcome", "readout", "divider"]) {
       byId(id).hidden = true;
     }
@@ -284,30 +293,15 @@ class Page {
       placeDivider(this.app, this.canvas);
     }
     this.status.frame(statistics);
+    this.point(this.pointed); // what is there may have changed
   }
 
-  /** The value under the pointer. */
-  private read(place: [number, number] | null): void {
+  /** Tell the value under the pointer. */
+  private point(place: [number, number] | null): void {
+    this.pointed = place;
     const text = this.app === null || place === null ? null : readout(this.app, place, this.canvas);
     byId("readout").textContent = text ?? "";
     byId("readout").hidden = text === null;
-  }
-
-  private play(services: Services): void {
-    services.playing = !services.playing;
-    clearInterval(this.timer);
-    const frames = this.app?.metadata.axes.find((axis) => axis.role === "time")?.size ?? 1;
-    if (services.playing && frames > 1) {
-      this.timer = window.setInterval(() => {
-        const { app } = this;
-        if (app !== null && !app.decoding) { // a step that is not decoded yet would never be seen
-          app.state.time = (Math.floor(app.state.time) + 1) % frames;
-          app.redraw();
-          this.panel?.refresh();
-        }
-      }, 1000 / FRAMES_A_SECOND);
-    }
-    this.panel?.refresh();
   }
 
   /** The file failed, or what shows it; a picture that there still is stays. */
@@ -332,10 +326,7 @@ class Page {
   private listen(): void {
     listenForFiles((file) => void this.take(file));
     listenToMessage();
-    byId("toggle").addEventListener("click", () => {
-      const wide = document.body.classList.toggle("wide");
-      byId("toggle").setAttribute("aria-expanded", String(!wide));
-    });
+    listenToToggle();
     listenToDivider(this.canvas, (position) => {
       if (this.app !== null) {
         this.app.state.compare.position = position;

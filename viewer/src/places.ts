@@ -36,6 +36,31 @@ export function carryPlaces(state: State, axes: Axis[], from: FileKind, to: File
   }
 }
 
+/** The frames that can be shown one after another: one where there is no time, or slices show all of it as a picture. */
+export function framesOf(axes: Axis[], kind: FileKind, { slice }: State): number {
+  const n = timeAxis(axes);
+  return n < 0 || (kind === "generic" && (n === slice.x || n === slice.y)) ? 1 : axes[n]!.size;
+}
+
+/** The frame that is shown; slices stand at one as on any other axis. */
+export function frameOf(axes: Axis[], kind: FileKind, state: State): number {
+  return kind === "generic" ? state.position[timeAxis(axes)] ?? 0 : state.time;
+}
+
+/** Show another frame, the nearest that there is. */
+export function showFrame(axes: Axis[], kind: FileKind, state: State, frame: number): void {
+  const shown = Math.min(framesOf(axes, kind, state) - 1, Math.max(0, frame));
+  if (kind !== "generic") {
+    state.time = shown;
+  } else if (framesOf(axes, kind, state) > 1) {
+    state.position[timeAxis(axes)] = shown;
+  }
+}
+
+function timeAxis(axes: Axis[]): number {
+  return axes.findIndex((axis) => axis.role === "time");
+}
+
 /** The nearest index on each axis that a kind moves along by something else than `position`. */
 function standing(state: State, axes: Axis[], kind: Exclude<FileKind, "generic">): [axis: number, index: number][] {
   const layout = layOut(axes, kind);

@@ -15,9 +15,9 @@ export interface Light {
   intensity: number;
 }
 
-export type CompareMode = "none" | "split" | "heat";
+type CompareMode = "none" | "split" | "heat";
 export type Curve = "linear" | "reinhard" | "filmic";
-export type VolumeMode = "emission" | "shaded" | "iso" | "maximum";
+type VolumeMode = "emission" | "shaded" | "iso" | "maximum";
 
 export const CURVES: Curve[] = ["linear", "reinhard", "filmic"];
 export const VOLUME_MODES: VolumeMode[] = ["emission", "shaded", "iso", "maximum"];
@@ -30,6 +30,7 @@ export interface State {
   tone: { stops: number; curve: Curve };
   camera: Camera;
   lights: Light[];
+  light: number; // which of them pointer, keys and panel change
   surface: { shape: Shape | "mesh"; repeat: number; yUp: boolean; cosine: boolean };
   view: { row: number; column: number; focus: number; aperture: number };
   zoom: number;
@@ -55,6 +56,7 @@ export function newState(axes: number): State {
     tone: { stops: 0, curve: "linear" },
     camera: { azimuth: 20, elevation: 20, distance: 3.4, fov: 38, target: [0, 0, 0] },
     lights: [newLight()],
+    light: 0,
     surface: { shape: "sphere", repeat: 1, yUp: false, cosine: true },
     view: { row: 0, column: 0, focus: 0, aperture: 0 },
     zoom: 1,
@@ -65,4 +67,21 @@ export function newState(axes: number): State {
       clipLow: [0, 0, 0], clipHigh: [1, 1, 1], step: 0.5,
     },
   };
+}
+
+/** Bring a state back to what a copy of it says, in place: controls hold on to its parts. */
+export function restore(state: State, copy: State): void {
+  const put = (to: Record<string, unknown>, from: Record<string, unknown>): void => {
+    for (const [key, value] of Object.entries(from)) {
+      const part = to[key];
+      if (Array.isArray(part) && Array.isArray(value)) {
+        part.splice(0, part.length, ...(value as unknown[]));
+      } else if (typeof part === "object" && part !== null && typeof value === "object" && value !== null) {
+        put(part as Record<string, unknown>, value as Record<string, unknown>);
+      } else {
+        to[key] = value;
+      }
+    }
+  };
+  put(state as unknown as Record<string, unknown>, structuredClone(copy) as unknown as Record<string, unknown>);
 }

@@ -1,5 +1,6 @@
 /** The bytes of a file, from the first to the last: by ranges where the server has them, else as one body. */
 
+import { formatBytes } from "./bytes";
 import { Problem } from "./problem";
 
 const FIRST = 65536;
@@ -46,8 +47,7 @@ function memory(size: number): Uint8Array<ArrayBuffer> {
 }
 
 function lost(name: string, have: number, size: number, error: unknown): Problem {
-  const mib = (bytes: number): string => (bytes / 2 ** 20).toFixed(1);
-  const after = size > 0 ? ` after ${mib(have)} of ${mib(size)} MiB of ${name}` : ` on the way of ${name}`;
+  const after = size > 0 ? ` after ${formatBytes(have)} of ${formatBytes(size)} of ${name}` : ` on the way of ${name}`;
   return new Problem(`The connection was lost${after}.`,
     error instanceof Error ? error.message : "", "Reload the page to try again.");
 }

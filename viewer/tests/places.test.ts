@@ -1,7 +1,7 @@
 /** Where a model is on its axes when it is shown as something else. */
 
 import { describe, expect, it } from "vitest";
-import { carryPlaces, startPlaces } from "../src/places";
+import { carryPlaces, frameOf, framesOf, showFrame, startPlaces } from "../src/places";
 import type { Axis } from "../src/reader/metadata";
 import { type State, newState } from "../src/state";
 
@@ -63,5 +63,29 @@ describe("places on axes", () => {
     carryPlaces(state, VOLUME, "volume", "volume");
     carryPlaces(state, VOLUME, "generic", "generic");
     expect(state).toEqual(started(VOLUME));
+  });
+
+  it.each(["volume", "generic"] as const)("has frames to show one after another as %s", (kind) => {
+    const state = started(VOLUME);
+    expect(framesOf(VOLUME, kind, state)).toBe(6);
+    showFrame(VOLUME, kind, state, 4);
+    expect([frameOf(VOLUME, kind, state), kind === "generic" ? state.position[0] : state.time]).toEqual([4, 4]);
+    showFrame(VOLUME, kind, state, 9);
+    expect(frameOf(VOLUME, kind, state)).toBe(5);
+    showFrame(VOLUME, kind, state, -1);
+    expect(frameOf(VOLUME, kind, state)).toBe(0);
+  });
+
+  it("has one frame where slices show all of time, or there is none", () => {
+    const state = started(VOLUME);
+    state.slice.x = 0;
+    const before = structuredClone(state);
+    expect(framesOf(VOLUME, "generic", state)).toBe(1);
+    showFrame(VOLUME, "generic", state, 3);
+    expect(state).toEqual(before);
+    const still = VOLUME.slice(1);
+    showFrame(still, "volume", state, 3);
+    showFrame(still, "generic", state, 3);
+    expect([framesOf(still, "volume", state), state]).toEqual([1, before]);
   });
 });

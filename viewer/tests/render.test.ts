@@ -11,6 +11,8 @@ import { readGltf } from "../src/render/gltf";
 import { VERTEX_NUMBERS, makeMesh, meshOf, parseObj } from "../src/render/mesh";
 import { type Vector, cameraRays, clipFromWorld, cross, dot } from "../src/render/vector";
 import { spacing } from "../src/render/volume";
+import { startWindows, windowBounds, windowEnd } from "../src/render/window";
+import { newState } from "../src/state";
 
 function axis(name: string, size: number, role: Axis["role"], values?: number[], width = 0): Axis {
   const coords = values === undefined ? null : { values: Float64Array.from(values), width };
@@ -270,5 +272,28 @@ describe("pictures", () => {
     expect(clip[0]! / clip[3]!).toBeCloseTo(0.5, 5);
     expect(clip[1]! / clip[3]!).toBeCloseTo(-0.25, 5);
     expect(clip[2]! / clip[3]!).toBeGreaterThan(0);
+  });
+});
+
+describe("windows", () => {
+  it.each([[0, 0, 0, 0, 0, 1], [5, 5, 5, 5, 0, 5], [-3, -3, -3, -3, -3, 0], [1e9, 1e9, 1e9, 1e9, 0, 1e9], [2, 4, 1, 9, 2, 4]])(
+    "of values %d to %d, of %d to %d, are from %d to %d", (low, high, least, most, from, to) => {
+      const state = newState(2);
+      startWindows(state, { low, high, least, most });
+      expect([state.slice.low, state.slice.high]).toEqual([from, to]);
+      expect(Math.fround(state.volume.high)).toBeGreaterThan(Math.fround(state.volume.low));
+    });
+
+  it("end above their beginning in float32, too", () => {
+    for (const [low, high] of [[0, 0], [1e9, 1e9 + 1], [-1e-9, -1e-9], [5, 4]] as const) {
+      expect(Math.fround(windowEnd(low, high))).toBeGreaterThan(Math.fround(low));
+    }
+    expect(windowEnd(1, 1.5)).toBe(1.5);
+  });
+
+  it("reach all values that were seen, and beyond the window", () => {
+    expect(windowBounds({ low: 0, high: 2, least: 0, most: 1000 })).toEqual([-1, 1000]);
+    expect(windowBounds({ low: 0, high: 2, least: -5, most: 2 })).toEqual([-5, 3]);
+    expect(windowBounds({ low: 7, high: 7, least: 7, most: 7 })).toEqual([0, 14]);
   });
 });

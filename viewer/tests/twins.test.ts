@@ -117,8 +117,9 @@ describe("single elements", () => {
   it("reads merged axes by their strides", () => {
     const { metadata, levels } = model("v1.0-merged.hmk");
     const sizes = metadata.axes.map((axis) => axis.size);
-    const [low, high] = valueRange(metadata, levels, levels.length);
+    const { low, high, least, most } = valueRange(metadata, levels, levels.length);
     expect(low).toBeLessThan(high);
+    expect([least <= low, most >= high]).toEqual([true, true]);
     const rows = metadata.modeSizes.map((size) => size - 1); // the last element by axes is the last by modes
     expect(decodeElement(metadata, levels, sizes.map((size) => size - 1), levels.length))
       .toBe(decodeRows(levels, rows, levels.length));

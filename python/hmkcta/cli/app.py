@@ -16,7 +16,7 @@ import click
 
 from ..errors import ForeignFile, HmkctaError, Kind
 from ..support.temporaries import remove_all
-from .failure import EXIT_CODES, Exit, Failure
+from .failure import EXIT_CODES, Exit, Failure, by_options
 from .interrupt import Interrupted, interruptible
 from .options import CONTEXT, VERBOSE, WORDS, ExamplesFirst
 from .output import emit
@@ -92,7 +92,7 @@ class Hmkcta(ExamplesFirst, click.Group):
             if isinstance(error, ForeignFile):
                 raise _foreign(error) from error
             kept = going_on(ctx, then=bool(error.hint)) if may_go_on(ctx, error) else ""
-            raise Failure(f"{error} {kept}".rstrip(), error.kind.exit_code, error) from error
+            raise Failure(by_options(f"{error} {kept}".rstrip()), error.kind.exit_code, error) from error
         except KeyboardInterrupt as error:
             raise _interruption(ctx, error.number if isinstance(error, Interrupted) else signal.SIGINT) from None
         except MemoryError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from contextlib import suppress
 from enum import IntEnum
 from typing import IO, Any
@@ -32,6 +33,16 @@ EXIT_CODES = {
     7: "target not reached: the file is written, and is the best found",
     130: "interrupted (143: by SIGTERM); what is finished is kept for --resume",
 }
+
+
+def by_options(sentence: str) -> str:
+    """A sentence that names an option only, where it names the argument of a function, too.
+
+    >>> by_options("replace it by overwrite=True or --overwrite, or allow more with max_memory or --max-memory")
+    'replace it by --overwrite, or allow more with --max-memory'
+    """
+    return re.sub(r"\b([a-z_]+)(?:=True)? or (--[a-z-]+)",
+                  lambda found: found[2] if found[2][2:].replace("-", "_") == found[1] else found[0], sentence)
 
 
 class Failure(click.ClickException):

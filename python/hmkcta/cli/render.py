@@ -73,6 +73,7 @@ def render_command(file: str, output: str, scene: str | None, against: str | Non
         raise invalid("output-format", "output", repr(output), f"a film ({', '.join(FILMS)}) with --animate")
     check_output(output, overwrite)
     described = _scene(scene, given)
+    _check_compared(described, against)
     model = open_model(file)
     source = {"member": member, "shape": shape, "dtype": dtype, "order": order, "offset": offset}
     original = opened("--against", against, source, quiet or as_json)
@@ -90,6 +91,8 @@ def render_command(file: str, output: str, scene: str | None, against: str | Non
     idle = idle_options(given, renderer.kind, model.metadata.axes, described.volume.mode)
     notes = [*renderer.notes, *_resized(described, size),
              *([] if renderer.gain is None else [f"errors are shown {renderer.gain:g} times as large as they are"]),
+             *(["slices are rendered by NumPy: --backend gpu does nothing for them"]
+               if backend == "gpu" and renderer.backend == "numpy" else []),
              *([f"for a {renderer.kind} these do nothing: {', '.join(idle)}"] if idle else [])]
     _report(output, renderer, size, count, time.monotonic() - started, notes, as_json, quiet)
 
@@ -98,6 +101,14 @@ def _scene(path: str | None, given: dict[str, Any]) -> Scene:
     from ..render.scene import read_json, scene_from_json
 
     return scene_from_json(fill_scene({} if path is None else read_json(path), given))
+
+
+def _check_compared(scene: Scene, against: str | None) -> None:
+    """Refuse to compare with nothing, before anything is read."""
+    if scene.compare.mode != "none" and scene.compare.level is None and against is None:
+        raise invalid("no-original", "compare", f"{scene.compare.mode} without a level",
+                      "the original array, or a level to compare with",
+                      "give the original by --against FILE, or a level by --split N")
 
 
 def _followed(renderer: Renderer, scene: Scene, motion: str | None, count: int, progress: Progress) -> Iterator[Any]:

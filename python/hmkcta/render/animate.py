@@ -8,7 +8,7 @@ from math import cos, pi, sin
 
 from ..axes import Axis
 from ..errors import invalid
-from .layout import Layout
+from .layout import Layout, axes_without_place
 from .lightfield import find_cameras
 from .numpy_path import placed_camera
 from .scene import Light, Scene
@@ -17,11 +17,19 @@ MOTIONS = ("orbit", "light", "view", "time")
 SWING = 40.0  # degrees to each side: an orbit about a plane, which is seen from the front only
 
 
-def default_motion(kind: str, layout: Layout) -> str:
-    """What moves where nobody says it: time of a volume, the view of a light field, else the camera."""
+def default_motion(kind: str, axes: Sequence[Axis], layout: Layout) -> str:
+    """What moves where nobody says it: time of a volume and of slices, the view of a light field, else the camera.
+
+    Raises:
+        HmkctaError: they are slices of what has no time.
+    """
+    timed = _has_time(kind, axes, layout) and layout.sizes[layout.time or 0] > 1
+    if kind == "generic" and not timed:
+        raise invalid("motion-kind", "film", "slices, in which nothing moves", "a picture, or a film of time",
+                      "give a name that ends with .png, or an axis the role time when compressing, --axes NAME:ROLE,..")
     if kind == "lightfield":
         return "view"
-    return "time" if kind == "volume" and layout.time is not None and layout.sizes[layout.time] > 1 else "orbit"
+    return "time" if kind in ("volume", "generic") and timed else "orbit"
 
 
 def moving(scene: Scene, motion: str, count: int, kind: str, axes: Sequence[Axis], layout: Layout) -> Iterator[Scene]:
@@ -39,8 +47,9 @@ def moving(scene: Scene, motion: str, count: int, kind: str, axes: Sequence[Axis
     fitting = {"orbit": ("svbrdf", "volume"), "light": ("svbrdf", "volume"), "view": ("lightfield",)}
     if motion not in MOTIONS:
         raise invalid("unknown-motion", "animate", repr(motion), ", ".join(MOTIONS))
-    if kind not in fitting.get(motion, (kind,)) or (motion == "time" and layout.time is None):
-        suiting = [m for m in MOTIONS if kind in fitting.get(m, ()) or (m == "time" and layout.time is not None)]
+    timed = _has_time(kind, axes, layout)
+    if kind not in fitting.get(motion, (kind,)) or (motion == "time" and not timed):
+        suiting = [m for m in MOTIONS if kind in fitting.get(m, ()) or (m == "time" and timed)]
         hint = "" if suiting else "give roles when compressing, --axes NAME:ROLE,.., for a kind that moves"
         raise invalid("motion-kind", "animate", motion, f"{', '.join(suiting) or 'nothing'} for this {kind}", hint)
     if count < 1:
@@ -57,7 +66,19 @@ def moving(scene: Scene, motion: str, count: int, kind: str, axes: Sequence[Axis
             yield _walk(scene, share, axes, layout)
         else:
             last = layout.sizes[layout.time or 0] - 1
-            yield replace(scene, time=last * number / max(count - 1, 1))
+            yield _at_time(scene, last * number / max(count - 1, 1), kind, layout)
+
+
+def _has_time(kind: str, axes: Sequence[Axis], layout: Layout) -> bool:
+    """Whether there are frames one after another: slices may show all of time as a picture."""
+    return layout.time is not None and not (kind == "generic" and layout.time in axes_without_place(axes, kind))
+
+
+def _at_time(scene: Scene, time: float, kind: str, layout: Layout) -> Scene:
+    """Slices stand at a frame as on any other axis, at the nearest one."""
+    if kind != "generic":
+        return replace(scene, time=time)
+    return replace(scene, position={**scene.position, layout.names[layout.time or 0]: round(time)})
 
 
 def _orbit(scene: Scene, share: float, kind: str) -> Scene:

@@ -23,6 +23,7 @@ from .upload import DecoderBuffers
 FRAME = np.dtype([
     ("width", "u4"), ("height", "u4"), ("depth", "u4"), ("first", "u4"),
     ("x_axis", "u4"), ("y_axis", "u4"), ("time_axis", "u4"), ("unused", "u4"),
+    ("x_first", "u4"), ("y_first", "u4"), ("x_step", "u4"), ("y_step", "u4"),
     ("time", "u4", 4), ("time_weight", "f4", 4),
 ])
 SLOTS = (Slot("uniform"), Slot("storage"), Slot("out", "3d", "r32float"))
@@ -106,6 +107,7 @@ def _frame(grid: Grid, first: int) -> NDArray[np.void]:
     frame = np.zeros((), FRAME)
     frame["depth"], frame["height"], frame["width"] = grid.shape
     frame["first"] = first
+    frame["x_step"] = frame["y_step"] = 1
     frame["y_axis"], frame["x_axis"] = grid.layout.space[-2:]
     frame["time_axis"] = NO_AXIS if grid.layout.time is None else grid.layout.time
     frame["time"][:2], frame["time_weight"][:2] = grid.frames, grid.weights

@@ -108,13 +108,19 @@ def axes_without_place(axes: Sequence[Axis], kind: str) -> list[int]:
 def value_range(source: Any, shape: Sequence[int]) -> tuple[float, float]:
     """The 0.5th and 99.5th percentile of 4096 elements spread over a model or an array of that shape.
 
+    Where these are one value, as most values of sparse data are, it is the least and the largest of the elements.
+
     >>> value_range(np.arange(1000.0), (1000,))
     (4.0, 994.0)
+    >>> value_range(np.where(np.arange(1000) == 500, 7.0, 0.0), (1000,))
+    (0.0, 7.0)
     """
     size = prod(shape)
     flat = np.unravel_index(np.arange(SAMPLES, dtype=np.uint64) * HASH % size, tuple(shape))
     values: NDArray[np.float64] = np.sort(np.asarray(source[tuple(np.asarray(i) for i in flat)], np.float64))
     low, high = int(LOW_SHARE * (SAMPLES - 1)), int(np.ceil(HIGH_SHARE * (SAMPLES - 1)))
+    if values[low] == values[high]:
+        low, high = 0, SAMPLES - 1
     return float(values[low]), float(values[high])
 
 

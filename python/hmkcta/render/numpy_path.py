@@ -27,7 +27,7 @@ def placed_camera(scene: Scene, kind: str) -> Camera:
         return scene.camera.placed(0.0, 0.0, 3.6)
     if kind == "svbrdf" and scene.surface.shape == "cloth":
         return scene.camera.placed(20.0, 38.0, 5.3)
-    return scene.camera.placed(30.0, 25.0, 5.0) if kind == "volume" else scene.camera.placed(20.0, 20.0, 3.4)
+    return scene.camera.placed(30.0, 25.0, 5.4) if kind == "volume" else scene.camera.placed(20.0, 20.0, 3.4)
 
 
 def rays_of(scene: Scene, kind: str) -> Rays:

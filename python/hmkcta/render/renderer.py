@@ -140,7 +140,7 @@ class Renderer:
             HmkctaError: the motion does not suit the kind, or a scene does not fit the model.
         """
         axes = self._model.metadata.axes
-        motion = motion or default_motion(self.kind, self._layout)
+        motion = motion or default_motion(self.kind, axes, self._layout)
         for moved in moving(scene, motion, count, self.kind, axes, self._layout):
             yield self.picture(moved)
 
@@ -157,7 +157,7 @@ class Renderer:
             return self._radiance(scene, scene.compare.level)
         if self._original is None:
             raise invalid("no-original", "compare", f"{scene.compare.mode} without a level",
-                          "the original array, or a level to compare with", "give --against FILE, or compare.level")
+                          "the original array, or a level to compare with", "give original=ARRAY, or compare.level")
         return self._original_path.radiance(scene, None)
 
     @cached_property

@@ -54,8 +54,8 @@ def prepare(window: tuple[float, float], axes: Sequence[Axis], layout: Layout, s
     extent = np.array([axes[n].size * spacing(axes[n]) for n in reversed(layout.space)])
     voxel = min(2 * spacing(axes[n]) / extent.max() for n in layout.space)
     window = look.window or window
-    if window[1] <= window[0]:
-        window = (window[0], window[0] + 1)
+    if window[1] <= window[0]:  # one value: any width will do that float32 can tell from 0
+        window = (window[0], window[0] + max(1.0, abs(window[0])))
     light = scene.lights[0] if scene.lights else None
     towards = direction(light.azimuth, light.elevation) if light is not None else (0.0, 0.0, 1.0)
     half = (extent / extent.max()).astype(np.float32)

@@ -4,6 +4,7 @@
 struct GridFrame {
   width: u32, height: u32, depth: u32, first: u32,          // elements; the first slice of this dispatch
   x_axis: u32, y_axis: u32, time_axis: u32, unused: u32,    // 0xff: none
+  x_first: u32, y_first: u32, x_step: u32, y_step: u32,     // which elements: each step-th from the first on
   time: vec4u,                                              // the two frames
   time_weight: vec4f,
 }
@@ -17,9 +18,9 @@ fn decode_grid(@builtin(global_invocation_id) id: vec3u) {
   if (at.x >= grid.width || at.y >= grid.height || at.z >= grid.depth) { return; }
   for (var axis = 0u; axis < AXES; axis++) {
     if (axis == grid.x_axis) {
-      pick_one(axis, at.x);
+      pick_one(axis, grid.x_first + at.x * grid.x_step);
     } else if (axis == grid.y_axis) {
-      pick_one(axis, at.y);
+      pick_one(axis, grid.y_first + at.y * grid.y_step);
     } else if (axis != grid.time_axis) {
       pick_one(axis, slots[2u * at.z + axis / 4u][axis % 4u]);
     }

@@ -178,8 +178,16 @@ export function decodeElement(metadata: Metadata, packed: PackedLevel[], index: 
 export const SAMPLES = 4096;
 const HASH = 2654435761;
 
-/** The 0.5th and 99.5th percentile of some elements spread over the model (exact products: i < 2^12, hash < 2^32). */
-export function valueRange(metadata: Metadata, packed: PackedLevel[], levels: number, samples = SAMPLES): [number, number] {
+/** Of some elements spread over a model: the 0.5th and 99.5th percentile, and the extremes. */
+export interface ValueRange {
+  low: number;
+  high: number;
+  least: number;
+  most: number;
+}
+
+/** The range of a model's values; where the percentiles are one value they are the extremes (exact products: i < 2^12, hash < 2^32). */
+export function valueRange(metadata: Metadata, packed: PackedLevel[], levels: number, samples = SAMPLES): ValueRange {
   const sizes = metadata.axes.map((axis) => axis.size);
   const total = sizes.reduce((all, each) => all * each, 1);
   const places = axisPlaces(metadata);
@@ -195,5 +203,7 @@ export function valueRange(metadata: Metadata, packed: PackedLevel[], levels: nu
     values[i] = sourceValue(decodeRows(packed, rows, levels), metadata.transform);
   }
   values.sort();
-  return [values[Math.floor(0.005 * (samples - 1))]!, values[Math.ceil(0.995 * (samples - 1))]!];
+  const [least, most] = [values[0]!, values[samples - 1]!];
+  const [low, high] = [values[Math.floor(0.005 * (samples - 1))]!, values[Math.ceil(0.995 * (samples - 1))]!];
+  return low < high ? { low, high, least, most } : { low: least, high: most, least, most };
 }

@@ -21,9 +21,9 @@ export async function openGpu(onLost: (problem: Problem) => void): Promise<Gpu> 
   if (adapter === null) {
     throw new Problem("The browser has WebGPU, but found no graphics adapter for it.", "", BROWSERS);
   }
-  const { maxBufferSize, maxTextureDimension2D, maxTextureDimension3D } = adapter.limits;
+  const { maxBufferSize, maxTextureDimension2D } = adapter.limits;
   const device = await adapter.requestDevice({
-    requiredLimits: { maxBufferSize, maxTextureDimension2D, maxTextureDimension3D },
+    requiredLimits: { maxBufferSize, maxTextureDimension2D },
   }).catch((error: unknown) => {
     throw new Problem("The graphics adapter could not be opened.", String(error), BROWSERS);
   });
@@ -50,7 +50,7 @@ export async function guarded<Result>(device: GPUDevice, what: string, encode: (
     const errors = await Promise.all([device.popErrorScope(), device.popErrorScope()]);
     const error = errors.find((each) => each !== null);
     if (error instanceof GPUOutOfMemoryError) {
-      throw new Problem(`The graphics memory ran out while ${what}.`, error.message, "Close other pages, or use a smaller file.");
+      throw new Problem(`The graphics memory ran out while ${what}.`, error.message, "Close other pages, show slices or fewer cameras (a smaller aperture), or use a smaller file.");
     }
     if (error != null) {
       throw new Problem(`The graphics adapter refused ${what}.`, error.message);

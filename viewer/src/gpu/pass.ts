@@ -3,7 +3,7 @@
 import { compose, type SHADERS } from "./shaders";
 import { UniformLayout, type Values } from "./uniform";
 
-export type Resource = GPUBuffer | GPUTexture;
+type Resource = GPUBuffer | GPUTexture;
 
 interface Description {
   entry: string;

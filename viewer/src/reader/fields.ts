@@ -45,7 +45,7 @@ export function checkSizes(value: Json, where: string, limits: Limits): void {
 }
 
 /** The JSON name of a value's type, for messages. */
-export function typeName(value: Json): string {
+function typeName(value: Json): string {
   if (value === null) return "null";
   if (Array.isArray(value)) return "a list";
   if (value instanceof Map) return "an object";

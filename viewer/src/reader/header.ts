@@ -36,9 +36,10 @@ export function headerLength(start: Uint8Array, size: number, limits: Limits): n
   if (size < LENGTH_BYTES) {
     throw fault("truncated", "header", `a file of ${size} bytes`, "8 bytes and more", REFETCH);
   }
-  const length = Number(new DataView(start.buffer, start.byteOffset, LENGTH_BYTES).getBigUint64(0, true));
+  const exact = new DataView(start.buffer, start.byteOffset, LENGTH_BYTES).getBigUint64(0, true);
+  const length = Number(exact);
   if (length > limits.json_bytes) {
-    throw fault("header-too-large", "header", `${length} bytes`, `at most ${limits.json_bytes}`,
+    throw fault("header-too-large", "header", `${exact} bytes`, `at most ${limits.json_bytes}`,
       "check that it is an .hmk file");
   }
   if (LENGTH_BYTES + length > size) {

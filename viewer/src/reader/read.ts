@@ -85,7 +85,7 @@ export class Reading {
       const start = this.header.dataStart;
       const found = crc32(file.subarray(start + entry.begin, start + entry.end));
       if (found !== record.crc32) {
-        throw fault("array-crc", name, `0x${found.toString(16)}`, `0x${record.crc32.toString(16)}`,
+        throw fault("array-crc", name, hexadecimal(found), hexadecimal(record.crc32),
           "fetch the file again");
       }
     }
@@ -129,4 +129,8 @@ export class Reading {
   private names(wanted: (name: string, entry: Entry) => boolean): string[] {
     return [...this.header.entries].filter(([name, entry]) => wanted(name, entry)).map(([name]) => name);
   }
+}
+
+function hexadecimal(crc: number): string {
+  return `0x${crc.toString(16).padStart(8, "0")}`;
 }

@@ -75,9 +75,25 @@ export function checkRecords(records: Map<string, ArrayRecord>, entries: Map<str
  * Where the version has bytes, the type of a level's core is that of its bases; no F16 follows a level of bytes.
  */
 export function checkSchema(parsed: Parsed, entries: Map<string, Entry>, limits: Limits): void {
-  const { metadata, coords, version } = parsed;
+  const short = isShort(parsed.version);
+  const expected = expectedArrays(parsed, entries, limits);
+  for (const [name, info] of expected) {
+    if (!(short && !entries.has(name) && OPTIONAL.includes(name.split("/")[2]!))) {
+      checkInfo(name, required(name, entries), (short ? NARROWER[info.dtype] : undefined) ?? [info.dtype], info.shape);
+    }
+  }
+  checkCoords(parsed, entries);
+  const named = new Set(parsed.coords.values());
+  for (const name of entries.keys()) {
+    if (!expected.has(name) && !named.has(name)) {
+      throw fault("array-unexpected", name, "an array", "no such array");
+    }
+  }
+}
+
+/** The arrays that the levels have, by their names. */
+function expectedArrays({ metadata, version }: Parsed, entries: Map<string, Entry>, limits: Limits): Map<string, Info> {
   const { modeSizes, undecomposed } = metadata;
-  const short = isShort(version);
   const expected = new Map<string, Info>();
   const depth = metadata.levels.length;
   let nodes = 0;
@@ -91,28 +107,21 @@ export function checkSchema(parsed: Parsed, entries: Map<string, Entry>, limits:
       numbers = "I8";
     }
     for (const [part, info] of levelSchema(modeSizes.length, undecomposed, count, level === depth, numbers)) {
-      if (!(short && part.includes("_offset"))) {
+      if (!(isShort(version) && part.includes("_offset"))) {
         expected.set(`level/${level}/${part}`, info);
       }
     }
   }
-  for (const [name, info] of expected) {
-    if (!(short && !entries.has(name) && OPTIONAL.includes(name.split("/")[2]!))) {
-      checkInfo(name, required(name, entries), (short ? NARROWER[info.dtype] : undefined) ?? [info.dtype], info.shape);
-    }
-  }
+  return expected;
+}
+
+function checkCoords({ metadata, coords }: Parsed, entries: Map<string, Entry>): void {
   for (const [n, name] of coords) {
     const entry = required(name, entries);
     const width = entry.shape.slice(1, 2);
     checkInfo(name, entry, ["F32", "F64"], [metadata.axes[n]?.size ?? 0, ...width]);
     if (width.some((numbers) => numbers < 1 || numbers > MAX_COORD_DIMENSIONS)) {
       throw fault("array-shape", name, `[${entry.shape.join()}]`, `1 to ${MAX_COORD_DIMENSIONS} numbers an index`);
-    }
-  }
-  const named = new Set(coords.values());
-  for (const name of entries.keys()) {
-    if (!expected.has(name) && !named.has(name)) {
-      throw fault("array-unexpected", name, "an array", "no such array");
     }
   }
 }

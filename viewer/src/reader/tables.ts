@@ -69,7 +69,7 @@ export function offsetSteps(offsets: Uint32Array, name: string): Float64Array {
 }
 
 /** Whether C, K and R of a node are all zero. */
-export function isZero(shape: Uint32Array, order: number, s: number): boolean {
+function isZero(shape: Uint32Array, order: number, s: number): boolean {
   const width = 3 * order;
   for (let i = s * width; i < (s + 1) * width; i += 1) {
     if (shape[i] !== 0) {

@@ -8,7 +8,7 @@ const TURN = 2 * Math.PI;
 const AZIMUTH = /phi|azim/i;
 
 /** The angles of an axis, ascending, in radians, with their indices: four words each, as the shader reads them. */
-export interface AngleList {
+interface AngleList {
   axis: number;
   count: number;
   words: Uint32Array;

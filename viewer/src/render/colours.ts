@@ -1,6 +1,6 @@
 /** Colour maps and tables of 256 entries: the twin of `hmkcta.render.colours`. */
 
-export type Stop = [number, number, number];
+type Stop = [number, number, number];
 
 /** Colours 0..255 at even steps from 0 to 1. */
 export const COLOURS: Record<string, Stop[]> = {

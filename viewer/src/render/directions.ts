@@ -19,7 +19,7 @@ const MAX_ZENITH = (75 * Math.PI) / 180;
 const RECORD = 16; // numbers a triangle
 
 /** Triangles over measured directions, as the shader reads them: records, then the grid. */
-export interface DirectionTable {
+interface DirectionTable {
   words: Uint32Array<ArrayBuffer>;
   triangles: number;
 }

@@ -8,31 +8,32 @@ import type { Decoder } from "../gpu/decoder";
 import { Pass } from "../gpu/pass";
 import { prelude } from "../gpu/prelude";
 import { pickedFiles } from "../gpu/shaders";
-import { Problem } from "../problem";
 import { timeSteps } from "./layout";
+import type { Span } from "./part";
 import type { Progress } from "./renderer";
 
 const NO_AXIS = 0xff;
 
 /** Which elements: for each group (a camera, a z) its slices, each an index of every source axis. */
-export interface GridRequest {
+interface GridRequest {
   level: number;
   x: number; // axis numbers
   y: number | null; // null: all rows are the same
-  rows?: number; // where there is no y
+  rows: Span; // of the axis y
+  columns: Span;
   time: { axis: number; at: number } | null;
   groups: number[][][];
 }
 
 /** How a model's grids are decoded: the shader, and the modes that it finds contracted. */
-export interface GridShader {
+interface GridShader {
   pass: Pass;
   frame: FrameContraction;
   still: number[]; // axes that stand still in all requests, time aside
 }
 
 /** The shader that decodes grids along some axes; modes of which none moves are contracted for each frame. */
-export async function gridShader(device: GPUDevice, decoder: Decoder, moving: (number | null)[]): Promise<GridShader> {
+async function gridShader(device: GPUDevice, decoder: Decoder, moving: (number | null)[]): Promise<GridShader> {
   const { metadata } = decoder;
   const picks = metadata.axes.map((axis) => (axis.role === "time" ? 2 : 1));
   const still = metadata.axes.flatMap((_, axis) => (moving.includes(axis) ? [] : [axis]));
@@ -49,7 +50,7 @@ export async function gridShader(device: GPUDevice, decoder: Decoder, moving: (n
   return { pass, frame, still };
 }
 
-export class GridCache {
+class GridCache {
   texture: GPUTexture | null = null;
   private slots: GPUBuffer | null = null;
   private key = "";
@@ -62,14 +63,13 @@ export class GridCache {
    * and how far it is.
    */
   fill(request: GridRequest, budget: number): { first: number[]; progress: Progress } {
-    const axes = this.decoder.metadata.axes;
-    const [width, height] = [axes[request.x]!.size, request.y === null ? request.rows ?? 1 : axes[request.y]!.size];
+    const [width, height] = [request.columns.count, request.rows.count];
     const each = request.groups[0]?.length ?? 1;
     const wanted = request.groups.map((group) => group.flat().join());
-    const key = JSON.stringify([request.level, request.x, request.y, request.time, each]);
+    const key = JSON.stringify([request.level, request.x, request.y, request.rows, request.columns, request.time, each]);
     const room = this.texture === null ? 0 : this.texture.depthOrArrayLayers / each;
     if (this.texture?.width !== width || this.texture.height !== height || room < wanted.length || room % 1 !== 0) {
-      this.allocate(width, height, wanted.length, each, request.x, request.y);
+      this.allocate(width, height, wanted.length, each);
     } else if (key !== this.key) {
       this.held.fill(null);
     }
@@ -100,14 +100,8 @@ export class GridCache {
     this.texture = null;
   }
 
-  private allocate(width: number, height: number, groups: number, each: number, x: number, y: number | null): void {
-    const most = this.device.limits.maxTextureDimension3D;
-    const shown = [x, ...(y === null ? [] : [y])].map((axis) => this.decoder.metadata.axes[axis]!.name).join(" x ");
-    if (Math.max(width, height, groups * each) > most) {
-      throw new Problem(`A picture of ${shown} is too large for the graphics adapter.`,
-        `It has ${width} x ${height} x ${groups * each} elements; ${most} are allowed each way.`,
-        "Choose other axes, or a smaller aperture.");
-    }
+  /** No side is too long: pictures are parts of at most 2048, and groups at most 2048 slices of a volume or 256 cameras. */
+  private allocate(width: number, height: number, groups: number, each: number): void {
     this.destroy();
     this.texture = this.device.createTexture({
       size: [width, height, groups * each], dimension: "3d", format: "r32float",
@@ -152,6 +146,7 @@ export class GridCache {
     frame.run([this.standing(group[0]!, request.time?.axis, frames, weight)]);
     pass.run({
       width, height, depth: first + group.length, first, x_axis: request.x, y_axis: request.y ?? NO_AXIS,
+      x_first: request.columns.first, x_step: request.columns.step, y_first: request.rows.first, y_step: request.rows.step,
       time_axis: request.time?.axis ?? NO_AXIS, time: frames, time_weight: [1 - weight, weight],
     }, [this.slots!, this.texture!], [width, height, group.length], frame.group(request.level));
   }

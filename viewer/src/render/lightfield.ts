@@ -6,8 +6,8 @@ import type { Axis, Metadata } from "../reader/metadata";
 import type { State } from "../state";
 import { Grids } from "./grid";
 import { type Layout, channelsAt, layOut } from "./layout";
+import { partSeen } from "./part";
 import type { Progress, Renderer, Side } from "./renderer";
-import { fitted } from "./slices";
 
 const MOST_CAMERAS = 256;
 
@@ -116,15 +116,15 @@ export class LightfieldRenderer implements Renderer {
     }));
     const cache = this.grids.cache(side.decoder, slot);
     const time = layout.time === null ? null : { axis: layout.time, at: state.time };
-    const { first, progress } = cache.fill({ level: side.level, x, y, time, groups }, budget);
+    const shifted = Math.max(...aimed.flatMap(({ shift }) => shift.map(Math.abs)));
+    const { rows, columns, step, scale, offsetY, offsetX } = partSeen(axes[y]!.size, axes[x]!.size, target, state, shifted + 1);
+    const { first, progress } = cache.fill({ level: side.level, x, y, rows, columns, time, groups }, budget);
     const total = aimed.reduce((sum, { weight }) => sum + weight, 0);
     this.device.queue.writeBuffer(this.table, 0, Float32Array.from(
-      aimed.flatMap(({ weight, shift }, i) => [weight / total, ...shift, first[i]!])));
-    const [rows, columns] = [axes[y]!.size, axes[x]!.size];
-    const { scale, offsetY, offsetX } = fitted(rows, columns, target.width, target.height, state);
+      aimed.flatMap(({ weight, shift }, i) => [weight / total, shift[0] / step, shift[1] / step, first[i]!])));
     this.pass.run({
-      width: target.width, height: target.height, cameras: aimed.length, channels: layout.channels.length, rows, columns,
-      scale, offset_y: offsetY, offset_x: offsetX,
+      width: target.width, height: target.height, cameras: aimed.length, channels: layout.channels.length, rows: rows.count,
+      columns: columns.count, scale, offset_y: offsetY, offset_x: offsetX,
     }, [this.table, cache.texture!, target], [target.width, target.height, 1]);
     return progress;
   }

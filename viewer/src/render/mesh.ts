@@ -9,6 +9,9 @@ export interface Mesh {
   indices: Uint32Array<ArrayBuffer>;
 }
 
+/** What makes a mesh, for a number of repeats. */
+export type MeshMaker = (repeat: number) => Mesh;
+
 export const VERTEX_NUMBERS = 12;
 export type Shape = "sphere" | "plane" | "cloth";
 
@@ -102,48 +105,57 @@ export const MOST_TRIANGLES = 2_000_000;
 
 /** A Wavefront OBJ mesh with texture coordinates: y up becomes z up, the largest half extent 1. */
 export function parseObj(text: string, repeat: number): Mesh {
-  const places: Vector[] = [];
-  const uvs: [number, number][] = [];
-  const normals: Vector[] = [];
-  const points: Point[] = [];
-  const known = new Map<string, number>();
+  const read = new ObjCorners();
   const indices: number[] = [];
-  const vector = (words: string[]): Vector => [Number(words[2]), Number(words[0]), Number(words[1])];
-  // Numbers count from 1, negative ones from the last that has been read; those that are left out are 0.
-  const absolute = (number: number | undefined, count: number): number => (number! < 0 ? count + number! : (number ?? 0) - 1);
-  const corner = (word: string): number => {
-    const [v, t, n] = word.split("/").map(Number);
-    const at = [absolute(v, places.length), absolute(t, uvs.length), absolute(n, normals.length)] as const;
-    const key = at.join("/");
-    let index = known.get(key);
-    if (index === undefined) {
-      const place = places[at[0]];
-      const uv = uvs[at[1]];
-      if (place === undefined || uv === undefined || ![...place, ...uv].every(Number.isFinite)) {
-        throw new Problem("The mesh has no texture coordinates, or is damaged.", `At "${word}".`,
-          "Unwrap it in a modeller, and export it as OBJ again.");
-      }
-      const normal = normals[at[2]];
-      index = points.length;
-      points.push({ position: place, normal: normal ?? [0, 0, 0], tangent: [0, 0, 0], hand: 1,
-        uv: [uv[0], 1 - uv[1]] });
-      known.set(key, index);
-    }
-    return index;
-  };
   for (const line of text.split("\n")) {
     const [word, ...rest] = line.trim().split(/\s+/);
-    if (word === "v") places.push(vector(rest));
-    if (word === "vn") normals.push(vector(rest));
-    if (word === "vt") uvs.push([Number(rest[0]), Number(rest[1])]);
+    if (word === "v") read.places.push(objVector(rest));
+    if (word === "vn") read.normals.push(objVector(rest));
+    if (word === "vt") read.uvs.push([Number(rest[0]), Number(rest[1])]);
     if (word === "f") {
-      const corners = rest.map(corner);
+      const corners = rest.map((each) => read.corner(each));
       for (let i = 2; i < corners.length; i += 1) {
         indices.push(corners[0]!, corners[i - 1]!, corners[i]!);
       }
     }
   }
-  return finished(points, indices, repeat);
+  return finished(read.points, indices, repeat);
+}
+
+function objVector(words: string[]): Vector {
+  return [Number(words[2]), Number(words[0]), Number(words[1])];
+}
+
+/** What the lines of an OBJ file so far say, and the corners made of it, each once. */
+class ObjCorners {
+  readonly places: Vector[] = [];
+  readonly uvs: [number, number][] = [];
+  readonly normals: Vector[] = [];
+  readonly points: Point[] = [];
+  private readonly known = new Map<string, number>();
+
+  /** The number of the corner that a word of a face names. */
+  corner(word: string): number {
+    const [v, t, n] = word.split("/").map(Number);
+    // Numbers count from 1, negative ones from the last that has been read; those that are left out are 0.
+    const absolute = (number: number | undefined, count: number): number => (number! < 0 ? count + number! : (number ?? 0) - 1);
+    const at = [absolute(v, this.places.length), absolute(t, this.uvs.length), absolute(n, this.normals.length)] as const;
+    const key = at.join("/");
+    let index = this.known.get(key);
+    if (index === undefined) {
+      const [place, uv] = [this.places[at[0]], this.uvs[at[1]]];
+      if (place === undefined || uv === undefined || ![...place, ...uv].every(Number.isFinite)) {
+        throw new Problem("The mesh has no texture coordinates, or is damaged.", `At "${word}".`,
+          "Unwrap it in a modeller, and export it as OBJ again.");
+      }
+      index = this.points.length;
+      this.points.push({
+        position: place, normal: this.normals[at[2]] ?? [0, 0, 0], tangent: [0, 0, 0], hand: 1, uv: [uv[0], 1 - uv[1]],
+      });
+      this.known.set(key, index);
+    }
+    return index;
+  }
 }
 
 /** Triangles of a file: y up, v from the bottom for OBJ, from the top for glTF; normals of length 0 where there are none. */

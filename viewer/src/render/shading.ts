@@ -9,11 +9,11 @@ import { pickedFiles } from "../gpu/shaders";
 import type { LevelBounds, Metadata } from "../reader/metadata";
 import type { Layout } from "./layout";
 
-export const FLAG_NEAREST = 4;
-export const FLAG_NEAREST_AZIMUTH = 8;
+const FLAG_NEAREST = 4;
+const FLAG_NEAREST_AZIMUTH = 8;
 
 /** A shader and how its model is contracted. */
-export interface Shader {
+interface Shader {
   pass: Pass;
   frame: FrameContraction;
 }

@@ -7,20 +7,11 @@ import type { State } from "../state";
 import { colourTable } from "./colours";
 import { Grids } from "./grid";
 import { shownChannels } from "./layout";
+import { partSeen } from "./part";
 import { type Progress, type Renderer, type Side, filledBuffer } from "./renderer";
+import { windowEnd } from "./window";
 
 const STRIP = 8; // times as long as it is high
-
-/** Where a picture of rows x columns lies in a frame: pixels of it a frame pixel, and those at the first one's centre. */
-export function fitted(
-  rows: number, columns: number, width: number, height: number, state: State,
-): { scale: number; offsetY: number; offsetX: number } {
-  const scale = Math.max(rows / height, columns / width) / state.zoom;
-  return {
-    scale, offsetY: (rows - 1) / 2 - (scale * (height - 1)) / 2 - state.pan[1],
-    offsetX: (columns - 1) / 2 - (scale * (width - 1)) / 2 - state.pan[0],
-  };
-}
 
 /** Rows and columns of the picture. An array of one axis is a strip, all of whose rows are the same. */
 export function sliceSize(metadata: Metadata, state: State): [rows: number, columns: number] {
@@ -75,16 +66,15 @@ export class SliceRenderer implements Renderer {
       state.position.map((place, n) => (n === channel ? index : place)));
     const cache = this.grids!.cache(side.decoder, slot);
     const group = shown.map((index) => index.map((place, n) => (n === x || n === y ? 0 : place)));
-    const [rows, columns] = sliceSize(metadata, state);
-    const { progress } = cache.fill({ level: side.level, x, y: x === y ? null : y, rows, time: null, groups: [group] }, budget);
+    const { rows, columns, scale, offsetY, offsetX } = partSeen(...sliceSize(metadata, state), target, state);
+    const { progress } = cache.fill({ level: side.level, x, y: x === y ? null : y, rows, columns, time: null, groups: [group] }, budget);
     if (colours !== this.colourName) {
       this.device.queue.writeBuffer(this.colours, 0, colourTable(colours));
       this.colourName = colours;
     }
-    const { scale, offsetY, offsetX } = fitted(rows, columns, target.width, target.height, state);
     this.pass.run({
-      width: target.width, height: target.height, channels: shown.length, rows, columns, scale, offset_y: offsetY,
-      offset_x: offsetX, low, high: high > low ? high : low + 1e-30,
+      width: target.width, height: target.height, channels: shown.length, rows: rows.count, columns: columns.count, scale, offset_y: offsetY,
+      offset_x: offsetX, low, high: windowEnd(low, high),
     }, [this.colours, cache.texture!, target], [target.width, target.height, 1]);
     return progress;
   }

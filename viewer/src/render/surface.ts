@@ -2,7 +2,7 @@
 
 import { SHADERS } from "../gpu/shaders";
 import type { State } from "../state";
-import { type Mesh, VERTEX_NUMBERS, makeMesh } from "./mesh";
+import { type Mesh, type MeshMaker, VERTEX_NUMBERS, makeMesh } from "./mesh";
 import { filledBuffer } from "./renderer";
 import { type Rays, cameraRays, clipFromWorld } from "./vector";
 
@@ -23,7 +23,7 @@ export class Surface {
   private depth: GPUTexture | null = null;
   private pipeline: GPURenderPipeline | null = null;
   private readonly uniform: GPUBuffer;
-  private custom: ((repeat: number) => Mesh) | null = null;
+  private custom: MeshMaker | null = null;
   private meshes = 0;
   private mesh: Drawn | null = null;
   private key = ""; // what `seen` shows
@@ -37,7 +37,7 @@ export class Surface {
   }
 
   /** Take a mesh of the user's for the shape "mesh". */
-  setMesh(make: (repeat: number) => Mesh): void {
+  setMesh(make: MeshMaker): void {
     this.custom = make;
     this.meshes += 1;
   }

@@ -8,7 +8,7 @@ import type { Light, State } from "../state";
 import { zenithFirst } from "./angles";
 import { type Layout, channelsAt, layOut } from "./layout";
 import { Directions, type FixedDirection, NO_AXIS } from "./measured";
-import type { Mesh } from "./mesh";
+import type { MeshMaker } from "./mesh";
 import type { Progress, Renderer, Side } from "./renderer";
 import { type Directed, Shading } from "./shading";
 import { Surface } from "./surface";
@@ -66,7 +66,7 @@ export class SvbrdfRenderer implements Renderer {
   }
 
   /** Take a mesh of the user's for the shape "mesh". */
-  setMesh(make: (repeat: number) => Mesh): void {
+  setMesh(make: MeshMaker): void {
     this.surface.setMesh(make);
   }
 

@@ -7,8 +7,10 @@ import { BACKGROUND, type State, VOLUME_MODES } from "../state";
 import { colourTable } from "./colours";
 import { Grids } from "./grid";
 import { type Layout, layOut } from "./layout";
+import { type Span, wholeSpan } from "./part";
 import { type Progress, type Renderer, type Side, filledBuffer } from "./renderer";
 import { type Vector, cameraRays, direction } from "./vector";
+import { windowEnd } from "./window";
 
 const AMBIENT = 0.35;
 const SPECULAR = 0.25;
@@ -47,11 +49,12 @@ export class VolumeRenderer implements Renderer {
   draw(side: Side, slot: 0 | 1, state: State, target: GPUTexture, budget: number): Progress {
     const { axes } = side.decoder.metadata;
     const [z, y, x] = this.layout.space as [number, number, number];
-    const groups = Array.from({ length: axes[z]!.size }, (_, k) => [state.position.map((place, n) => (
-      n === z ? k : n === x || n === y || n === this.layout.time ? 0 : place))]);
+    const [slices, rows, columns] = [z, y, x].map((n) => wholeSpan(axes[n]!.size)) as [Span, Span, Span];
+    const groups = Array.from({ length: slices.count }, (_, k) => [state.position.map((place, n) => (
+      n === z ? slices.first + k * slices.step : n === x || n === y || n === this.layout.time ? 0 : place))]);
     const time = this.layout.time === null ? null : { axis: this.layout.time, at: state.time };
     const cache = this.grids.cache(side.decoder, slot);
-    const { progress } = cache.fill({ level: side.level, x, y, time, groups }, budget);
+    const { progress } = cache.fill({ level: side.level, x, y, rows, columns, time, groups }, budget);
     this.updateTransfer(state);
     this.pass.run(this.frame(state, axes, target), [this.transfer, cache.texture!, target],
       [target.width, target.height, 1]);
@@ -86,7 +89,7 @@ export class VolumeRenderer implements Renderer {
       eye, right, up, forward, half, step, unit, width: target.width, height: target.height,
       mode: VOLUME_MODES.indexOf(volume.mode), most_steps: Math.ceil((2 * Math.hypot(...half)) / step) + 1,
       clip_low: volume.clipLow, clip_high: volume.clipHigh, iso: volume.iso, low: volume.low,
-      high: volume.high > volume.low ? volume.high : volume.low + 1, ambient: AMBIENT, specular: SPECULAR,
+      high: windowEnd(volume.low, volume.high), ambient: AMBIENT, specular: SPECULAR,
       light: light === undefined ? [0, 0, 1] : direction(light.azimuth, light.elevation), background: BACKGROUND,
     };
   }

@@ -35,27 +35,37 @@ function labelled(label: string, input: HTMLElement, output?: HTMLElement): HTML
     make("label", { for: input.id, title: label }, label), input, ...(output === undefined ? [] : [output]));
 }
 
-export interface SliderOptions {
+interface SliderOptions {
   min: number;
   max: number;
   step: number | "any";
   get: () => number;
   set: (value: number) => void;
   show?: (value: number) => string;
+  /** The number beside the slider, where it can be typed: also one that the slider does not reach. */
+  typed?: { get: () => number; set: (value: number) => void };
 }
 
 /** A slider with its value beside it. */
 export function slider(label: string, options: SliderOptions): Control {
-  const { min, max, step, get, set, show = plain } = options;
+  const { min, max, step, get, set, show = plain, typed } = options;
   const input = make("input", { type: "range", min: String(min), max: String(max), step: String(step) });
-  const output = make("output");
+  const number = typed === undefined ? null : numberField(`${label}, as a number`, typed.get, (value) => {
+    typed.set(value);
+    refresh();
+  });
+  const output = number?.element ?? make("output");
   const refresh = (): void => {
     const value = get();
+    const shown = typed === undefined ? show(value) : plain(typed.get());
     if (document.activeElement !== input || Number(input.value) !== value) {
       input.value = String(value);
     }
-    output.textContent = show(value);
-    input.setAttribute("aria-valuetext", show(value));
+    if (number === null) {
+      output.textContent = shown;
+    }
+    number?.refresh();
+    input.setAttribute("aria-valuetext", shown);
   };
   input.addEventListener("input", () => {
     set(Number(input.value));
@@ -64,21 +74,48 @@ export function slider(label: string, options: SliderOptions): Control {
   return { element: labelled(label, input, output), refresh };
 }
 
-/** A number as short as it says enough. */
-export function plain(value: number): string {
-  return Number.isInteger(value) ? String(value) : String(Number(value.toPrecision(3)));
+/** A field for a number; what is no number is not taken. */
+function numberField(label: string, get: () => number, set: (value: number) => void): Control {
+  const field = make("input", { "type": "text", "class": "number", "aria-label": label, "autocomplete": "off" });
+  const refresh = (): void => {
+    if (document.activeElement !== field) {
+      field.value = plain(get());
+    }
+  };
+  field.addEventListener("change", () => {
+    const value = Number(field.value.trim().replace(",", "."));
+    if (field.value.trim() !== "" && Number.isFinite(Math.fround(value))) {
+      set(value);
+    }
+    field.value = plain(get());
+  });
+  return { element: field, refresh };
 }
 
-/** A choice of one out of several. */
+/** A number as short as it says enough. */
+export function plain(value: number, digits = 3): string {
+  const size = Math.abs(value);
+  if (Number.isInteger(value) && size < 1e6) {
+    return String(value);
+  }
+  return size >= 1e-3 && size < 1e6 ? String(Number(value.toPrecision(digits))) : value.toExponential(digits - 1).replace("+", "");
+}
+
+/** A choice of one out of several, of which some may be there at times only. */
 export function choice<Value extends string>(
   label: string, options: readonly (readonly [Value, string])[], get: () => Value, set: (value: Value) => void,
+  enabled: (value: Value) => boolean = () => true,
 ): Control {
-  const select = make("select", {}, ...options.map(([value, text]) => make("option", { value }, text)));
+  const made = options.map(([value, text]) => make("option", { value }, text));
+  const select = make("select", {}, ...made);
   select.addEventListener("change", () => {
     set(select.value as Value);
   });
   return {
     element: labelled(label, select), refresh: () => {
+      options.forEach(([value], i) => {
+        made[i]!.disabled = !enabled(value);
+      });
       select.value = get();
     },
   };

@@ -1,13 +1,10 @@
 /** What the page says of a file in words. */
 
+import { formatBytes } from "../bytes";
 import type { Metadata } from "../reader/metadata";
 import { plain } from "./controls";
 
 const KIND_NAMES = { svbrdf: "Material", lightfield: "Light field", volume: "Volume", generic: "Array" };
-
-export function mebibytes(bytes: number): string {
-  return bytes < 2 ** 20 ? `${Math.ceil(bytes / 1024)} KiB` : `${(bytes / 2 ** 20).toFixed(1)} MiB`;
-}
 
 /** One line on a model: its kind, its axes, and how much smaller it is. */
 export function facts(metadata: Metadata, bytes: number): string {
@@ -15,5 +12,5 @@ export function facts(metadata: Metadata, bytes: number): string {
   const source = metadata.axes.reduce((all, axis) => all * axis.size, itemSize[metadata.sourceDtype] ?? 4);
   const axes = metadata.axes.map((axis) => `${axis.name} ${axis.size}`).join(" × ");
   const ratio = source > bytes ? `, 1/${plain(Number((source / bytes).toPrecision(3)))} of the source` : "";
-  return `${KIND_NAMES[metadata.kind]}: ${axes}. ${mebibytes(bytes)}${ratio}.`;
+  return `${KIND_NAMES[metadata.kind]}: ${axes}. ${formatBytes(bytes)}${ratio}.`;
 }

@@ -1,7 +1,7 @@
 /** Files that are dropped on the page or chosen on it. */
 
 import { readGltf } from "../render/gltf";
-import { type Mesh, meshOf, parseObj } from "../render/mesh";
+import { type MeshMaker, meshOf, parseObj } from "../render/mesh";
 import { byId } from "./controls";
 
 export function listenForFiles(take: (file: File) => void): void {
@@ -12,7 +12,9 @@ export function listenForFiles(take: (file: File) => void): void {
     }
   };
   const chooser = byId<HTMLInputElement>("chooser");
-  byId("choose").addEventListener("click", () => chooser.click());
+  for (const id of ["choose", "open"]) {
+    byId(id).addEventListener("click", () => chooser.click());
+  }
   chooser.addEventListener("change", () => {
     takeFirst(chooser.files);
     chooser.value = ""; // to be told when the same file is chosen again
@@ -37,7 +39,7 @@ export function isMesh(file: File): boolean {
 }
 
 /** What makes the mesh in a file, for a number of repeats. */
-export async function meshIn(file: File): Promise<(repeat: number) => Mesh> {
+export async function meshIn(file: File): Promise<MeshMaker> {
   if (/\.obj$/i.test(file.name)) {
     const text = await file.text();
     return (repeat) => parseObj(text, repeat);

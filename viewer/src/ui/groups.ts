@@ -3,9 +3,11 @@
 import type { App } from "../app";
 import type { FileKind } from "../reader/metadata";
 import { COLOURS } from "../render/colours";
+import { windowBounds } from "../render/window";
 import { CURVES, type State } from "../state";
-import { type Control, buttons, choice, group, make, only, plain, slider } from "./controls";
+import { type Control, buttons, choice, group, make, only, slider } from "./controls";
 import { KEYS } from "./keys";
+import type { Player } from "./player";
 
 const KINDS: Record<FileKind, string> = {
   svbrdf: "Material", lightfield: "Light field", volume: "Volume", generic: "Slices",
@@ -13,8 +15,7 @@ const KINDS: Record<FileKind, string> = {
 
 /** What the page around does for the controls. */
 export interface Services {
-  playing: boolean;
-  play(): void; // or stop
+  player: Player;
   save(): void;
 }
 
@@ -57,17 +58,26 @@ export abstract class Groups {
       });
   }
 
-  /** Sliders for the values at both ends of the colours. */
+  /** Sliders for the values at both ends of the colours; any other value can be typed. */
   protected window(get: () => { low: number; high: number }): Control[] {
     const { app } = this;
-    const share = (value: number): number => (value - app.range[0]) / (app.range[1] - app.range[0] || 1);
-    const end = (label: string, key: "low" | "high"): Control => slider(label, {
-      min: -0.5, max: 1.5, step: 0.005, get: () => share(get()[key]), show: () => plain(get()[key]),
-      set: this.change((value) => {
+    const end = (label: string, key: "low" | "high"): Control => {
+      const set = this.change((value: number) => {
         app.windowTouched = true;
-        get()[key] = app.range[0] + value * (app.range[1] - app.range[0]);
-      }),
-    });
+        get()[key] = value;
+      });
+      return slider(label, {
+        min: 0, max: 1, step: 0.0025, typed: { get: () => get()[key], set },
+        get: () => {
+          const [from, to] = windowBounds(app.range);
+          return (get()[key] - from) / (to - from);
+        },
+        set: (share) => {
+          const [from, to] = windowBounds(app.range);
+          set(from + share * (to - from));
+        },
+      });
+    };
     return [end("Low", "low"), end("High", "high")];
   }
 
@@ -82,8 +92,13 @@ export abstract class Groups {
           this.state.time = value;
         }),
       }),
-      buttons({ label: "Play", pressed: () => this.services.playing, act: () => this.services.play() }),
+      this.play(),
     ], () => (axes[n]?.size ?? 1) > 1);
+  }
+
+  protected play(): Control {
+    const { player } = this.services;
+    return buttons({ label: "Play", pressed: () => player.playing, act: () => player.toggle() });
   }
 
   protected tone(): Control {

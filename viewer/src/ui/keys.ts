@@ -1,7 +1,7 @@
 /** What the keys do; `docs/viewer.md` has the same table. */
 export const KEYS: Record<string, string> = {
   "← → ↑ ↓": "turn the camera, move the view point or the slice",
-  "Shift + ← → ↑ ↓": "move the light",
+  "Shift + ← → ↑ ↓": "move the light that the panel shows",
   "+ -": "nearer, farther",
   "[ ]": "level down, up",
   ", .": "previous, next frame",

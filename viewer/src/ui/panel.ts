@@ -1,6 +1,8 @@
 /** The panel: which controls there are for a model, and what they change. */
 
 import type { App } from "../app";
+import { framesOf } from "../places";
+import type { FileKind } from "../reader/metadata";
 import { findCameras } from "../render/lightfield";
 import { layOut } from "../render/layout";
 import { colourAxis } from "../render/slices";
@@ -14,7 +16,7 @@ const MOST_LIGHTS = 8;
 /** Builds the controls of an app into an element; `refresh` shows the state anew. */
 export class Panel extends Groups {
   private controls: Control[] = [];
-  private light = 0;
+  private built: FileKind | null = null; // the kind that they are for
 
   constructor(app: App, private readonly element: HTMLElement, services: Services) {
     super(app, services);
@@ -23,7 +25,8 @@ export class Panel extends Groups {
 
   override build(): void {
     const { app } = this;
-    const kind = app.kind;
+    const { kind } = app;
+    this.built = kind;
     this.controls = [
       this.levels(), this.compare(),
       ...(kind === "svbrdf" ? this.material() : kind === "lightfield" ? this.lightfield() : kind === "volume" ? this.volume() : this.slices()),
@@ -34,6 +37,10 @@ export class Panel extends Groups {
   }
 
   override refresh(): void {
+    if (this.built !== this.app.kind) {
+      this.build();
+      return;
+    }
     this.controls.forEach((control) => control.refresh());
   }
 
@@ -97,12 +104,12 @@ export class Panel extends Groups {
   private material(): Control[] {
     const { surface } = this.state;
     return [group("Object", [
-      choice("Shape", [["sphere", "Sphere"], ["plane", "Plane"], ["cloth", "Cloth"], ["mesh", "Dropped mesh (.obj, .glb)"]],
+      choice("Shape", [["sphere", "Sphere"], ["plane", "Plane"], ["cloth", "Cloth"], ["mesh", "Mesh (open one first)"]],
         () => surface.shape, (shape) => {
           surface.shape = shape;
           this.app.resetView();
           this.changed();
-        }),
+        }, (shape) => shape !== "mesh" || this.app.mesh !== null),
       slider("Repeats", {
         min: 0, max: 3, step: 0.5, get: () => Math.log2(surface.repeat), show: (value) => `x ${plain(2 ** value)}`,
         set: this.change((value) => {
@@ -119,36 +126,16 @@ export class Panel extends Groups {
   }
 
   private lights(): Control {
-    const light = (): State["lights"][number] => this.state.lights[Math.min(this.light, this.state.lights.length - 1)]!;
     const { lights } = this.state;
-    const select = choice("Light", Array.from({ length: MOST_LIGHTS }, (_, n) => [String(n), `Light ${n + 1}`] as const),
-      () => String(this.light), (value) => {
-        this.light = Number(value);
-        this.changed();
-      });
-    const options = select.element.querySelectorAll("option");
-    const refresh = select.refresh.bind(select);
-    select.refresh = () => {
-      this.light = Math.min(this.light, lights.length - 1);
-      options.forEach((option, n) => {
-        option.hidden = n >= lights.length;
-        option.disabled = option.hidden;
-      });
-      refresh();
-    };
+    const light = (): State["lights"][number] => lights[this.state.light]!;
     return group("Light", [
-      only(() => lights.length > 1, select),
+      only(() => lights.length > 1, this.lightChoice()),
       choice("Kind", [["sun", "Directional"], ["point", "Point"]], () => (light().point ? "point" : "sun"), (value) => {
         light().point = value === "point";
         light().intensity = light().point ? light().distance ** 2 : 1;
         this.changed();
       }),
-      this.angle("Azimuth", -180, 180, () => light().azimuth, (value) => {
-        light().azimuth = value;
-      }),
-      this.angle("Elevation", -90, 90, () => light().elevation, (value) => {
-        light().elevation = value;
-      }),
+      ...this.towards(light),
       only(() => light().point, slider("Distance", {
         min: 1.05, max: 10, step: 0.05, get: () => light().distance, set: this.change((value) => {
           light().distance = value;
@@ -163,19 +150,55 @@ export class Panel extends Groups {
       colour("Colour", () => light().colour, this.change((value) => {
         light().colour = value;
       })),
-      buttons({
-        label: "Add a light", enabled: () => lights.length < MOST_LIGHTS, act: () => {
-          lights.push(newLight(light().azimuth + 120, 40));
-          this.light = lights.length - 1;
-          this.changed();
-        },
-      }, {
-        label: "Remove", enabled: () => lights.length > 1, act: () => {
-          lights.splice(this.light, 1);
-          this.changed();
-        },
-      }),
+      this.lightCount(),
     ]);
+  }
+
+  /** Which of the lights the other controls show; options of lights that there are not are hidden. */
+  private lightChoice(): Control {
+    const select = choice("Light", Array.from({ length: MOST_LIGHTS }, (_, n) => [String(n), `Light ${n + 1}`] as const),
+      () => String(this.state.light), (value) => {
+        this.state.light = Number(value);
+        this.changed();
+      }, (value) => Number(value) < this.state.lights.length);
+    const options = select.element.querySelectorAll("option");
+    return {
+      element: select.element, refresh: () => {
+        select.refresh();
+        options.forEach((option) => {
+          option.hidden = option.disabled;
+        });
+      },
+    };
+  }
+
+  private lightCount(): Control {
+    const { lights } = this.state;
+    return buttons({
+      label: "Add a light", enabled: () => lights.length < MOST_LIGHTS, act: () => {
+        lights.push(newLight(lights[this.state.light]!.azimuth + 120, 40));
+        this.state.light = lights.length - 1;
+        this.changed();
+      },
+    }, {
+      label: "Remove", enabled: () => lights.length > 1, act: () => {
+        lights.splice(this.state.light, 1);
+        this.state.light = Math.min(this.state.light, lights.length - 1);
+        this.changed();
+      },
+    });
+  }
+
+  /** Sliders for where a light comes from. */
+  private towards(light: () => State["lights"][number]): Control[] {
+    return [
+      this.angle("Azimuth", -180, 180, () => light().azimuth, (value) => {
+        light().azimuth = value;
+      }),
+      this.angle("Elevation", -90, 90, () => light().elevation, (value) => {
+        light().elevation = value;
+      }),
+    ];
   }
 
   private lightfield(): Control[] {
@@ -207,17 +230,6 @@ export class Panel extends Groups {
     const { volume } = this.state;
     const iso = (): boolean => volume.mode === "iso";
     const names = { emission: "Glow", shaded: "Shaded", iso: "Iso-surface", maximum: "Brightest on the ray" };
-    const clip = (name: string, axis: number, key: "clipLow" | "clipHigh"): Control => slider(name, {
-      min: 0, max: 1, step: 0.01, get: () => volume[key][axis]!, show: (value) => `${Math.round(100 * value)} %`,
-      set: this.change((value) => {
-        const other = key === "clipLow" ? volume.clipHigh[axis]! : volume.clipLow[axis]!;
-        volume[key][axis] = key === "clipLow" ? Math.min(value, other - 0.01) : Math.max(value, other + 0.01);
-      }),
-    });
-    const details = make("details", {}, make("summary", {}, "Clip"));
-    const clips = (["x", "y", "z"] as const).flatMap((name, axis) =>
-      [clip(`${name} from`, axis, "clipLow"), clip(`${name} to`, axis, "clipHigh")]);
-    details.append(...clips.map((control) => control.element));
     return [group("Look", [
       choice("Mode", VOLUME_MODES.map((mode) => [mode, names[mode]] as const), () => volume.mode, (mode) => {
         volume.mode = mode;
@@ -241,15 +253,24 @@ export class Panel extends Groups {
           volume.step = value;
         }),
       }),
-      { element: details, refresh: () => clips.forEach((control) => control.refresh()) },
-    ]), group("Light", [
-      this.angle("Azimuth", -180, 180, () => this.state.lights[0]!.azimuth, (value) => {
-        this.state.lights[0]!.azimuth = value;
+      this.clips(),
+    ]), group("Light", this.towards(() => this.state.lights[0]!), () => volume.mode === "shaded" || iso()), this.time()];
+  }
+
+  /** Where the box begins and ends, folded away. */
+  private clips(): Control {
+    const { volume } = this.state;
+    const clip = (name: string, axis: number, key: "clipLow" | "clipHigh"): Control => slider(name, {
+      min: 0, max: 1, step: 0.01, get: () => volume[key][axis]!, show: (value) => `${Math.round(100 * value)} %`,
+      set: this.change((value) => {
+        const other = key === "clipLow" ? volume.clipHigh[axis]! : volume.clipLow[axis]!;
+        volume[key][axis] = key === "clipLow" ? Math.min(value, other - 0.01) : Math.max(value, other + 0.01);
       }),
-      this.angle("Elevation", -90, 90, () => this.state.lights[0]!.elevation, (value) => {
-        this.state.lights[0]!.elevation = value;
-      }),
-    ], () => volume.mode === "shaded" || iso()), this.time()];
+    });
+    const clips = (["x", "y", "z"] as const).flatMap((name, axis) =>
+      [clip(`${name} from`, axis, "clipLow"), clip(`${name} to`, axis, "clipHigh")]);
+    const details = make("details", {}, make("summary", {}, "Clip"), ...clips.map((control) => control.element));
+    return { element: details, refresh: () => clips.forEach((control) => control.refresh()) };
   }
 
   private slices(): Control[] {
@@ -293,7 +314,8 @@ export class Panel extends Groups {
           this.state.position[n] = value;
         }),
       })));
-    return group(kind === "generic" ? "Other axes" : "Further axes", sliders, () => metadata.axes.some((_, n) => stands(n)));
+    const playing = only(() => kind === "generic" && framesOf(metadata.axes, kind, this.state) > 1, this.play());
+    return group(kind === "generic" ? "Other axes" : "Further axes", [...sliders, playing], () => metadata.axes.some((_, n) => stands(n)));
   }
 
   /** Axes that the renderer of the kind moves along. */

@@ -19,7 +19,7 @@ export function pictureBox(canvas: HTMLCanvasElement): DOMRect {
 }
 
 /** Where a pointer is in the picture, from 0 to 1; null beside it. */
-export function placeIn(canvas: HTMLCanvasElement, event: MouseEvent): [number, number] | null {
+export function placeIn(canvas: HTMLCanvasElement, event: { clientX: number; clientY: number }): [number, number] | null {
   const box = pictureBox(canvas);
   const place: [number, number] = [(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height];
   return place.every((each) => each >= 0 && each <= 1) ? place : null;

@@ -1,17 +1,29 @@
 /** Mouse, touch and keyboard on the picture. */
 
 import type { App } from "../app";
+import { frameOf, showFrame } from "../places";
 import { findCameras } from "../render/lightfield";
 import { layOut } from "../render/layout";
-import { fitted, sliceSize } from "../render/slices";
+import { fitted, zoomAbout } from "../render/part";
+import { sliceSize } from "../render/slices";
 import type { Services } from "./groups";
 import { pictureBox, placeIn } from "./place";
+import { panelShown, showPanel } from "./shown";
 
 const TURN = 0.4; // degrees a pixel
 const KEY_STEP = 24; // pixels that an arrow key counts as
 
 function clamped(value: number, low: number, high: number): number {
   return Math.min(high, Math.max(low, value));
+}
+
+/** Rows and columns of slices, or of a light field. */
+function pictureSize({ metadata, kind, state }: App): [number, number] {
+  if (kind === "generic") {
+    return sliceSize(metadata, state);
+  }
+  const [y, x] = layOut(metadata.axes, "lightfield").space as [number, number];
+  return [metadata.axes[y]!.size, metadata.axes[x]!.size];
 }
 
 export class Pointer {
@@ -32,7 +44,7 @@ export class Pointer {
     canvas.addEventListener("contextmenu", (event) => event.preventDefault(), options);
     canvas.addEventListener("wheel", (event) => {
       event.preventDefault();
-      this.zoom(Math.exp(-event.deltaY * (event.deltaMode === 0 ? 0.0015 : 0.05)));
+      this.zoom(Math.exp(-event.deltaY * (event.deltaMode === 0 ? 0.0015 : 0.05)), placeIn(this.canvas, event));
     }, { ...options, passive: false });
     window.addEventListener("keydown", (event) => this.key(event), options);
   }
@@ -49,8 +61,8 @@ export class Pointer {
 
   private move(event: PointerEvent): void {
     const before = this.fingers.get(event.pointerId);
+    this.hover(placeIn(this.canvas, event));
     if (before === undefined) {
-      this.hover(placeIn(this.canvas, event));
       return;
     }
     const [x, y] = [event.clientX - before.clientX, event.clientY - before.clientY];
@@ -68,7 +80,8 @@ export class Pointer {
     const other = [...this.fingers.values()].find((finger) => finger.pointerId !== event.pointerId)!;
     const distance = (finger: PointerEvent): number =>
       Math.hypot(finger.clientX - other.clientX, finger.clientY - other.clientY);
-    this.zoom(distance(event) / Math.max(1, distance(before)));
+    const between = { clientX: (event.clientX + other.clientX) / 2, clientY: (event.clientY + other.clientY) / 2 };
+    this.zoom(distance(event) / Math.max(1, distance(before)), placeIn(this.canvas, between));
     this.moveLight(x, y);
   }
 
@@ -98,7 +111,8 @@ export class Pointer {
   }
 
   private moveLight(x: number, y: number): void {
-    const light = this.app.state.lights[0];
+    const { lights, light: chosen } = this.app.state;
+    const light = lights[this.app.kind === "volume" ? 0 : chosen]; // a volume has one
     if (this.app.kind === "generic") {
       this.pan(x, y);
     } else if (this.app.kind !== "lightfield" && light !== undefined) {
@@ -108,10 +122,12 @@ export class Pointer {
     this.changed();
   }
 
-  private zoom(factor: number): void {
+  /** Come nearer; in a picture, what is at a place of it stays there. */
+  private zoom(factor: number, place: [number, number] | null = null): void {
     const { state, kind } = this.app;
     if (kind === "generic" || kind === "lightfield") {
-      state.zoom = clamped(state.zoom * factor, 0.2, 200);
+      const { width, height } = pictureBox(this.canvas);
+      zoomAbout(place ?? [0.5, 0.5], factor, pictureSize(this.app), [width, height], state);
     } else {
       state.camera.distance = clamped(state.camera.distance / factor, 0.3, 40);
     }
@@ -121,7 +137,7 @@ export class Pointer {
   private key(event: KeyboardEvent): void {
     const target = event.target as HTMLElement;
     if (event.ctrlKey || event.metaKey || event.altKey || /^(INPUT|SELECT|TEXTAREA)$/.test(target.tagName)
-      || (target.tagName === "BUTTON" && (event.key === " " || event.key === "Enter" || event.key.startsWith("Arrow")))) {
+      || (/^(BUTTON|SUMMARY)$/.test(target.tagName) && (event.key === " " || event.key === "Enter" || event.key.startsWith("Arrow")))) {
       return;
     }
     const arrows: Record<string, [number, number]> = {
@@ -139,7 +155,6 @@ export class Pointer {
   private actions(): Record<string, () => void> {
     const { app } = this;
     const { state, metadata } = app;
-    const frames = (metadata.axes.find((axis) => axis.role === "time")?.size ?? 1) - 1;
     const set = (change: () => void) => () => {
       change();
       this.changed();
@@ -148,7 +163,7 @@ export class Pointer {
       state.level = clamped(Math.min(state.level, app.arrived) + step, 1, app.arrived);
     });
     const frame = (step: number): (() => void) => set(() => {
-      state.time = clamped(Math.round(state.time) + step, 0, frames);
+      showFrame(metadata.axes, app.kind, state, Math.round(frameOf(metadata.axes, app.kind, state)) + step);
     });
     const exposure = (step: number): (() => void) => set(() => {
       state.tone.stops = clamped(state.tone.stops + step, -6, 6);
@@ -163,12 +178,15 @@ export class Pointer {
     const reset = set(() => app.resetView());
     return {
       "+": () => this.zoom(1.2), "=": () => this.zoom(1.2), "-": () => this.zoom(1 / 1.2), "[": level(-1), "]": level(1),
-      ",": frame(-1), ".": frame(1), " ": () => this.services.play(), c: compare, C: compare, e: exposure(0.5),
+      ",": frame(-1), ".": frame(1), " ": () => this.services.player.toggle(), c: compare, C: compare, e: exposure(0.5),
       E: exposure(-0.5), r: reset, R: reset, s: () => this.services.save(), S: () => this.services.save(),
       "?": () => {
         const keys = document.getElementById("keys");
-        if (keys?.toggleAttribute("open") === true) {
-          keys.scrollIntoView(); // It is the last of the panel, mostly below what is seen.
+        const open = !panelShown() || keys?.hasAttribute("open") !== true;
+        showPanel(true);
+        keys?.toggleAttribute("open", open);
+        if (open) {
+          keys?.scrollIntoView(); // It is the last of the panel, mostly below what is seen.
         }
       },
     };

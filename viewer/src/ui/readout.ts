@@ -3,7 +3,8 @@
 import type { App } from "../app";
 import { decodeElement } from "../decode/element";
 import { shownChannels } from "../render/layout";
-import { colourAxis, fitted, sliceSize } from "../render/slices";
+import { fitted } from "../render/part";
+import { colourAxis, sliceSize } from "../render/slices";
 import { plain } from "./controls";
 
 /** Where a place of the canvas (0 to 1) is in the array, and what is there; null beside the picture, or of no slices. */
@@ -24,11 +25,7 @@ export function readout(app: App, place: [number, number], canvas: HTMLCanvasEle
   const channel = colourAxis(metadata, state);
   const shown = channel === null ? [index] : shownChannels(metadata.axes[channel]!.size).map((c) => index.map((at, n) => (n === channel ? c : at)));
   const level = Math.min(state.level, app.arrived);
-  const values = shown.map((at) => short(decodeElement(metadata, app.reading.levels, at, level)));
+  const values = shown.map((at) => plain(decodeElement(metadata, app.reading.levels, at, level), 4));
   const where = metadata.axes.map((axis, n) => (n === channel ? "" : `${axis.name} ${index[n]}`)).filter((part) => part !== "");
   return `${where.join(", ")}: ${values.join(" ")}`;
-}
-
-function short(value: number): string {
-  return Math.abs(value) >= 1e5 || (value !== 0 && Math.abs(value) < 1e-4) ? value.toExponential(3) : plain(Number(value.toPrecision(4)));
 }

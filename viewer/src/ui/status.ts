@@ -1,8 +1,8 @@
 /** How far a file has come, and what its frames take: a bar in the panel and a line in the picture's corner. */
 
 import type { Statistics } from "../app";
+import { formatBytes } from "../bytes";
 import { byId } from "./controls";
-import { mebibytes } from "./facts";
 
 const QUIET = 1000; // milliseconds without progress on the page: each change of it is painted, by the adapter that decodes
 
@@ -63,7 +63,7 @@ export class Status {
       return;
     }
     const [have, size] = this.bytes;
-    const bytes = have < size ? `${mebibytes(have)} of ${mebibytes(size)}` : mebibytes(size);
+    const bytes = have < size ? `${formatBytes(have)} of ${formatBytes(size)}` : formatBytes(size);
     const { last } = this;
     byId("statistics").textContent = last === null ? bytes
       : [`${last.milliseconds.toFixed(1)} ms`, `${last.width} x ${last.height}`, bytes, ...(last.decoding ? ["decoding"] : []),

@@ -40,9 +40,9 @@ class TransferEditor implements Control {
     this.element = make("div", { class: "transfer", role: "group", "aria-label": "Opacity over the values" },
       this.svg, this.ramp);
     this.svg.addEventListener("pointerdown", (event) => {
-      const points = this.get();
-      if (points.length < MOST_POINTS) {
-        this.change([...points, this.place(event)].sort((a, b) => a[0] - b[0]));
+      if (this.get().length < MOST_POINTS) {
+        const added = this.add(this.place(event));
+        this.knobs[added]!.setPointerCapture(event.pointerId); // a drag goes on with the new point
       }
     });
   }
@@ -60,11 +60,21 @@ class TransferEditor implements Control {
       knob.style.left = `${100 * share}%`;
       knob.style.top = `${height * (1 - drawn(opacity))}px`;
       knob.setAttribute("aria-label", `Point ${i + 1}: value ${Math.round(100 * share)} %, `
-        + `opacity ${(100 * opacity).toFixed(1)} %. Arrow keys move it, Delete removes it.`);
+        + `opacity ${(100 * opacity).toFixed(1)} %. ` + (i > 0 && i < points.length - 1
+        ? "Arrow keys move it, Delete removes it." : "Up and down arrow keys move it."));
     });
     const path = points.map(([share, opacity]) => `${WIDTH * share} ${HEIGHT * (1 - drawn(opacity))}`).join(" L ");
     this.curve.setAttribute("d", `M 0 ${HEIGHT} L ${path} L ${WIDTH} ${HEIGHT} Z`);
     this.ramp.style.background = gradient(this.colours());
+  }
+
+  /** Add a point between the first and the last one; returns its number. */
+  private add(point: Point): number {
+    const points = this.get();
+    const after = points.findIndex(([share]) => share > point[0]);
+    const at = Math.max(1, after < 0 ? points.length - 1 : after);
+    this.change([...points.slice(0, at), point, ...points.slice(at)]);
+    return at;
   }
 
   private change(points: Point[]): void {
