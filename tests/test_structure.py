@@ -75,7 +75,9 @@ WITHIN = {
         ("budget", "scratch"),
         ("collecting", "pieces"),
         ("blocks", "source"),
+        ("slabbed",),
         ("streamed",),
+        ("large",),
     ),
 }
 LAYER_OF = {name: number for number, layer in enumerate(LAYERS) for name in layer}

@@ -20,6 +20,7 @@ from ..metrics import squared_norm
 from ..plan import LevelSpec
 from ..streaming.blocks import Saved, thinned_cells
 from ..streaming.budget import side_by_side
+from ..streaming.large import Large, large
 from ..streaming.pieces import Piece, Rows, SubTensor
 from ..streaming.streamed import Streamed
 from ..support.executors import Queue, repeatedly
@@ -192,7 +193,7 @@ def streamed_for(tree: Hierarchy, node: Node) -> Streamed | None:
     residual = tree.residual
     if not isinstance(residual, Streamed):
         return None
-    return residual if node.piece is None else residual.large(node.piece)
+    return residual if node.piece is None else large(residual, node.piece)
 
 
 def level_within(node: Node, depth: int) -> int:
@@ -212,7 +213,7 @@ def fit_nodes(
 
     `last`: nothing reads the residual afterwards, so that of a streamed one only its norm is kept.
     """
-    _set_lasting(tree, not last)
+    _set_written_back(tree, not last)
     nodes, depth, step = tree.levels[-1], len(tree.levels), run.journal.step()
     told = told_within(nodes, f"level {depth}", run)
 
@@ -332,18 +333,18 @@ def _specs(nodes: Sequence[Node]) -> Iterator[LevelSpec]:
     return (node.cells.spec for node in nodes if node.cells is not None)
 
 
-def _set_lasting(tree: Hierarchy, lasting: bool) -> None:
-    """Whether what is left is read again after this step."""
+def _set_written_back(tree: Hierarchy, written_back: bool) -> None:
+    """Whether the residual is read again after this step."""
     if isinstance(tree.residual, Streamed):
-        tree.residual.lasting = lasting
+        tree.residual.written_back = written_back
 
 
 def backfit(tree: Hierarchy, run: Run, *, last: bool = False) -> None:
     """Refit every level in turn to what all the others leave; memberships stay. `last`: as of `fit_nodes`."""
     if isinstance(tree.residual, Streamed):
-        tree.residual.known = []
+        tree.residual.residual_norms = []
     for number, nodes in enumerate(tree.levels, start=1):
-        _set_lasting(tree, not (last and number == len(tree.levels)))
+        _set_written_back(tree, not (last and number == len(tree.levels)))
         step, told = run.journal.step(), told_within(nodes, f"back-fitting level {number}", run)
 
         def work(s: int, nodes: list[Node] = nodes, step: int = step, number: int = number, told: Told = told) -> None:
@@ -352,8 +353,8 @@ def backfit(tree: Hierarchy, run: Run, *, last: bool = False) -> None:
             if old is None:
                 return
             outside, level = streamed_for(tree, node), level_within(node, number)
-            if outside is not None and node.piece is not None:
-                outside.wholes, outside.stored = [old], [old]
+            if isinstance(outside, Large):
+                outside.already_less(old)
             finished = run.journal.recall(step, s, node.sizes, old.spec)
             if finished is not None:
                 cells = finished.cells

@@ -35,17 +35,17 @@ class SubTensor:
 
 
 @dataclass(frozen=True)
-class Left:
-    """What is left, in multiples of the `unit` that a source divides by: the sum of squares, the largest magnitude."""
+class Norms:
+    """Of a residual, in multiples of the `unit` that a source divides by: the sum of squares, the largest magnitude."""
 
     squares: float = 0.0
     largest: float = 0.0
 
-    def __add__(self, other: Left) -> Left:
-        return Left(self.squares + other.squares, max(self.largest, other.largest))
+    def __add__(self, other: Norms) -> Norms:
+        return Norms(self.squares + other.squares, max(self.largest, other.largest))
 
 
-NOTHING = Left()
+ZERO = Norms()
 
 
 @dataclass(eq=False)
@@ -54,13 +54,13 @@ class Piece(SubTensor):
 
     Attributes:
         start: number of its first element there.
-        above: what is left of it after no level, the first, the first two .. of those above.
-        left: what is left of it now.
+        norms_above: of what no level, the first, the first two .. of those above leave of it.
+        norms: of its residual now.
     """
 
     start: int
-    above: list[Left] = field(default_factory=list["Left"])
-    left: Left = NOTHING
+    norms_above: list[Norms] = field(default_factory=list["Norms"])
+    norms: Norms = ZERO
 
 
 def places_of(part: NDArray[np.intp]) -> NDArray[np.intp]:
