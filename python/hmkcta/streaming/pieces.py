@@ -101,18 +101,38 @@ def pieces_of(parts: Sequence[NDArray[np.intp]], counts: Sequence[int]) -> list[
 
 
 def put(scratch: Scratch, piece: Piece, places: Sequence[NDArray[np.intp]], values: F32) -> None:
-    """Write a block into a piece: in runs of elements that lie side by side in both."""
-    sizes, inner = piece.sizes, values.ndim - 1
-    while inner > 0 and len(places[inner]) == sizes[inner]:
-        inner -= 1
-    if len(places[inner]) == int(places[inner][-1] - places[inner][0]) + 1:  # neighbours of the first mode not whole
-        inner -= 1
-    outer = places[: inner + 1]
-    run = values.reshape(prod(len(p) for p in outer), -1)
+    """Write a block into a piece: in runs of elements that lie side by side in both.
+
+    Here it is the last two rows of both matrices of a piece of 2 x 3 x 4 elements. They lie side by side: two runs of
+    eight numbers are written.
+
+    >>> piece = Piece((np.arange(2), np.arange(3), np.arange(4)), 0)
+    >>> with Scratch(24) as scratch:
+    ...     places = [np.array([0, 1]), np.array([1, 2]), np.arange(4)]
+    ...     put(scratch, piece, places, np.ones((2, 2, 4), np.float32))
+    ...     scratch.read(0, 24).reshape(2, 3, 4).sum(axis=2).tolist()
+    [[0.0, 4.0, 4.0], [0.0, 4.0, 4.0]]
+    """
+    starts, length = _runs(piece.sizes, places)
+    for start, numbers in zip(starts, values.reshape(-1, length), strict=True):
+        scratch.write(piece.start + int(start), numbers)
+
+
+def _runs(sizes: Sequence[int], places: Sequence[NDArray[np.intp]]) -> tuple[NDArray[np.intp], int]:
+    """Where in a piece of these sizes runs begin that make up the block of these places, and how long they all are.
+
+    >>> _runs((2, 3, 4), [np.array([0, 1]), np.array([1, 2]), np.arange(4)])
+    (array([ 4, 16]), 8)
+    """
+    first_whole_mode = len(sizes)  # from which on all modes are whole
+    while first_whole_mode > 1 and len(places[first_whole_mode - 1]) == sizes[first_whole_mode - 1]:
+        first_whole_mode -= 1
+    before = places[first_whole_mode - 1]
+    # Neighbours of the mode before those that are whole lie side by side, too.
+    inner = first_whole_mode - 1 if len(before) == int(before[-1] - before[0]) + 1 else first_whole_mode
     strides = [prod(sizes[n + 1 :]) for n in range(len(sizes))]
-    first = sum(int(p[0]) * s for p, s in zip(places[inner + 1 :], strides[inner + 1 :], strict=True))
-    offsets = np.zeros((), np.intp)
-    for place, stride in zip(outer, strides, strict=False):
-        offsets = np.add.outer(offsets, place * stride)
-    for offset, numbers in zip(offsets.reshape(-1), run, strict=True):
-        scratch.write(piece.start + first + int(offset), numbers)
+    first = sum(int(place[0]) * stride for place, stride in zip(places[inner:], strides[inner:], strict=True))
+    starts = np.full((), first, np.intp)
+    for place, stride in zip(places[:inner], strides, strict=False):
+        starts = np.add.outer(starts, place * stride)
+    return starts.reshape(-1), prod(len(place) for place in places[inner:])
