@@ -158,25 +158,28 @@ def full_core(
     order, sizes = tensor.ndim, tensor.shape
     # A mode longer than its unfolding has columns comes first, as the tensor is smaller afterwards.
     first = next((n for n in range(order) if sizes[n] ** 2 > tensor.size), 0)
-    turn = [(first + n) % order for n in range(order)]
-    core = np.ascontiguousarray(tensor.transpose(turn))
-    left = list[int]()
-    for at, n in enumerate(turn):
-        limit, matrix = limits[n], core.reshape(core.shape[0], -1)  # the turn brings each mode to the front
-        rotated = matrix.T
-        if limit is not None:
-            found = _rotated(matrix, limit)
-            left += [at] if found is None else []
-            rotated = matrix.T if found is None else found
+    modes = [(first + n) % order for n in range(order)]
+    core = np.ascontiguousarray(tensor.transpose(modes))
+    iterated = list[int]()
+    # Modes are cycled, so that the one at hand is axis 0: it comes out last, and after all of them they lie as before.
+    for axis, n in enumerate(modes):
+        limit, matrix = limits[n], core.reshape(core.shape[0], -1)
+        found = None if limit is None else _rotated(matrix, limit)
+        iterated += [axis] if found is None and limit is not None else []
+        rotated = matrix.T if found is None else found
         core = np.ascontiguousarray(rotated).reshape(*core.shape[1:], rotated.shape[1])
     # Rotations keep the norm: what float32 sums lose of it would look like error, or hide it.
     scale = squared_norm(tensor) / max(squared_norm(core), 1e-300)
-    for at in left:
-        basis = leading_subspace(core, at, limits[turn[at]] or 0, rng)  # few do not do, or had been found above
-        others = [size for n, size in enumerate(core.shape) if n != at]
-        core = np.moveaxis(_projected(unfold(core, at), basis).reshape(-1, *others), 0, at)
-    back = sorted(range(order), key=turn.__getitem__)
-    return core.transpose(back), scale
+    for axis in iterated:
+        core = _truncated(core, axis, limits[modes[axis]] or 0, rng)
+    return core.transpose(sorted(range(order), key=modes.__getitem__)), scale
+
+
+def _truncated(core: F32, n: int, rank: int, rng: np.random.Generator) -> F32:
+    """The core with mode n rotated into its `rank` leading singular vectors: few would not do, or were found before."""
+    basis = leading_subspace(core, n, rank, rng)
+    others = [size for m, size in enumerate(core.shape) if m != n]
+    return np.moveaxis(_projected(unfold(core, n), basis).reshape(-1, *others), 0, n)
 
 
 def _squares(matrix: NDArray[np.floating], rank: int) -> F64 | None:
