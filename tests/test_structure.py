@@ -62,8 +62,9 @@ WITHIN = {
     ),
     "decode": (("scattered",), ("cells",), ("dense",)),
     "fitting": (
-        ("subspaces", "tucker"),
-        ("memberships", "projection"),
+        ("tucker",),
+        ("projection", "subspaces"),
+        ("memberships",),
         ("search",),
         ("fit", "subdivision"),
         ("workset",),

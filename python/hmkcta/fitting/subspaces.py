@@ -11,6 +11,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from .tucker import leading_eigen
+
 F32 = NDArray[np.float32]
 Labels = NDArray[np.intp]
 
@@ -104,7 +106,7 @@ def _explained(points: F32, bases: F32) -> Iterator[F32]:
 
 def _leading(rows: F32, dimension: int) -> F32:
     """Leading right singular vectors of the rows as columns `[D, d]`."""
-    return np.linalg.eigh((rows.T @ rows).astype(np.float64))[1][:, : -dimension - 1 : -1].astype(np.float32)
+    return leading_eigen((rows.T @ rows).astype(np.float64), dimension)[1].astype(np.float32)
 
 
 def _with_all(labels: Labels, clusters: int) -> Labels:

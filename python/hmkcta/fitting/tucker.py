@@ -48,16 +48,25 @@ def leading_subspace(tensor: F32, n: int, rank: int, rng: np.random.Generator, e
     rank = min(rank, *matrix.shape)
     if _is_exact(matrix, rank):
         if len(matrix) <= matrix.shape[1]:
-            _, vectors = np.linalg.eigh(_gram(matrix))
-            return np.ascontiguousarray(vectors[:, : -rank - 1 : -1], np.float32)
-        _, vectors = np.linalg.eigh(_gram(matrix.T))
-        return _orthonormal(matrix @ vectors[:, : -rank - 1 : -1].astype(np.float32))
+            return np.ascontiguousarray(leading_eigen(_gram(matrix), rank)[1], np.float32)
+        return _orthonormal(matrix @ leading_eigen(_gram(matrix.T), rank)[1].astype(np.float32))
     sample = matrix @ rng.standard_normal((matrix.shape[1], min(rank + 12, *matrix.shape)), np.float32)
     for _ in range(3):
         sample = matrix @ (matrix.T @ _orthonormal(sample))
     basis = _orthonormal(sample)
-    _, vectors = np.linalg.eigh(_gram(basis.T @ matrix))
-    return (basis @ vectors[:, : -rank - 1 : -1]).astype(np.float32)
+    return (basis @ leading_eigen(_gram(basis.T @ matrix), rank)[1]).astype(np.float32)
+
+
+def leading_eigen(gram: F64, count: int) -> tuple[F64, F64]:
+    """So many eigenvalues of a Gram matrix, the largest first, and their vectors as columns.
+
+    Of A A^T they are squares of singular values of A and its left singular vectors, of A^T A its right ones.
+
+    >>> leading_eigen(np.diag([1.0, 9.0, 4.0]), 2)[0].tolist()
+    [9.0, 4.0]
+    """
+    values, vectors = np.linalg.eigh(gram)
+    return values[: -count - 1 : -1], vectors[:, : -count - 1 : -1]
 
 
 def _few_leading(
@@ -201,7 +210,6 @@ def _rotated(matrix: F32, rank: int) -> F32 | None:
     if not _is_exact(matrix, rank):
         return None
     if len(matrix) <= matrix.shape[1]:
-        _, vectors = np.linalg.eigh(_gram(matrix))
-        return matrix.T @ vectors[:, ::-1].astype(np.float32)
-    energies, vectors = np.linalg.eigh(_gram(matrix.T))
-    return (vectors * np.sqrt(np.maximum(energies, 0)))[:, ::-1].astype(np.float32)
+        return matrix.T @ leading_eigen(_gram(matrix), len(matrix))[1].astype(np.float32)
+    energies, vectors = leading_eigen(_gram(matrix.T), matrix.shape[1])
+    return (vectors * np.sqrt(np.maximum(energies, 0))).astype(np.float32)
