@@ -17,6 +17,7 @@ PACKAGE = ROOT / "python" / "hmkcta"
 
 #: Modules and subpackages from the lowest layer up; an import goes to a lower layer, or stays in its subpackage.
 LAYERS = (
+    ("arrays",),
     ("_version", "errors", "metrics", "narrow", "_native"),
     ("support",),
     ("axes", "conventions", "goals", "grids", "transform", "indexing"),

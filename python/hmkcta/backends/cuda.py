@@ -19,13 +19,13 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ..cells import F32, Cells, Products, empty_cells
+from ..arrays import F32, F64
+from ..cells import Cells, Products, empty_cells
 from ..errors import HmkctaError, Kind
 from ..plan import LevelSpec
 from . import batched, reference
 from .batched import Arrays
 from .device import Device, Kernels
-from .reference import F64
 
 T = TypeVar("T")
 

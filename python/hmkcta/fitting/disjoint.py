@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import backends as kernels
+from ..arrays import F32, F64
 from ..cells import Cells, empty_cells
 from ..metrics import squared_norm
 from ..plan import LevelSpec
@@ -27,8 +28,6 @@ from .search import orthonormal_again
 from .tucker import core_energies
 from .workset import SAMPLED, fit_streamed, refit_streamed, workset_steps
 
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
 #: Ranks up to which blocks of some sizes are judged; None for an undecomposed mode.
 LimitsOf = Callable[[Sequence[int]], Sequence[int | None]]
 

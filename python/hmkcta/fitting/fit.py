@@ -16,14 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import backends as kernels
+from ..arrays import F32
 from ..cells import Cells, empty_cells
 from ..metrics import squared_norm
 from ..plan import LevelSpec
 from .memberships import start_candidates, strided_sample
 from .search import OVER_RELAXED, extend, orthonormal_again, sweep
 from .tucker import st_hosvd
-
-F32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import backends as kernels
+from ..arrays import F32
 from ..axes import Axis, Organisation
 from ..cells import Cells
 from ..errors import invalid
@@ -31,8 +32,6 @@ from .fit import Effort, Labels, fit_level, refit_level
 from .memberships import grid_blocks
 from .subdivision import subdivide
 from .workset import SAMPLED, SMALLER, workset_steps
-
-F32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True)

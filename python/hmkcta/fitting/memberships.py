@@ -11,12 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import backends as kernels
+from ..arrays import F32, F64
 from ..plan import LevelSpec
 from .subspaces import subspace_clusters
 from .tucker import leading_eigen
-
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
 
 #: Columns of the row features; more changed nothing.
 FEATURES = 12

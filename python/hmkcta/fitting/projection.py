@@ -20,12 +20,11 @@ from dataclasses import dataclass
 from math import prod
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import backends as kernels
+from ..arrays import F32
 from ..cells import Cells
 
-F32 = NDArray[np.float32]
 #: The index that an axis of a projection runs over: ("I", m) for i_m, ("C", m) for c_m, ("R", m) for r_m.
 Index = tuple[str, int]
 

@@ -15,14 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import backends as kernels
+from ..arrays import F32
 from ..backends.coding import Dictionary
 from ..cells import Cells, Products
 from ..metrics import squared_norm
 from .memberships import uniform_blocks
 from .projection import Projection, passes, project
 from .search import all_products, project_model, right_sides
-
-F32 = NDArray[np.float32]
 
 #: Rows of a part at most, times I/C.
 CAP = 1.25

@@ -11,9 +11,9 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import F32
 from .tucker import leading_eigen
 
-F32 = NDArray[np.float32]
 Labels = NDArray[np.intp]
 
 #: Coordinates of the rows at the least.

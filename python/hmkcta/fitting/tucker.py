@@ -7,10 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import F32, F64
 from ..metrics import squared_norm
-
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
 
 #: Side of Gram matrices up to which they are decomposed exactly; vectors of larger ones are found by randomised
 #: subspace iteration.

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import backends as kernels
+from ..arrays import F32, F64
 from ..cells import Cells
 from ..errors import invalid
 from ..plan import LevelSpec, Plan
@@ -33,8 +34,6 @@ from .fit import Effort, Labels, fit_level
 from .projection import project_one
 from .search import all_products, choose_rows, project_model, right_sides
 
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
 T = TypeVar("T", np.float32, np.float64)
 
 #: Rows of a thinned mode for each cluster and each column of a basis: fewer would fit themselves.

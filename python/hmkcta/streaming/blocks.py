@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import backends as kernels
+from ..arrays import F32
 from ..cells import Cells
 from .pieces import Norms, Rows
 from .scratch import Scratch
-
-F32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)

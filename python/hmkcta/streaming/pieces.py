@@ -10,10 +10,10 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import F32
 from ..support.grouping import rows_of_parts
 from .scratch import Scratch
 
-F32 = NDArray[np.float32]
 Rows = tuple[NDArray[np.intp], ...]
 
 

@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import F32
 from ..errors import DISK_FULL, HmkctaError, Kind
 from ..support.memory import format_bytes
-
-F32 = NDArray[np.float32]
 
 
 def scratch_folder(folder: str | os.PathLike[str] | None = None) -> Path:

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from math import prod
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import F32
 from ..support.executors import in_order
 from ..support.slabs import slabs
 from .blocks import Block, norms_of
 from .pieces import ZERO, Norms, Piece
 from .scratch import Scratch
-
-F32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import backends as kernels
+from ..arrays import F32
 from ..axes import Organisation, mode_sizes
 from ..cells import Cells
 from ..metrics import squared_norm
@@ -36,7 +37,6 @@ from .scratch import Scratch
 from .slabbed import Slabbed
 from .source import Source
 
-F32 = NDArray[np.float32]
 T = TypeVar("T")
 
 #: Elements of a slab: 16 MiB, which the allocator keeps instead of asking the system for zeroed pages each time.
