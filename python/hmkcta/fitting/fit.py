@@ -181,12 +181,12 @@ def _best_labels(tensor: F32, spec: LevelSpec, effort: Effort, rng: np.random.Ge
     sample = strided_sample(tensor, spec.clusters, SAMPLE)
     seed = int(rng.integers(2**63))
 
-    def left(labels: Labels) -> float:
+    def error(labels: Labels) -> float:
         residual = sample.tensor.copy()
         _disjoint(residual, spec, sample.labels(labels), np.random.default_rng(seed))
         return float(np.vdot(residual, residual))
 
-    return min(start_candidates(tensor, spec, effort.candidates, np.random.default_rng(seed)), key=left)
+    return min(start_candidates(tensor, spec, effort.candidates, np.random.default_rng(seed)), key=error)
 
 
 def _start(tensor: F32, spec: LevelSpec, effort: Effort, labels: Labels | None, rng: np.random.Generator) -> Cells:

@@ -36,7 +36,7 @@ def subdivide(cells: Cells, tensor: F32 | None, scheme: str) -> list[NDArray[np.
     parts: dict[int, NDArray[np.intp]] = {}
     judged = [n for n, mixture in enumerate(cells.spec.mixture) if mixture > 1 and scheme != "uniform"]
     if tensor is not None and cells.spec.search == "fast":  # inner products of so many cells take gigabytes
-        return [_parts(cells, _errors_left(cells, tensor, n) if n in judged else None, n, scheme)
+        return [_parts(cells, _residual_errors(cells, tensor, n) if n in judged else None, n, scheme)
                 for n in range(cells.order)]
     products = all_products(cells) if judged else []
     for kept in passes(cells):
@@ -59,16 +59,16 @@ def _parts(cells: Cells, errors: NDArray[np.float64] | None, n: int, scheme: str
     return kernels.nearest_with_room(worth, CAP)
 
 
-def _errors_left(cells: Cells, tensor: F32, n: int) -> NDArray[np.float64]:
-    """`[I_n, K_n]`: squared error of each row by each of its subsets alone, as it is left in the tensor."""
+def _residual_errors(cells: Cells, tensor: F32, n: int) -> NDArray[np.float64]:
+    """`[I_n, K_n]`: squared norm of each row in the residual of the tensor less each of its subsets alone."""
     errors = np.empty(cells.members[n].shape)
     spec = replace(cells.spec, mixture=tuple(1 if m == n else k for m, k in enumerate(cells.spec.mixture)))
     for k in range(cells.spec.mixture[n]):
         alone = Cells(cells.sizes, spec, list(cells.members), list(cells.bases), cells.cores)
         alone.members[n], alone.bases[n] = cells.members[n][:, k : k + 1].copy(), cells.bases[n][:, k : k + 1].copy()
-        left = tensor.copy()
-        kernels.accumulate(alone, left, -1.0)
-        errors[:, k] = [squared_norm(row) for row in np.moveaxis(left, n, 0)]
+        residual = tensor.copy()
+        kernels.accumulate(alone, residual, -1.0)
+        errors[:, k] = [squared_norm(row) for row in np.moveaxis(residual, n, 0)]
     return errors
 
 

@@ -69,16 +69,16 @@ def _coordinates(rows: F32, count: int, rng: np.random.Generator) -> F32:
 
 def _seeds(points: F32, clusters: int, dimension: int, rng: np.random.Generator) -> F32:
     """Bases `[C, D, d]`, each of a row drawn by what those before leave of it, and of the rows in its direction."""
-    left = np.square(points).sum(axis=1)
-    unit = points / np.sqrt(np.maximum(left, 1e-30))[:, None]
-    energy, near = left.copy(), min(len(points), 1 + NEAREST * dimension)
+    errors = np.square(points).sum(axis=1)
+    unit = points / np.sqrt(np.maximum(errors, 1e-30))[:, None]
+    energy, near = errors.copy(), min(len(points), 1 + NEAREST * dimension)
     bases = np.zeros((clusters, points.shape[1], dimension), np.float32)
     for basis in bases:
-        chances = left.astype(np.float64) / max(left.sum(dtype=np.float64), 1e-300)
-        drawn = int(rng.choice(len(left), p=chances / chances.sum() if chances.any() else None))
+        chances = errors.astype(np.float64) / max(errors.sum(dtype=np.float64), 1e-300)
+        drawn = int(rng.choice(len(errors), p=chances / chances.sum() if chances.any() else None))
         around = np.argpartition(-np.abs(unit @ unit[drawn]), near - 1)[:near]
         basis[:] = _leading(unit[around], dimension)
-        left = np.minimum(left, np.maximum(energy - np.square(points @ basis).sum(axis=1), 0))
+        errors = np.minimum(errors, np.maximum(energy - np.square(points @ basis).sum(axis=1), 0))
     return bases
 
 

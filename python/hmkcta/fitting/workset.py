@@ -62,7 +62,7 @@ def workset_steps(sizes: Sequence[int], spec: LevelSpec, limit: int) -> list[int
     longest = sorted(decomposed, key=lambda n: -sizes[n])[:2]
     most = max((rank for rank in spec.ranks if rank is not None), default=1)
 
-    def left(n: int) -> float:
+    def remaining(n: int) -> float:
         return sizes[n] / steps[n]
 
     def further(n: int) -> int:
@@ -76,8 +76,8 @@ def workset_steps(sizes: Sequence[int], spec: LevelSpec, limit: int) -> list[int
         choice = next((modes for modes in choices if modes), None)
         if choice is None:
             break
-        longest_left = max(choice, key=left)
-        steps[longest_left] = further(longest_left)
+        longest_one = max(choice, key=remaining)
+        steps[longest_one] = further(longest_one)
     return steps
 
 

@@ -40,7 +40,7 @@ def norms_of(tensor: F32) -> Norms:
 
 
 def settled_by(block: Block, levels: Sequence[Cells | None]) -> list[Norms]:
-    """Subtract the models of `levels` from a block, in place; what is left before the first of them, and after each."""
+    """Subtract the models of `levels` from a block, in place; its norms before the first of them, and after each."""
     seen = [norms_of(block.tensor)]
     for cells in levels:
         if cells is not None and block.tensor.size:
