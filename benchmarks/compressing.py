@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from benchmarks.report import Row
-from hmkcta.forecast import peak_memory
+from hmkcta.support.memory import peak_memory
 
 #: Axes and organisation of the paper's tensors.
 SHEET = ("light,view,y,x,rgb", "light+rgb, view, y, x")

@@ -15,7 +15,7 @@ import numpy as np
 PROGRAM = """
 import json, sys
 import hmkcta
-from hmkcta.forecast import peak_memory
+from hmkcta.support.memory import peak_memory
 path, work, options = sys.argv[1:]
 made = getattr(hmkcta, work)(hmkcta.open_array(path), **{"threads": 2} | json.loads(options))
 print(json.dumps({"peak": peak_memory(), "snr": getattr(made, "snr", None)}))

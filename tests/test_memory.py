@@ -20,13 +20,13 @@ from hmkcta.axes import mode_sizes
 from hmkcta.errors import HmkctaError
 from hmkcta.filesize import predicted_bytes
 from hmkcta.fitting.fit import EFFORTS
-from hmkcta.forecast import forecast, peak_memory
+from hmkcta.forecast import forecast
 from hmkcta.plan import parse_plan
 from hmkcta.readers import open_array
 from hmkcta.streaming.source import Source, described, prepare
 from hmkcta.support import memory
 from hmkcta.support.executors import thread_count
-from hmkcta.support.memory import drop_pages, looked_at
+from hmkcta.support.memory import drop_pages, looked_at, peak_memory
 from memory_tools import printed, runs, taken, write_waves
 
 SIDE = 72
@@ -111,7 +111,7 @@ def test_what_takes_more_memory_than_given_is_refused_before_the_work(
 
 COMMAND = """
 import sys
-from hmkcta.forecast import peak_memory
+from hmkcta.support.memory import peak_memory
 from hmkcta.cli import main
 main(sys.argv[1:], standalone_mode=False)
 print(peak_memory())
@@ -242,7 +242,7 @@ def test_notes_on_a_mapped_file_keep_little_of_it(waves: Path) -> None:
     program = """
 import sys
 import numpy as np
-from hmkcta.forecast import peak_memory
+from hmkcta.support.memory import peak_memory
 from hmkcta import compress
 from hmkcta.cli.notes import notes
 array, model = np.load(sys.argv[1], mmap_mode="r"), compress(np.eye(40), "R=2")
@@ -275,7 +275,7 @@ def test_pages_of_a_mapped_file_are_let_go_of(waves: Path) -> None:
 LOOK = """
 import sys
 import numpy as np
-from hmkcta.forecast import peak_memory
+from hmkcta.support.memory import peak_memory
 from hmkcta.streaming.source import described, prepare
 array = np.load(sys.argv[1], mmap_mode="r").transpose([int(n) for n in sys.argv[2]])
 source = described(array)
@@ -343,7 +343,7 @@ with ThreadPoolExecutor(2) as pool:
 MEASURE = """
 import sys
 import hmkcta
-from hmkcta.forecast import peak_memory
+from hmkcta.support.memory import peak_memory
 from hmkcta.measure import measure
 from hmkcta.readers import open_array
 measure(hmkcta.open(sys.argv[2]), open_array(sys.argv[1]), slab=1 << 18)

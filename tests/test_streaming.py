@@ -330,8 +330,8 @@ def test_projections_are_summed_over_slabs_and_pieces(source: Source) -> None:
             held = residual.gather(piece.rows, piece, lent=False)
         np.testing.assert_allclose(held, left[np.ix_(*piece.rows)], atol=1e-5)
     residual.settle()
-    assert residual.known[0].squares == pytest.approx(squared_norm(tensor), rel=1e-9)
-    assert residual.known[1].largest == pytest.approx(np.abs(left).max(), rel=1e-5)
+    assert residual.residual_norms[0].squares == pytest.approx(squared_norm(tensor), rel=1e-9)
+    assert residual.residual_norms[1].largest == pytest.approx(np.abs(left).max(), rel=1e-5)
     for n in range(4):
         np.testing.assert_allclose(projected(residual, 1, cells, n), expected[n], rtol=1e-4, atol=1e-4)
         b = right_sides(cells, expected[n], n)

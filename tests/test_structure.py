@@ -17,6 +17,7 @@ PACKAGE = ROOT / "python" / "hmkcta"
 
 #: Modules and subpackages from the lowest layer up; an import goes to a lower layer, or stays in its subpackage.
 LAYERS = (
+    ("arrays",),
     ("_version", "errors", "metrics", "narrow", "_native"),
     ("support",),
     ("axes", "conventions", "goals", "grids", "transform", "indexing"),
@@ -62,8 +63,9 @@ WITHIN = {
     ),
     "decode": (("scattered",), ("cells",), ("dense",)),
     "fitting": (
-        ("subspaces", "tucker"),
-        ("memberships", "projection"),
+        ("tucker",),
+        ("projection", "subspaces"),
+        ("memberships",),
         ("search",),
         ("fit", "subdivision"),
         ("workset",),
@@ -75,7 +77,9 @@ WITHIN = {
         ("budget", "scratch"),
         ("collecting", "pieces"),
         ("blocks", "source"),
+        ("slabbed",),
         ("streamed",),
+        ("large",),
     ),
 }
 LAYER_OF = {name: number for number, layer in enumerate(LAYERS) for name in layer}

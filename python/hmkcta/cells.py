@@ -14,11 +14,11 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import F32
 from .errors import invalid
 from .narrow import BASIS_NUMBERS, CORE_NUMBERS, LARGEST_BASIS, narrowed, widened
 from .plan import LevelSpec
 
-F32 = NDArray[np.float32]
 #: Inner products of the bases of all pairs of cells: `[R_m, PC, R_m, PC]`.
 Products = NDArray[np.float64]
 U16 = NDArray[np.uint16]

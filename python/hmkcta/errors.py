@@ -12,6 +12,8 @@ from typing import Any
 
 #: Letters of a value that is shown.
 SHOWN = 80
+#: The length to which the sentence of a library is cut.
+SENTENCE = 200
 #: What the system says where a disk, or a quota of it, is full.
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
@@ -143,3 +145,13 @@ def shown(value: object) -> str:
     """
     text = " ".join(repr(value).split())
     return text if len(text) <= SHOWN else f"{text[: SHOWN - 3].rsplit(maxsplit=1)[0]} .."
+
+
+def sentence(error: BaseException) -> str:
+    """The first line of what an exception says, or its name.
+
+    >>> sentence(KeyError()), sentence(ValueError("no such chunk.\\nMore"))
+    ('KeyError', 'no such chunk')
+    """
+    lines = str(error).strip().splitlines()
+    return lines[0][:SENTENCE].rstrip(" .:") if lines else type(error).__name__

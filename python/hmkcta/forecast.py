@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from math import inf, prod
-from pathlib import Path
 
 from .choosing.judging import CARES
 from .comparing.finer import LARGE
@@ -307,18 +304,6 @@ def choosing_bytes(elements: int, effort: Effort, threads: int, memory: int | No
     sampled = _SAMPLED[snr is not None] * min(elements, 2 * sample)
     checked = _CHECKED * min(elements, CHECKED) + _NEXT * min(max(0, elements - CHECKED), CHECKED)
     return checked + int(sampled * (1 + _BESIDE * further))
-
-
-def peak_memory() -> int:
-    """Most resident bytes of this process so far; 0 where the system does not say."""
-    with suppress(OSError, StopIteration):
-        lines = Path("/proc/self/status").read_text().splitlines()
-        return 1024 * int(next(line.split()[1] for line in lines if line.startswith("VmHWM")))
-    with suppress(ImportError):
-        import resource  # not on Windows
-
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
-    return 0
 
 
 def _peak(*stages: int, beside: int = 0) -> int:

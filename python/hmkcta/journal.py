@@ -382,15 +382,17 @@ def _fits(cells: Cells, sizes: Sequence[int], spec: LevelSpec) -> bool:
     return cells.sizes == tuple(sizes) and found.clusters == most.clusters and within
 
 
-def _plan(content: Mapping[str, Any]) -> Plan:
-    levels = tuple(
-        LevelSpec(tuple(level["ranks"]), tuple(level["clusters"]), tuple(level["mixture"]), level["scheme"],
-                  tuple((axis, count) for axis, count in level["grid"]), level["own"],
-                  tuple((axis, count) for axis, count in level["cuts"]),
-                  tuple((axis, count) for axis, count in level["fewest"]), level["bits"])
-        for level in content["levels"])
-    expected = None if content["expected"] is None else int(content["expected"])
-    return Plan(tuple(map(tuple, content["organisation"])), levels, content["snr"], content["size"], expected)
+def _plan(content: Any) -> Plan:
+    """The plan that `asdict` took apart, once JSON has made lists of its tuples."""
+    fields = _tuples(content)
+    levels = tuple(LevelSpec(**level) for level in fields.pop("levels"))
+    return Plan(levels=levels, **fields)
+
+
+def _tuples(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _tuples(each) for name, each in cast("dict[str, Any]", value).items()}
+    return tuple(map(_tuples, cast("list[Any]", value))) if isinstance(value, list) else value
 
 
 def _text(content: Any) -> str:

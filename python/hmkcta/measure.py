@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import F64
 from .axes import mode_rows, organise
 from .conventions import meant
 from .decode import add_level
@@ -22,8 +22,6 @@ from .support.memory import drop_pages
 from .support.progress import Progress
 from .support.slabs import slabs
 from .transform import from_json
-
-F64 = NDArray[np.float64]
 
 #: Elements measured at once: some 40 bytes each.
 SLAB = 1 << 21

@@ -10,21 +10,19 @@ from dataclasses import dataclass
 from math import prod
 
 import numpy as np
-from numpy.typing import NDArray
 
 from . import backends as kernels
+from .arrays import F32
 from .fitting.hierarchy import Hierarchy, Node
 from .measure import Sums
 from .metrics import in_float64, snr_db, squared_norm
 from .packed import LevelQuality
-from .streaming.pieces import Left, Rows, places_of, split
+from .streaming.pieces import Norms, Rows, places_of, split
 from .streaming.source import Source
 from .streaming.streamed import Streamed
 from .support.executors import in_order
 from .support.progress import Progress
 from .transform import Transform
-
-F32 = NDArray[np.float32]
 
 #: Elements of a slab: many, so that the parts of small nodes in it are not tiny; some 12 bytes each. And how many slabs
 #: memory is shared out to: not one for each thread, as sums of slabs would differ in their last digits.
@@ -79,9 +77,9 @@ class _Errors:
             self.below(below, depth + 1, tuple(p[r] for p, r in zip(places, own, strict=True)), old, sub)
 
 
-def _as_seen(known: Sequence[Left], source: Source) -> tuple[LevelQuality, ...]:
+def _as_seen(norms: Sequence[Norms], source: Source) -> tuple[LevelQuality, ...]:
     """Quality of what levels left when they were subtracted, from the last of which nothing has changed."""
-    signal, *left = known
+    signal, *left = norms
     return tuple(
         LevelQuality(snr_db(signal.squares, each.squares), (each.squares / prod(source.shape)) ** 0.5 * source.unit,
                      each.largest * source.unit)
@@ -102,8 +100,8 @@ def measure_streamed(
     The source is read once more, unless all levels were seen to leave what they do when they were fitted to pieces.
     """
     source, levels, root = residual.source, len(tree.levels), tree.levels[0][0]
-    if source.value_transform.is_identity and len(residual.known) == 1 + levels:
-        seen = _as_seen(residual.known, source)
+    if source.value_transform.is_identity and len(residual.residual_norms) == 1 + levels:
+        seen = _as_seen(residual.residual_norms, source)
         return seen, seen
     total = Sums(levels), Sums(levels)
 

@@ -13,13 +13,13 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import F32
 from .axes import Axis, Organisation
 from .narrow import BASIS_NUMBERS, CORE_NUMBERS, I8, narrowed
 
 U16 = NDArray[np.uint16]
 U32 = NDArray[np.uint32]
 F16 = NDArray[np.float16]
-F32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import F32
 from .axes import Axis, as_drawn
 from .errors import HmkctaError, Kind, invalid
 from .metrics import snr_db
@@ -23,7 +24,6 @@ from .support.optional import library
 if TYPE_CHECKING:
     from PIL import Image, ImageDraw
 
-F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 
 CELL = 384  # pixels that the longer side of a picture should come near, by whole-numbered scaling

@@ -305,7 +305,7 @@ def _grid(
             raise invalid("plan-grid", "blocks of the plan", repr(word), allowed)
         grid.append((axis, _number("grid", most if dash else least)))
         if not grid[-1][1]:
-            raise invalid("plan-grid", "blocks of the plan", repr(word), "1 or more of each axis")
+            raise invalid("clusters-too-small", "blocks of the plan", repr(word), "1 or more of each axis")
         if dash:
             fewest.append((axis, _number("grid", least)))
             if not 1 <= fewest[-1][1] <= grid[-1][1]:

@@ -16,13 +16,14 @@ from warnings import warn
 
 from numpy.typing import NDArray
 
-from ..cells import F32, Cells, Products
+from ..arrays import F32, F64
+from ..cells import Cells, Products
 from ..errors import invalid
 from . import reference
 from .coding import U16
 from .device import Device, Kernels
 from .kmeans import Labels
-from .reference import F64, Rows
+from .reference import Rows
 
 __all__ = ["Device", "Kernels", "accumulate", "cluster_rows", "code_rows", "collect", "contract_lanes",
            "dense_basis", "dictionary_gram", "find_device", "fit_cells", "gather", "magnitudes", "name",

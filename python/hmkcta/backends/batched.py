@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..cells import F32, Cells, Products, check_shape
+from ..arrays import F32, F64
+from ..cells import Cells, Products, check_shape
 from .batches import Batch, Index, projection_batches, sweep_batches
 from .reference import DEPENDENT
 
-F64 = NDArray[np.float64]
 Array = Any  # of whichever library
 
 #: Elements copied at once, at least.

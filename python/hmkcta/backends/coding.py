@@ -17,8 +17,8 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
+from ..arrays import F32, F64
+
 U16 = NDArray[np.uint16]
 Rows = NDArray[np.intp]
 Subset = tuple[int, ...]

@@ -18,17 +18,14 @@ from threading import Lock
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..cells import F32, Cells, Products, empty_cells
+from ..arrays import F32, F64
+from ..cells import Cells, Products, empty_cells
 from ..errors import HmkctaError, Kind
 from ..plan import LevelSpec
 from . import batched, reference
 from .batched import Arrays
-from .coding import U16
 from .device import Device, Kernels
-from .kmeans import Labels
-from .reference import F64, Rows
 
 T = TypeVar("T")
 
@@ -64,6 +61,12 @@ class Cuda:
 
     def __init__(self, device: Device, cpu: Kernels, *, always: bool = False) -> None:
         self._device, self._cpu, self._always, self._cupy = device, cpu, always, _cupy()
+        # All other kernels are the CPU's, whatever the size of what they work on.
+        self.collect, self.magnitudes, self.gather, self.scatter = cpu.collect, cpu.magnitudes, cpu.gather, cpu.scatter
+        self.dense_basis, self.contract_lanes = cpu.dense_basis, cpu.contract_lanes
+        self.solve_cores, self.orthonormalise, self.code_rows = cpu.solve_cores, cpu.orthonormalise, cpu.code_rows
+        self.nearest_with_room, self.cluster_rows = cpu.nearest_with_room, cpu.cluster_rows
+        self.set_threads = cpu.set_threads
 
     def fit_cells(self, cells: Cells, residual: F32, sweeps: int, iterations: int) -> None:
         """Gauss-Seidel sweeps of HOOI over the cells, in place."""
@@ -97,65 +100,12 @@ class Cuda:
             return self._run(cells, lambda on: batched.project_pair(on, cells, tensor, pair))
         return self._cpu.project_pair(cells, tensor, pair)
 
-    def contract_lanes(self, p: F32, w: F32) -> F32:
-        """A further mode summed over, lane by lane."""
-        return self._cpu.contract_lanes(p, w)
-
-    def collect(
-        self, array: NDArray[Any], modes: Sequence[Sequence[int]], rows: Rows, out: NDArray[Any],
-        factor: float | None = None,
-    ) -> None:
-        """The sub-tensor of some rows of each mode of an array, on the CPU."""
-        self._cpu.collect(array, modes, rows, out, factor)
-
-    def magnitudes(self, values: F32) -> tuple[float, float, float]:
-        """The sum of squares, the largest magnitude, and the smallest but zero, on the CPU."""
-        return self._cpu.magnitudes(values)
-
-    def gather(self, tensor: F32, rows: Rows) -> F32:
-        """The sub-tensor of some rows of each mode, on the CPU."""
-        return self._cpu.gather(tensor, rows)
-
-    def scatter(self, tensor: F32, rows: Rows, block: F32) -> None:
-        """Put a sub-tensor back, on the CPU."""
-        self._cpu.scatter(tensor, rows, block)
-
-    def dense_basis(self, cells: Cells, n: int) -> F32:
-        """U_n of all cells with its zero rows written out, on the CPU."""
-        return self._cpu.dense_basis(cells, n)
-
     def dictionary_gram(self, cells: Cells, products: Sequence[Products | None], n: int) -> F64:
         """Inner products of all dictionary columns of mode n."""
         pairs, side = cells.spec.cells**2, cells.spec.cells * cells.ranks[n]
         if self._pays(float(pairs * prod(cells.ranks) * sum(cells.ranks)), 8 * side**2, BEGUN):
             return self._run(cells, lambda on: batched.dictionary_gram(on, cells, products, n))
         return self._cpu.dictionary_gram(cells, products, n)
-
-    def solve_cores(self, cells: Cells, products: Sequence[Products | None], b: F64, steps: int) -> None:
-        """Cores of all cells that leave less together, in place, on the CPU."""
-        self._cpu.solve_cores(cells, products, b, steps)
-
-    def orthonormalise(self, cells: Cells, n: int) -> None:
-        """Orthonormal bases of mode n for all cells, in place, with cores that keep the model, on the CPU."""
-        self._cpu.orthonormalise(cells, n)
-
-    def code_rows(
-        self, h: F64, b: F64, clusters: Sequence[int], n: int, kept: U16 | None, mixture: int, search: str
-    ) -> tuple[U16, F32]:
-        """The best cluster subsets of a mode's rows and their coefficients, on the CPU."""
-        return self._cpu.code_rows(h, b, clusters, n, kept, mixture, search)
-
-    def nearest_with_room(self, distance: F64, cap: float | None) -> Labels:
-        """The nearest of some centres for each row, on the CPU."""
-        return self._cpu.nearest_with_room(distance, cap)
-
-    def cluster_rows(self, features: F64, centres: F64, cap: float | None, rounds: int) -> tuple[Labels, float]:
-        """Labels of rows by k-means, on the CPU."""
-        return self._cpu.cluster_rows(features, centres, cap, rounds)
-
-    def set_threads(self, count: int) -> None:
-        """How many threads of the CPU work on large nodes."""
-        self._cpu.set_threads(count)
 
     def free(self) -> None:
         """Give the device's memory back to it."""

@@ -8,10 +8,11 @@ from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
-from ..cells import F32, Cells, Products
+from ..arrays import F32, F64
+from ..cells import Cells, Products
 from .coding import U16
 from .kmeans import Labels
-from .reference import F64, Rows
+from .reference import Rows
 
 
 class Kernels(Protocol):

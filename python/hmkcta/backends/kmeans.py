@@ -10,7 +10,8 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
-F64 = NDArray[np.float64]
+from ..arrays import F64
+
 Labels = NDArray[np.intp]
 
 

@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _native
-from ..cells import F32, Cells, Products, check_shape
+from ..arrays import F32, F64
+from ..cells import Cells, Products, check_shape
 from ..errors import invalid
 from . import reference
 from .coding import U16
 from .kmeans import Labels, most_rows
 from .reference import Rows
 
-F64 = NDArray[np.float64]
 Shape = tuple[list[int], list[int], list[int], list[int], list[bool]]
 
 name = "native"

@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..cells import F32, Cells, Products
+from ..arrays import F32, F64
+from ..cells import Cells, Products
 from ..cells import dense_basis as dense_basis
 from ..metrics import squared_norm
 from .coding import code_rows as code_rows  # the twin of the native search
 from .kmeans import cluster_rows as cluster_rows  # and of the native clustering
 from .kmeans import nearest_with_room as nearest_with_room
 
-F64 = NDArray[np.float64]
 #: Row numbers of each mode.
 Rows = Sequence[NDArray[np.intp]]
 

@@ -13,10 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import backends as kernels
+from ..arrays import F32, F64
 from ..cells import Cells, empty_cells
 from ..metrics import squared_norm
 from ..plan import LevelSpec
 from ..streaming.blocks import Block
+from ..streaming.large import large
 from ..streaming.pieces import Piece
 from ..streaming.streamed import Streamed
 from ..support.executors import Queue, in_order, repeatedly
@@ -26,8 +28,6 @@ from .search import orthonormal_again
 from .tucker import core_energies
 from .workset import SAMPLED, fit_streamed, refit_streamed, workset_steps
 
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
 #: Ranks up to which blocks of some sizes are judged; None for an undecomposed mode.
 LimitsOf = Callable[[Sequence[int]], Sequence[int | None]]
 
@@ -100,13 +100,13 @@ def energy_table(
     limits = limits_of(sizes)
 
     def judged(piece: Piece) -> tuple[F64, float]:
-        large = cut.large(piece)
-        if large is None:
+        outside = large(cut, piece)
+        if outside is None:
             tensor = cut.settled(Block(piece.rows, cut.read(piece)))
         else:
-            tensor = large.sample(workset_steps(piece.sizes, spec.alone(piece.sizes), min(cut.limit, SAMPLED)))
+            tensor = outside.sample(workset_steps(piece.sizes, spec.alone(piece.sizes), min(cut.limit, SAMPLED)))
         own = squared_norm(tensor)
-        norm = own if large is None else large.error
+        norm = own if outside is None else outside.error
         return norm / (own or 1.0) * core_energies(tensor, limits, np.random.default_rng(seed)), norm
 
     energy = 0.0
@@ -149,8 +149,9 @@ def _each_cell(
         with queue.next() as c:
             piece = cut.pieces[c]
             if piece.elements:
-                large = cut.large(piece)
-                tensor = cut.settled(Block(piece.rows, cut.read(piece))) if large is None else large
+                tensor = large(cut, piece)
+                if tensor is None:
+                    tensor = cut.settled(Block(piece.rows, cut.read(piece)))
                 _put(cells, c, piece, work(c, _taken(cells, c, piece), tensor))
             return sizes[c]
 

@@ -16,14 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import backends as kernels
+from ..arrays import F32
 from ..cells import Cells, empty_cells
 from ..metrics import squared_norm
 from ..plan import LevelSpec
 from .memberships import start_candidates, strided_sample
 from .search import OVER_RELAXED, extend, orthonormal_again, sweep
 from .tucker import st_hosvd
-
-F32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -182,12 +181,12 @@ def _best_labels(tensor: F32, spec: LevelSpec, effort: Effort, rng: np.random.Ge
     sample = strided_sample(tensor, spec.clusters, SAMPLE)
     seed = int(rng.integers(2**63))
 
-    def left(labels: Labels) -> float:
+    def error(labels: Labels) -> float:
         residual = sample.tensor.copy()
         _disjoint(residual, spec, sample.labels(labels), np.random.default_rng(seed))
         return float(np.vdot(residual, residual))
 
-    return min(start_candidates(tensor, spec, effort.candidates, np.random.default_rng(seed)), key=left)
+    return min(start_candidates(tensor, spec, effort.candidates, np.random.default_rng(seed)), key=error)
 
 
 def _start(tensor: F32, spec: LevelSpec, effort: Effort, labels: Labels | None, rng: np.random.Generator) -> Cells:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import backends as kernels
+from ..arrays import F32
 from ..axes import Axis, Organisation
 from ..cells import Cells
 from ..errors import invalid
@@ -20,6 +21,7 @@ from ..metrics import squared_norm
 from ..plan import LevelSpec
 from ..streaming.blocks import Saved, thinned_cells
 from ..streaming.budget import side_by_side
+from ..streaming.large import Large, large
 from ..streaming.pieces import Piece, Rows, SubTensor
 from ..streaming.streamed import Streamed
 from ..support.executors import Queue, repeatedly
@@ -30,8 +32,6 @@ from .fit import Effort, Labels, fit_level, refit_level
 from .memberships import grid_blocks
 from .subdivision import subdivide
 from .workset import SAMPLED, SMALLER, workset_steps
-
-F32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -192,7 +192,7 @@ def streamed_for(tree: Hierarchy, node: Node) -> Streamed | None:
     residual = tree.residual
     if not isinstance(residual, Streamed):
         return None
-    return residual if node.piece is None else residual.large(node.piece)
+    return residual if node.piece is None else large(residual, node.piece)
 
 
 def level_within(node: Node, depth: int) -> int:
@@ -201,18 +201,14 @@ def level_within(node: Node, depth: int) -> int:
 
 
 def fit_nodes(
-    tree: Hierarchy,
-    specs: Sequence[LevelSpec | None],
-    run: Run,
-    labels: LabelsOf = lambda _: None,
-    *,
+    tree: Hierarchy, specs: Sequence[LevelSpec | None], run: Run, labels: LabelsOf = lambda _: None, *,
     last: bool = False,
 ) -> None:
     """Fit the deepest level, each node by its own spec (None: it stays empty), from given disjoint memberships.
 
     `last`: nothing reads the residual afterwards, so that of a streamed one only its norm is kept.
     """
-    _set_lasting(tree, not last)
+    _set_written_back(tree, not last)
     nodes, depth, step = tree.levels[-1], len(tree.levels), run.journal.step()
     told = told_within(nodes, f"level {depth}", run)
 
@@ -220,31 +216,48 @@ def fit_nodes(
         node, spec = nodes[s], specs[s]
         if spec is None or node.elements == 0:
             return
-        outside, level = streamed_for(tree, node), level_within(node, depth)
         rng = np.random.default_rng([run.seed, depth, s])
-        tensor = None if outside else gather(tree.residual, node, lent=True)  # and changed when its cells are there
-        finished = run.journal.recall(step, s, node.sizes, spec)
-        if finished is None:
+
+        def fitted(outside: Streamed | None, level: int) -> Cells | None:
             if outside is not None:
-                cells = fit_outside(outside, level, spec, run.effort, rng, labels(node), told)
-            elif tensor is not None and tensor.any():
-                cells = fit_level(tensor, spec, run.effort, rng, labels(node))
-            else:
-                return
-            node.cells = cells.rounded()
-            run.journal.keep(step, s, node.cells)
-        else:
-            node.cells = finished.cells
-            if outside is not None and node.piece is None and node.cells is not None:
-                cut_as_fitted(outside, level, node.cells)
-        if outside is not None:
-            outside.change(level, node.cells)
-        elif tensor is not None:
-            scatter(tree.residual, node, _exchanged(tensor, None, node.cells))
+                return fit_outside(outside, level, spec, run.effort, rng, labels(node), told).rounded()
+            tensor = gather(tree.residual, node, lent=True)
+            return fit_level(tensor, spec, run.effort, rng, labels(node)).rounded() if tensor.any() else None
+
+        _renew(tree, run, (step, depth, s), spec, fitted)
 
     in_parallel(work, nodes, f"level {depth}", run, tree.residual, run.side_by_side(specs, nodes))
     if isinstance(tree.residual, Streamed) and any(node.piece is not None for node in nodes):
         tree.residual.fitted(depth)
+
+
+def _renew(
+    tree: Hierarchy, run: Run, at: tuple[int, int, int], spec: LevelSpec,
+    fitted: Callable[[Streamed | None, int], Cells | None],
+) -> None:
+    """Give a node the cells that the journal has of this step, or else those that are `fitted` now, which it keeps.
+
+    `at` are the step, the node's depth and its number in the level. What fits is given the tensor and the level there,
+    where memory does not hold the node; of it comes None where the node keeps the cells that it had.
+    """
+    step, depth, s = at
+    node = tree.levels[depth - 1][s]
+    old, outside, level = node.cells, streamed_for(tree, node), level_within(node, depth)
+    if isinstance(outside, Large) and old is not None:
+        outside.already_less(old)
+    finished = run.journal.recall(step, s, node.sizes, spec)
+    cells = fitted(outside, level) if finished is None else finished.cells
+    if finished is None:
+        run.journal.keep(step, s, cells)
+    elif outside is not None and node.piece is None and cells is not None:
+        cut_as_fitted(outside, level, cells)
+    if cells is None:
+        return
+    node.cells = cells
+    if outside is not None:
+        outside.change(level, cells)
+    else:
+        scatter(tree.residual, node, _exchanged(gather(tree.residual, node, lent=True), old, cells))
 
 
 def _exchanged(residual: F32, old: Cells | None, new: Cells | None) -> F32:
@@ -332,46 +345,31 @@ def _specs(nodes: Sequence[Node]) -> Iterator[LevelSpec]:
     return (node.cells.spec for node in nodes if node.cells is not None)
 
 
-def _set_lasting(tree: Hierarchy, lasting: bool) -> None:
-    """Whether what is left is read again after this step."""
+def _set_written_back(tree: Hierarchy, written_back: bool) -> None:
+    """Whether the residual is read again after this step."""
     if isinstance(tree.residual, Streamed):
-        tree.residual.lasting = lasting
+        tree.residual.written_back = written_back
 
 
 def backfit(tree: Hierarchy, run: Run, *, last: bool = False) -> None:
     """Refit every level in turn to what all the others leave; memberships stay. `last`: as of `fit_nodes`."""
     if isinstance(tree.residual, Streamed):
-        tree.residual.known = []
+        tree.residual.residual_norms = []
     for number, nodes in enumerate(tree.levels, start=1):
-        _set_lasting(tree, not (last and number == len(tree.levels)))
+        _set_written_back(tree, not (last and number == len(tree.levels)))
         step, told = run.journal.step(), told_within(nodes, f"back-fitting level {number}", run)
 
         def work(s: int, nodes: list[Node] = nodes, step: int = step, number: int = number, told: Told = told) -> None:
-            node = nodes[s]
-            old = node.cells
+            node, old = nodes[s], nodes[s].cells
             if old is None:
                 return
-            outside, level = streamed_for(tree, node), level_within(node, number)
-            if outside is not None and node.piece is not None:
-                outside.wholes, outside.stored = [old], [old]
-            finished = run.journal.recall(step, s, node.sizes, old.spec)
-            if finished is not None:
-                cells = finished.cells
-                if outside is not None and node.piece is None:
-                    cut_as_fitted(outside, level, old)
-            elif outside is not None:
-                cells = refit_outside(outside, level, old.copy(), told).rounded()
-            else:
-                cells = _refitted(old, gather(tree.residual, node))
-            if finished is None:
-                run.journal.keep(step, s, cells)
-            if cells is None:
-                return
-            node.cells = cells
-            if outside is not None:
-                outside.change(level, cells)
-            else:
-                scatter(tree.residual, node, _exchanged(gather(tree.residual, node), old, cells))
+
+            def refitted(outside: Streamed | None, level: int) -> Cells | None:
+                if outside is not None:
+                    return refit_outside(outside, level, old.copy(), told).rounded()
+                return _refitted(old, gather(tree.residual, node))
+
+            _renew(tree, run, (step, number, s), old.spec, refitted)
 
         workers = run.side_by_side(_specs(nodes), nodes)
         in_parallel(work, nodes, f"back-fitting level {number}", run, tree.residual, workers)

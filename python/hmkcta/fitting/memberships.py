@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import backends as kernels
+from ..arrays import F32, F64
 from ..plan import LevelSpec
 from .subspaces import subspace_clusters
-
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
+from .tucker import leading_eigen
 
 #: Columns of the row features; more changed nothing.
 FEATURES = 12
@@ -113,15 +112,13 @@ def row_features(tensor: NDArray[Any], n: int) -> F64:
 
 def _leading(gram: F64) -> tuple[F64, F64]:
     """Eigenvalues and -vectors of as many features, the largest first; of large matrices by subspace iteration."""
-    leading = slice(None, -FEATURES - 1, -1)
     if len(gram) <= EXACT_SIDE:
-        values, vectors = np.linalg.eigh(gram)
-        return values[leading], vectors[:, leading]
+        return leading_eigen(gram, FEATURES)
     basis = np.random.default_rng(0).standard_normal((len(gram), 2 * FEATURES))
     for _ in range(ITERATIONS):
         basis = np.linalg.qr(gram @ basis)[0]
-    values, vectors = np.linalg.eigh(basis.T @ gram @ basis)
-    return values[leading], basis @ vectors[:, leading]
+    values, vectors = leading_eigen(basis.T @ gram @ basis, FEATURES)
+    return values, basis @ vectors
 
 
 def normalised(features: F64, power: float) -> F64:

@@ -3,6 +3,14 @@
 What search and subdivision want of mode n is `Y_n[c] = T x_{m != n} U_{m,c}^T`. Projected on two modes, the tensor is
 small, and two modes are left: the rows of one may be solved for, and then those of the other with the new bases of the
 first, before the tensor is looked at again. So a sweep over four modes is two passes, whatever the number of cells.
+
+With modes a and b kept, and c and d projected on, the first projection and what comes of it are
+
+    P[i_a, i_b, c_c, c_d, r_c, c_a, c_b, r_d] = sum over i_c, i_d of T[i_a, i_b, i_c, i_d] U_c[i_c, r_c] U_d[i_d, r_d]
+    Y_a[c, i_a, r_b r_c r_d]                  = sum over i_b of P[i_a, i_b, ..] U_b[i_b, r_b]
+
+where all U are those of the cell c = (c_a, c_b, c_c, c_d). Axes of P behind those of rows are *lanes*: each is
+multiplied by the basis of its own cell.
 """
 
 from __future__ import annotations
@@ -12,14 +20,13 @@ from dataclasses import dataclass
 from math import prod
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import backends as kernels
+from ..arrays import F32
 from ..cells import Cells
 
-F32 = NDArray[np.float32]
-#: I_m, C_m or R_m: what an axis of a projection runs over.
-Extent = tuple[str, int]
+#: The index that an axis of a projection runs over: ("I", m) for i_m, ("C", m) for c_m, ("R", m) for r_m.
+Index = tuple[str, int]
 
 #: A projection, and the bases beside it, may have as many numbers as the tensor, or this many; beyond, modes are
 #: projected one by one.
@@ -45,17 +52,16 @@ class Projection:
         if self.pair is None or self.p is None:
             return kernels.project_cells(cells, self.tensor, n)
         kept = [m for m in range(cells.order) if m not in self.pair]
-        have = [*(("I", m) for m in kept), *_lanes(self.pair, kept)]
-        p = self.p
+        lanes, p = _lanes(self.pair, kept), self.p
+        axes = [*(("I", m) for m in kept), *lanes]
         for m in (m for m in kept if m != n and not cells.undecomposed[m]):
-            at, rows = have.index(("I", m)), len(have) - len(_lanes(self.pair, kept))
-            sizes = _sizes(cells, have)
-            flat = p.reshape(prod(sizes[:at]), sizes[at], prod(sizes[at + 1 : rows]), prod(sizes[rows:]))
-            p = kernels.contract_lanes(flat, _spread(cells, m, have[rows:]))
-            have = [*have[:at], *have[at + 1 : rows], ("R", m), *have[rows:]]
+            at, first_lane, sizes = axes.index(("I", m)), len(axes) - len(lanes), _sizes(cells, axes)
+            flat = p.reshape(prod(sizes[:at]), sizes[at], prod(sizes[at + 1 : first_lane]), prod(sizes[first_lane:]))
+            p = kernels.contract_lanes(flat, _basis_in_lanes(cells, m, lanes))
+            axes = [*axes[:at], *axes[at + 1 : first_lane], ("R", m), *lanes]
         others = [("I" if cells.undecomposed[m] else "R", m) for m in range(cells.order) if m != n]
         wanted = [*(("C", m) for m in range(cells.order)), ("I", n), *others]
-        p = p.reshape(_sizes(cells, have)).transpose([have.index(axis) for axis in wanted])
+        p = p.reshape(_sizes(cells, axes)).transpose([axes.index(index) for index in wanted])
         return p.reshape(cells.spec.cells, cells.sizes[n], -1)
 
 
@@ -113,17 +119,19 @@ def project_one(cells: Cells, tensor: F32, n: int) -> F32:
     return project(cells, tensor, sorted([n, *third])).onto(cells, n)
 
 
-def _lanes(pair: tuple[int, int], kept: Sequence[int]) -> list[Extent]:
+def _lanes(pair: tuple[int, int], kept: Sequence[int]) -> list[Index]:
+    """Axes of P behind those of rows: of kept a, b and the pair c, d these are c_c, c_d, r_c, c_a, c_b, r_d."""
     return [*(("C", m) for m in pair), ("R", pair[0]), *(("C", m) for m in kept), ("R", pair[1])]
 
 
-def _sizes(cells: Cells, axes: Sequence[Extent]) -> list[int]:
+def _sizes(cells: Cells, axes: Sequence[Index]) -> list[int]:
+    """How many values the index of each axis takes."""
     sizes = {"I": cells.sizes, "C": cells.spec.clusters, "R": cells.ranks}
     return [sizes[kind][m] for kind, m in axes]
 
 
-def _spread(cells: Cells, m: int, lanes: Sequence[Extent]) -> F32:
-    """U_m of all cells over the lanes: `[I_m, R_m, lanes]`."""
+def _basis_in_lanes(cells: Cells, m: int, lanes: Sequence[Index]) -> F32:
+    """U_m,c of every lane's cell c: `[I_m, R_m, lanes]`; lanes that differ in a rank alone have the same."""
     rows = [cells.sizes[m], cells.ranks[m]]
     dense = kernels.dense_basis(cells, m).reshape(*cells.spec.clusters, *rows)
     order = [cells.order, cells.order + 1, *(k for kind, k in lanes if kind == "C")]

@@ -14,11 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import backends as kernels
+from ..arrays import F32, F64
 from ..cells import Cells, Products
 from .projection import passes, project
-
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
 
 #: omega of sweeps that others follow: a third of the sweeps for the same error.
 OVER_RELAXED = 1.75

@@ -15,14 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import backends as kernels
+from ..arrays import F32
 from ..backends.coding import Dictionary
 from ..cells import Cells, Products
 from ..metrics import squared_norm
 from .memberships import uniform_blocks
 from .projection import Projection, passes, project
 from .search import all_products, project_model, right_sides
-
-F32 = NDArray[np.float32]
 
 #: Rows of a part at most, times I/C.
 CAP = 1.25
@@ -37,7 +36,7 @@ def subdivide(cells: Cells, tensor: F32 | None, scheme: str) -> list[NDArray[np.
     parts: dict[int, NDArray[np.intp]] = {}
     judged = [n for n, mixture in enumerate(cells.spec.mixture) if mixture > 1 and scheme != "uniform"]
     if tensor is not None and cells.spec.search == "fast":  # inner products of so many cells take gigabytes
-        return [_parts(cells, _errors_left(cells, tensor, n) if n in judged else None, n, scheme)
+        return [_parts(cells, _residual_errors(cells, tensor, n) if n in judged else None, n, scheme)
                 for n in range(cells.order)]
     products = all_products(cells) if judged else []
     for kept in passes(cells):
@@ -60,16 +59,16 @@ def _parts(cells: Cells, errors: NDArray[np.float64] | None, n: int, scheme: str
     return kernels.nearest_with_room(worth, CAP)
 
 
-def _errors_left(cells: Cells, tensor: F32, n: int) -> NDArray[np.float64]:
-    """`[I_n, K_n]`: squared error of each row by each of its subsets alone, as it is left in the tensor."""
+def _residual_errors(cells: Cells, tensor: F32, n: int) -> NDArray[np.float64]:
+    """`[I_n, K_n]`: squared norm of each row in the residual of the tensor less each of its subsets alone."""
     errors = np.empty(cells.members[n].shape)
     spec = replace(cells.spec, mixture=tuple(1 if m == n else k for m, k in enumerate(cells.spec.mixture)))
     for k in range(cells.spec.mixture[n]):
         alone = Cells(cells.sizes, spec, list(cells.members), list(cells.bases), cells.cores)
         alone.members[n], alone.bases[n] = cells.members[n][:, k : k + 1].copy(), cells.bases[n][:, k : k + 1].copy()
-        left = tensor.copy()
-        kernels.accumulate(alone, left, -1.0)
-        errors[:, k] = [squared_norm(row) for row in np.moveaxis(left, n, 0)]
+        residual = tensor.copy()
+        kernels.accumulate(alone, residual, -1.0)
+        errors[:, k] = [squared_norm(row) for row in np.moveaxis(residual, n, 0)]
     return errors
 
 

@@ -11,7 +11,9 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-F32 = NDArray[np.float32]
+from ..arrays import F32
+from .tucker import leading_eigen
+
 Labels = NDArray[np.intp]
 
 #: Coordinates of the rows at the least.
@@ -67,16 +69,16 @@ def _coordinates(rows: F32, count: int, rng: np.random.Generator) -> F32:
 
 def _seeds(points: F32, clusters: int, dimension: int, rng: np.random.Generator) -> F32:
     """Bases `[C, D, d]`, each of a row drawn by what those before leave of it, and of the rows in its direction."""
-    left = np.square(points).sum(axis=1)
-    unit = points / np.sqrt(np.maximum(left, 1e-30))[:, None]
-    energy, near = left.copy(), min(len(points), 1 + NEAREST * dimension)
+    errors = np.square(points).sum(axis=1)
+    unit = points / np.sqrt(np.maximum(errors, 1e-30))[:, None]
+    energy, near = errors.copy(), min(len(points), 1 + NEAREST * dimension)
     bases = np.zeros((clusters, points.shape[1], dimension), np.float32)
     for basis in bases:
-        chances = left.astype(np.float64) / max(left.sum(dtype=np.float64), 1e-300)
-        drawn = int(rng.choice(len(left), p=chances / chances.sum() if chances.any() else None))
+        chances = errors.astype(np.float64) / max(errors.sum(dtype=np.float64), 1e-300)
+        drawn = int(rng.choice(len(errors), p=chances / chances.sum() if chances.any() else None))
         around = np.argpartition(-np.abs(unit @ unit[drawn]), near - 1)[:near]
         basis[:] = _leading(unit[around], dimension)
-        left = np.minimum(left, np.maximum(energy - np.square(points @ basis).sum(axis=1), 0))
+        errors = np.minimum(errors, np.maximum(energy - np.square(points @ basis).sum(axis=1), 0))
     return bases
 
 
@@ -104,7 +106,7 @@ def _explained(points: F32, bases: F32) -> Iterator[F32]:
 
 def _leading(rows: F32, dimension: int) -> F32:
     """Leading right singular vectors of the rows as columns `[D, d]`."""
-    return np.linalg.eigh((rows.T @ rows).astype(np.float64))[1][:, : -dimension - 1 : -1].astype(np.float32)
+    return leading_eigen((rows.T @ rows).astype(np.float64), dimension)[1].astype(np.float32)
 
 
 def _with_all(labels: Labels, clusters: int) -> Labels:

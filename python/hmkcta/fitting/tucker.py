@@ -7,10 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import F32, F64
 from ..metrics import squared_norm
-
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
 
 #: Side of Gram matrices up to which they are decomposed exactly; vectors of larger ones are found by randomised
 #: subspace iteration.
@@ -48,16 +46,25 @@ def leading_subspace(tensor: F32, n: int, rank: int, rng: np.random.Generator, e
     rank = min(rank, *matrix.shape)
     if _is_exact(matrix, rank):
         if len(matrix) <= matrix.shape[1]:
-            _, vectors = np.linalg.eigh(_gram(matrix))
-            return np.ascontiguousarray(vectors[:, : -rank - 1 : -1], np.float32)
-        _, vectors = np.linalg.eigh(_gram(matrix.T))
-        return _orthonormal(matrix @ vectors[:, : -rank - 1 : -1].astype(np.float32))
+            return np.ascontiguousarray(leading_eigen(_gram(matrix), rank)[1], np.float32)
+        return _orthonormal(matrix @ leading_eigen(_gram(matrix.T), rank)[1].astype(np.float32))
     sample = matrix @ rng.standard_normal((matrix.shape[1], min(rank + 12, *matrix.shape)), np.float32)
     for _ in range(3):
         sample = matrix @ (matrix.T @ _orthonormal(sample))
     basis = _orthonormal(sample)
-    _, vectors = np.linalg.eigh(_gram(basis.T @ matrix))
-    return (basis @ vectors[:, : -rank - 1 : -1]).astype(np.float32)
+    return (basis @ leading_eigen(_gram(basis.T @ matrix), rank)[1]).astype(np.float32)
+
+
+def leading_eigen(gram: F64, count: int) -> tuple[F64, F64]:
+    """So many eigenvalues of a Gram matrix, the largest first, and their vectors as columns.
+
+    Of A A^T they are squares of singular values of A and its left singular vectors, of A^T A its right ones.
+
+    >>> leading_eigen(np.diag([1.0, 9.0, 4.0]), 2)[0].tolist()
+    [9.0, 4.0]
+    """
+    values, vectors = np.linalg.eigh(gram)
+    return values[: -count - 1 : -1], vectors[:, : -count - 1 : -1]
 
 
 def _few_leading(
@@ -158,25 +165,28 @@ def full_core(
     order, sizes = tensor.ndim, tensor.shape
     # A mode longer than its unfolding has columns comes first, as the tensor is smaller afterwards.
     first = next((n for n in range(order) if sizes[n] ** 2 > tensor.size), 0)
-    turn = [(first + n) % order for n in range(order)]
-    core = np.ascontiguousarray(tensor.transpose(turn))
-    left = list[int]()
-    for at, n in enumerate(turn):
-        limit, matrix = limits[n], core.reshape(core.shape[0], -1)  # the turn brings each mode to the front
-        rotated = matrix.T
-        if limit is not None:
-            found = _rotated(matrix, limit)
-            left += [at] if found is None else []
-            rotated = matrix.T if found is None else found
+    modes = [(first + n) % order for n in range(order)]
+    core = np.ascontiguousarray(tensor.transpose(modes))
+    iterated = list[int]()
+    # Modes are cycled, so that the one at hand is axis 0: it comes out last, and after all of them they lie as before.
+    for axis, n in enumerate(modes):
+        limit, matrix = limits[n], core.reshape(core.shape[0], -1)
+        found = None if limit is None else _rotated(matrix, limit)
+        iterated += [axis] if found is None and limit is not None else []
+        rotated = matrix.T if found is None else found
         core = np.ascontiguousarray(rotated).reshape(*core.shape[1:], rotated.shape[1])
     # Rotations keep the norm: what float32 sums lose of it would look like error, or hide it.
     scale = squared_norm(tensor) / max(squared_norm(core), 1e-300)
-    for at in left:
-        basis = leading_subspace(core, at, limits[turn[at]] or 0, rng)  # few do not do, or had been found above
-        others = [size for n, size in enumerate(core.shape) if n != at]
-        core = np.moveaxis(_projected(unfold(core, at), basis).reshape(-1, *others), 0, at)
-    back = sorted(range(order), key=turn.__getitem__)
-    return core.transpose(back), scale
+    for axis in iterated:
+        core = _truncated(core, axis, limits[modes[axis]] or 0, rng)
+    return core.transpose(sorted(range(order), key=modes.__getitem__)), scale
+
+
+def _truncated(core: F32, n: int, rank: int, rng: np.random.Generator) -> F32:
+    """The core with mode n rotated into its `rank` leading singular vectors: few would not do, or were found before."""
+    basis = leading_subspace(core, n, rank, rng)
+    others = [size for m, size in enumerate(core.shape) if m != n]
+    return np.moveaxis(_projected(unfold(core, n), basis).reshape(-1, *others), 0, n)
 
 
 def _squares(matrix: NDArray[np.floating], rank: int) -> F64 | None:
@@ -198,7 +208,6 @@ def _rotated(matrix: F32, rank: int) -> F32 | None:
     if not _is_exact(matrix, rank):
         return None
     if len(matrix) <= matrix.shape[1]:
-        _, vectors = np.linalg.eigh(_gram(matrix))
-        return matrix.T @ vectors[:, ::-1].astype(np.float32)
-    energies, vectors = np.linalg.eigh(_gram(matrix.T))
-    return (vectors * np.sqrt(np.maximum(energies, 0)))[:, ::-1].astype(np.float32)
+        return matrix.T @ leading_eigen(_gram(matrix), len(matrix))[1].astype(np.float32)
+    energies, vectors = leading_eigen(_gram(matrix.T), matrix.shape[1])
+    return (vectors * np.sqrt(np.maximum(energies, 0))).astype(np.float32)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import count
 from math import gcd, prod
 from typing import TypeVar
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import backends as kernels
+from ..arrays import F32, F64
 from ..cells import Cells
 from ..errors import invalid
 from ..plan import LevelSpec, Plan
@@ -32,8 +34,6 @@ from .fit import Effort, Labels, fit_level
 from .projection import project_one
 from .search import all_products, choose_rows, project_model, right_sides
 
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
 T = TypeVar("T", np.float32, np.float64)
 
 #: Rows of a thinned mode for each cluster and each column of a basis: fewer would fit themselves.
@@ -62,7 +62,7 @@ def workset_steps(sizes: Sequence[int], spec: LevelSpec, limit: int) -> list[int
     longest = sorted(decomposed, key=lambda n: -sizes[n])[:2]
     most = max((rank for rank in spec.ranks if rank is not None), default=1)
 
-    def left(n: int) -> float:
+    def remaining(n: int) -> float:
         return sizes[n] / steps[n]
 
     def further(n: int) -> int:
@@ -76,8 +76,8 @@ def workset_steps(sizes: Sequence[int], spec: LevelSpec, limit: int) -> list[int
         choice = next((modes for modes in choices if modes), None)
         if choice is None:
             break
-        longest_left = max(choice, key=left)
-        steps[longest_left] = further(longest_left)
+        longest_one = max(choice, key=remaining)
+        steps[longest_one] = further(longest_one)
     return steps
 
 
@@ -257,38 +257,59 @@ def solve_rows(residual: Streamed, number: int, cells: Cells, n: int, search: st
 
 
 def sides(residual: Streamed, number: int, cells: Cells, n: int, steps: Sequence[int]) -> F64:
-    """`right_sides` of the tensor less all levels but `number`, thinned as the cells are: `[PC, R_n, I_n]`."""
-    total = np.zeros((cells.spec.cells, cells.ranks[n], cells.sizes[n]))
+    """`right_sides` of the tensor less all levels but `number`, thinned as the cells are: `[PC, R_n, I_n]`.
 
-    def summed(part: Cells, tensor: F32) -> F64:
-        b = np.zeros((part.spec.cells, part.ranks[n], part.sizes[n]))
-        for rows in _stretches(part, n):
-            some, inner = part.part(rows), np.ascontiguousarray(tensor[tuple(slice(r[0], r[-1] + 1) for r in rows)])
-            b += right_sides(some, project_one(some, inner, n), n)
-        return b
+    b is linear in the tensor: with t a block of what is read, and each of the `terms` a model and its weight w,
 
-    for rows, b in _over_blocks(residual, cells, steps, summed):
-        total[:, :, rows[n]] += b
+        b = sum over blocks of D^T t + sum over terms of w D^T model
+    """
+
+    def of_block(part: Cells, tensor: F32) -> F64:
+        b_of_block = np.zeros((part.spec.cells, part.ranks[n], part.sizes[n]))
+        for share in _in_stretches(part, n, partial(_y_of_elements, tensor, n)):
+            b_of_block += share
+        return b_of_block
+
+    b = np.zeros((cells.spec.cells, cells.ranks[n], cells.sizes[n]))
+    for rows, b_of_block in _over_blocks(residual, cells, steps, of_block):
+        b[:, :, rows[n]] += b_of_block
     for weight, other in residual.terms(number):
-        for rows in _stretches(cells, n):
-            part, model = cells.part(rows), thinned_cells(other, steps).part(rows)
-            total += weight * right_sides(part, project_model(part, model, n), n)
-    return total
+        for b_of_model in _in_stretches(cells, n, partial(_y_of_model, thinned_cells(other, steps), n)):
+            b += weight * b_of_model
+    return b
 
 
 def projected(residual: Streamed, number: int, cells: Cells, n: int) -> F64:
-    """`project_cells` of the tensor less all levels but `number`: `[PC, I_n, prod R_m]`."""
+    """`project_cells` of the tensor less all levels but `number`: `[PC, I_n, prod R_m]`.
+
+    As of b: Y_n = sum over blocks of their Y_n + sum over terms of w times that of the model.
+    """
     order = [n, *[m for m in range(cells.order) if m != n]]
     kept = [m == n or cells.undecomposed[m] for m in order]  # modes that are not summed over
     sizes = [cells.sizes[m] if whole else cells.ranks[m] for m, whole in zip(order, kept, strict=True)]
-    total = np.zeros([cells.spec.cells, *sizes])
-    for rows, y in _over_blocks(residual, cells, [1] * cells.order, lambda part, tensor: project_one(part, tensor, n)):
+    y = np.zeros([cells.spec.cells, *sizes])
+    for rows, y_of_block in _over_blocks(residual, cells, [1] * cells.order, lambda some, t: project_one(some, t, n)):
         places = [rows[m] if whole else np.arange(cells.ranks[m]) for m, whole in zip(order, kept, strict=True)]
-        total[np.ix_(np.arange(len(total)), *places)] += y.reshape([len(y), *map(len, places)])
-    flat = total.reshape(len(total), cells.sizes[n], -1)
+        y[np.ix_(np.arange(len(y)), *places)] += y_of_block.reshape([len(y_of_block), *map(len, places)])
+    y = y.reshape(len(y), cells.sizes[n], -1)
     for weight, other in residual.terms(number):
-        flat += weight * project_model(cells, other, n)
-    return flat
+        y += weight * project_model(cells, other, n)
+    return y
+
+
+def _y_of_elements(tensor: F32, n: int, some: Cells, rows: Rows) -> F32:
+    return project_one(some, np.ascontiguousarray(tensor[tuple(slice(r[0], r[-1] + 1) for r in rows)]), n)
+
+
+def _y_of_model(model: Cells, n: int, some: Cells, rows: Rows) -> F64:
+    return project_model(some, model.part(rows), n)
+
+
+def _in_stretches(cells: Cells, n: int, y: Callable[[Cells, Rows], NDArray[np.floating]]) -> Iterator[F64]:
+    """`right_sides` of the cells' rows in one stretch after another, from their Y_n; together they are b."""
+    for rows in _stretches(cells, n):
+        some = cells.part(rows)
+        yield right_sides(some, y(some, rows), n)
 
 
 def _over_blocks(
@@ -306,10 +327,10 @@ def _over_blocks(
             yield rows, made
 
 
-def _stretches(cells: Cells, n: int) -> Iterator[list[NDArray[np.intp]]]:
+def _stretches(cells: Cells, n: int) -> Iterator[Rows]:
     """All rows of every mode, of undecomposed ones so many at a time that projections stay small."""
     skipped = [m for m, skip in enumerate(cells.undecomposed) if skip]
     each = cells.spec.cells * cells.sizes[n] * prod(r for m, r in enumerate(cells.spec.ranks) if m != n and r)
     for part in slabs([cells.sizes[m] for m in skipped], max(1, PROJECTED // each)):
         spans = dict(zip(skipped, part, strict=False))  # the last modes are whole where a slab does not name them
-        yield [np.arange(size)[spans.get(m, slice(None))] for m, size in enumerate(cells.sizes)]
+        yield tuple([np.arange(size)[spans.get(m, slice(None))] for m, size in enumerate(cells.sizes)])

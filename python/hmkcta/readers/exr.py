@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .source import Layout, check_layout, choose, guarded, io_error, library
+from ..support.optional import library
+from .source import Layout, check_layout, choose, guarded, io_error
 
 MAGIC = b"\x76\x2f\x31\x01"
 #: Channels of a layer come in this order, any others by name behind.

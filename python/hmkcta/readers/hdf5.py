@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from ..conventions import packing
 from ..errors import HmkctaError, invalid
-from .source import Layout, choose, guarded, io_error, library, map_part
+from ..support.optional import library
+from .source import Layout, choose, guarded, io_error, map_part
 from .unpacked import Unpacker
 
 MAGIC = b"\x89HDF\r\n\x1a\n"

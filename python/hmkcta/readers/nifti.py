@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..conventions import Packing, scaled_type
-from .source import Layout, guarded, io_error, library, map_part
+from ..support.optional import library
+from .source import Layout, guarded, io_error, map_part
 from .unpacked import Unpacker
 
 GZIP = b"\x1f\x8b"

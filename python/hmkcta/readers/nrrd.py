@@ -11,7 +11,8 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from .source import Layout, guarded, io_error, library, map_part, opened
+from ..support.optional import library
+from .source import Layout, guarded, io_error, map_part, opened
 from .unpacked import Unpacker
 
 MAGIC = b"NRRD00"

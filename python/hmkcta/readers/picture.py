@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .source import Layout, check_layout, guarded, io_error, library
+from ..support.optional import library
+from .source import Layout, check_layout, guarded, io_error
 
 PNG = b"\x89PNG\r\n\x1a\n"
 #: Told by their first bytes; others of Pillow's formats by their ending.

@@ -1,4 +1,4 @@
-"""What all readers share: files that may not be there, libraries likewise, members by name, mapping, number types."""
+"""What all readers share: files that may not be there, members by name, mapping, number types."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import stat
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib import import_module
 from math import prod
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -15,11 +14,11 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import HmkctaError, Kind, invalid
+from ..errors import HmkctaError, Kind, invalid, sentence
 
 KINDS_TAKEN = "integers, booleans, or float16 to float64"
-#: Members of a file that an error lists, and the length to which the sentence of a library is cut.
-LISTED, SENTENCE = 20, 200
+#: Members of a file that an error lists.
+LISTED = 20
 
 
 @dataclass(frozen=True)
@@ -65,21 +64,6 @@ def opened(path: Path) -> Generator[BinaryIO]:
                        told=f"cannot be read: {found}") from error
 
 
-def library(module: str, package: str, extra: str, what: str) -> Any:
-    """The field's own library, loaded when a file needs it.
-
-    Raises:
-        HmkctaError: it is not installed, or cannot be loaded; the reason is the package's name and ``-missing``.
-    """
-    try:
-        return import_module(module)
-    except Exception as error:  # a package that is there but broken raises what it likes
-        found = f"no {package} in this Python"
-        if not isinstance(error, ModuleNotFoundError):
-            found = f"{package} cannot be loaded: {sentence(error)}"
-        raise invalid(f"{package.lower()}-missing", what, found, package, f'pip install "hmkcta[{extra}]"') from error
-
-
 @contextmanager
 def guarded(path: Path, what: str) -> Generator[None]:
     """Whatever the library of a format raises on a file becomes one sentence.
@@ -96,16 +80,6 @@ def guarded(path: Path, what: str) -> Generator[None]:
                        "wait until its writer has closed it") from error
     except Exception as error:  # of a dozen parsers, each of which has its own ways to stumble over a damaged file
         raise io_error("source-damaged", str(path), sentence(error), f"a complete {what}", "fetch it again") from error
-
-
-def sentence(error: BaseException) -> str:
-    """The first line of what an exception says, or its name.
-
-    >>> sentence(KeyError()), sentence(ValueError("no such chunk.\\nMore"))
-    ('KeyError', 'no such chunk')
-    """
-    lines = str(error).strip().splitlines()
-    return lines[0][:SENTENCE].rstrip(" .:") if lines else type(error).__name__
 
 
 def choose(where: str, members: Mapping[str, str], wanted: str | None) -> str:

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import HmkctaError, invalid
-from .source import Layout, choose, guarded, io_error, library, map_part
+from ..support.optional import library
+from .source import Layout, choose, guarded, io_error, map_part
 from .unpacked import Part, Unpacker, block_parts
 
 MAGICS = ((0, b"II*\0"), (0, b"MM\0*"), (0, b"II+\0"), (0, b"MM\0+"))

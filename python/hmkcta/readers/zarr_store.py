@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..conventions import packing, zarr_attributes
-from .source import Layout, choose, guarded, library
+from ..support.optional import library
+from .source import Layout, choose, guarded
 from .unpacked import Unpacker
 
 #: Files of which every Zarr array or group has one.

@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import backends as kernels
+from ..arrays import F32
 from ..cells import Cells
-from .pieces import Left, Rows
+from .pieces import Norms, Rows
 from .scratch import Scratch
-
-F32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,28 +24,28 @@ class Block:
 
 @dataclass(frozen=True, eq=False)
 class Saved:
-    """A state of a streamed residual; without `left` of its pieces they stay as they are."""
+    """A state of a streamed residual; without `piece_norms` its pieces stay as they are."""
 
-    wholes: list[Cells | None]
-    stored: list[Cells | None] = field(default_factory=list["Cells | None"])
-    left: list[Left] | None = None
-    known: list[Left] = field(default_factory=list[Left])
+    models: list[Cells | None]
+    subtracted: list[Cells | None] = field(default_factory=list["Cells | None"])
+    piece_norms: list[Norms] | None = None
+    residual_norms: list[Norms] = field(default_factory=list[Norms])
     scratch: Scratch | None = None
 
 
-def left_of(tensor: F32) -> Left:
+def norms_of(tensor: F32) -> Norms:
     """The sum of squares and the largest magnitude of a residual."""
     squares, largest, _ = kernels.magnitudes(tensor)
-    return Left(squares, largest)
+    return Norms(squares, largest)
 
 
-def settled_by(block: Block, levels: Sequence[Cells | None]) -> list[Left]:
-    """Subtract the models of `levels` from a block, in place; what is left before the first of them, and after each."""
-    seen = [left_of(block.tensor)]
+def settled_by(block: Block, levels: Sequence[Cells | None]) -> list[Norms]:
+    """Subtract the models of `levels` from a block, in place; its norms before the first of them, and after each."""
+    seen = [norms_of(block.tensor)]
     for cells in levels:
         if cells is not None and block.tensor.size:
             kernels.accumulate(cells.part(block.rows), block.tensor, -1.0)
-        seen.append(seen[-1] if cells is None else left_of(block.tensor))
+        seen.append(seen[-1] if cells is None else norms_of(block.tensor))
     return seen
 
 

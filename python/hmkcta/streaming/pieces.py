@@ -10,10 +10,10 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import F32
 from ..support.grouping import rows_of_parts
 from .scratch import Scratch
 
-F32 = NDArray[np.float32]
 Rows = tuple[NDArray[np.intp], ...]
 
 
@@ -35,17 +35,17 @@ class SubTensor:
 
 
 @dataclass(frozen=True)
-class Left:
-    """What is left, in multiples of the `unit` that a source divides by: the sum of squares, the largest magnitude."""
+class Norms:
+    """Of a residual, in multiples of the `unit` that a source divides by: the sum of squares, the largest magnitude."""
 
     squares: float = 0.0
     largest: float = 0.0
 
-    def __add__(self, other: Left) -> Left:
-        return Left(self.squares + other.squares, max(self.largest, other.largest))
+    def __add__(self, other: Norms) -> Norms:
+        return Norms(self.squares + other.squares, max(self.largest, other.largest))
 
 
-NOTHING = Left()
+ZERO = Norms()
 
 
 @dataclass(eq=False)
@@ -54,13 +54,13 @@ class Piece(SubTensor):
 
     Attributes:
         start: number of its first element there.
-        above: what is left of it after no level, the first, the first two .. of those above.
-        left: what is left of it now.
+        norms_above: of what no level, the first, the first two .. of those above leave of it.
+        norms: of its residual now.
     """
 
     start: int
-    above: list[Left] = field(default_factory=list["Left"])
-    left: Left = NOTHING
+    norms_above: list[Norms] = field(default_factory=list["Norms"])
+    norms: Norms = ZERO
 
 
 def places_of(part: NDArray[np.intp]) -> NDArray[np.intp]:
@@ -101,18 +101,38 @@ def pieces_of(parts: Sequence[NDArray[np.intp]], counts: Sequence[int]) -> list[
 
 
 def put(scratch: Scratch, piece: Piece, places: Sequence[NDArray[np.intp]], values: F32) -> None:
-    """Write a block into a piece: in runs of elements that lie side by side in both."""
-    sizes, inner = piece.sizes, values.ndim - 1
-    while inner > 0 and len(places[inner]) == sizes[inner]:
-        inner -= 1
-    if len(places[inner]) == int(places[inner][-1] - places[inner][0]) + 1:  # neighbours of the first mode not whole
-        inner -= 1
-    outer = places[: inner + 1]
-    run = values.reshape(prod(len(p) for p in outer), -1)
+    """Write a block into a piece: in runs of elements that lie side by side in both.
+
+    Here it is the last two rows of both matrices of a piece of 2 x 3 x 4 elements. They lie side by side: two runs of
+    eight numbers are written.
+
+    >>> piece = Piece((np.arange(2), np.arange(3), np.arange(4)), 0)
+    >>> with Scratch(24) as scratch:
+    ...     places = [np.array([0, 1]), np.array([1, 2]), np.arange(4)]
+    ...     put(scratch, piece, places, np.ones((2, 2, 4), np.float32))
+    ...     scratch.read(0, 24).reshape(2, 3, 4).sum(axis=2).tolist()
+    [[0.0, 4.0, 4.0], [0.0, 4.0, 4.0]]
+    """
+    starts, length = _runs(piece.sizes, places)
+    for start, numbers in zip(starts, values.reshape(-1, length), strict=True):
+        scratch.write(piece.start + int(start), numbers)
+
+
+def _runs(sizes: Sequence[int], places: Sequence[NDArray[np.intp]]) -> tuple[NDArray[np.intp], int]:
+    """Where in a piece of these sizes runs begin that make up the block of these places, and how long they all are.
+
+    >>> _runs((2, 3, 4), [np.array([0, 1]), np.array([1, 2]), np.arange(4)])
+    (array([ 4, 16]), 8)
+    """
+    first_whole_mode = len(sizes)  # from which on all modes are whole
+    while first_whole_mode > 1 and len(places[first_whole_mode - 1]) == sizes[first_whole_mode - 1]:
+        first_whole_mode -= 1
+    before = places[first_whole_mode - 1]
+    # Neighbours of the mode before those that are whole lie side by side, too.
+    inner = first_whole_mode - 1 if len(before) == int(before[-1] - before[0]) + 1 else first_whole_mode
     strides = [prod(sizes[n + 1 :]) for n in range(len(sizes))]
-    first = sum(int(p[0]) * s for p, s in zip(places[inner + 1 :], strides[inner + 1 :], strict=True))
-    offsets = np.zeros((), np.intp)
-    for place, stride in zip(outer, strides, strict=False):
-        offsets = np.add.outer(offsets, place * stride)
-    for offset, numbers in zip(offsets.reshape(-1), run, strict=True):
-        scratch.write(piece.start + first + int(offset), numbers)
+    first = sum(int(place[0]) * stride for place, stride in zip(places[inner:], strides[inner:], strict=True))
+    starts = np.full((), first, np.intp)
+    for place, stride in zip(places[:inner], strides, strict=False):
+        starts = np.add.outer(starts, place * stride)
+    return starts.reshape(-1), prod(len(place) for place in places[inner:])

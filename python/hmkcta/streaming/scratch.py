@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import F32
 from ..errors import DISK_FULL, HmkctaError, Kind
 from ..support.memory import format_bytes
-
-F32 = NDArray[np.float32]
 
 
 def scratch_folder(folder: str | os.PathLike[str] | None = None) -> Path:
@@ -103,13 +102,13 @@ class Scratch:
     def read(self, start: int, count: int) -> F32:
         """Numbers from `start` on."""
         values = np.empty(count, np.float32)
-        left, at = memoryview(values.data).cast("B"), 4 * start
+        rest, at = memoryview(values.data).cast("B"), 4 * start
         try:
-            while left:
-                got = os.preadv(self._file.fileno(), [left], at)
+            while rest:
+                got = os.preadv(self._file.fileno(), [rest], at)
                 if got == 0:
                     raise OSError(None, "the file has become shorter")
-                left, at = left[got:], at + got
+                rest, at = rest[got:], at + got
         except OSError as error:
             raise _io("scratch", self.folder, error.strerror or error, "scratch space that can be read") from error
         return values
@@ -121,11 +120,11 @@ class Scratch:
 
     def write(self, start: int, values: NDArray[Any]) -> None:
         """Put contiguous float32 numbers from `start` on."""
-        left, at = memoryview(values.reshape(-1).data).cast("B"), 4 * start
+        rest, at = memoryview(values.reshape(-1).data).cast("B"), 4 * start
         try:
-            while left:
-                done = os.pwrite(self._file.fileno(), left, at)
-                left, at = left[done:], at + done
+            while rest:
+                done = os.pwrite(self._file.fileno(), rest, at)
+                rest, at = rest[done:], at + done
         except OSError as error:
             raise _io("scratch-full", self.folder, error.strerror or error, format_bytes(self.nbytes)) from error
 

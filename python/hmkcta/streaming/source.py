@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import backends as kernels
+from ..arrays import F32
 from ..axes import (
     Axis,
     Organisation,
@@ -32,7 +33,6 @@ from ..support.slabs import moments, slabs
 from ..transform import Transform, parse
 from .collecting import collected
 
-F32 = NDArray[np.float32]
 #: Elements of slabs that are checked one after another.
 SLAB = 1 << 22
 #: Elements at the least of slabs that many threads check at once.

@@ -1,10 +1,12 @@
-"""How much memory is free, to refuse with a sentence what would otherwise end the process; how it is kept."""
+"""How much memory is free, to refuse with a sentence what would otherwise end the process; how much was taken; how it
+is kept."""
 
 from __future__ import annotations
 
 import ctypes
 import mmap
 import os
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
@@ -38,6 +40,18 @@ def available_memory() -> int | None:
         pass
     free += [limit - _taken(group) for group, limit in _limits()]
     return max(0, min(free)) if free else None
+
+
+def peak_memory() -> int:
+    """Most resident bytes of this process so far; 0 where the system does not say."""
+    with suppress(OSError, StopIteration):
+        lines = Path("/proc/self/status").read_text().splitlines()
+        return 1024 * int(next(line.split()[1] for line in lines if line.startswith("VmHWM")))
+    with suppress(ImportError):
+        import resource  # not on Windows
+
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+    return 0
 
 
 def _limits() -> Iterator[tuple[Path, int]]:

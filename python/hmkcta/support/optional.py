@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
-from ..errors import invalid
+from ..errors import invalid, sentence
 
 
 def library(module: str, package: str, extra: str, where: str) -> Any:
@@ -18,7 +18,7 @@ def library(module: str, package: str, extra: str, where: str) -> Any:
         where: what needs it: the argument or the work.
 
     Raises:
-        HmkctaError: it is not installed; the reason is the package's name and ``-missing``.
+        HmkctaError: it is not installed, or cannot be loaded; the reason is the package's name and ``-missing``.
 
     >>> library("math", "Math", "demo", "pictures").sqrt(4.0)
     2.0
@@ -30,6 +30,8 @@ def library(module: str, package: str, extra: str, where: str) -> Any:
     """
     try:
         return import_module(module)
-    except ImportError as error:
+    except Exception as error:  # a package that is there but broken raises what it likes
+        broken = not isinstance(error, ModuleNotFoundError)
+        found = f"{package} cannot be loaded: {sentence(error)}" if broken else f"no {package} in this Python"
         hint = f'pip install "hmkcta[{extra}]"'
-        raise invalid(f"{package.lower()}-missing", where, f"no {package} in this Python", hint=hint) from error
+        raise invalid(f"{package.lower()}-missing", where, found, hint=hint) from error
