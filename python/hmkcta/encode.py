@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
-from functools import cache
+from functools import cache, partial
 from math import prod
 from numbers import Integral, Real
 from threading import Lock
@@ -317,8 +317,11 @@ def _chosen(
     if wanted.ceiling is not None:
         rows = sum(source.shape if fixed is None else mode_sizes(source.axes, fixed))
         size = max(4 * prod(source.shape) // DEFAULT_RATIO, SMALLEST_DEFAULT, ROW_BYTES * rows)
-    plans = tune(
-        source, run, snr=wanted.snr, size=size, ceiling=wanted.ceiling, decode_cost=wanted.decode_cost,
+    search = partial(
+        tune, source, snr=wanted.snr, size=size, ceiling=wanted.ceiling, decode_cost=wanted.decode_cost,
         organisation=fixed, memory=wanted.max_memory, bits=wanted.bits, aim=aim, samples=samples,
     )
+    plans = search(run)
+    if run.effort == EFFORTS["thorough"]:  # whose choice is judged by samples, too: fits tell whether it is better
+        plans += [plan for plan in search(replace(run, effort=EFFORTS["medium"])) if plan not in plans]
     return [finer(plan, source.axes) or plan for plan in plans] if prod(source.shape) <= SMALL else plans
