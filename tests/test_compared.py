@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -95,6 +96,17 @@ def test_what_takes_more_bytes_than_another_plan_is_not_fitted() -> None:
     assert not list(further(task, [plan, large], own))
     assert "level 1" not in {stage.partition(OF_PLAN)[0] for stage in told}
     assert [of.plan for of, _ in further(task, [plan, large])] == [plan, large]
+
+
+def test_the_plan_that_was_best_makes_the_same_file_at_once(tmp_path: Path) -> None:
+    source = saved(tmp_path / "a.npy", smooth(12, 14, 16))
+    words = ("compress", source, "--axes", "z,y,x", "--size", 2500, "--threads", 1)
+    told = report(*words, "-o", tmp_path / "a.hmk")
+    plan = ("--organisation", told["organisation"], "--plan", told["plan"])
+    again = report(*words, "-o", tmp_path / "b.hmk", *plan)
+    assert told["plans_tried"] > again["plans_tried"]
+    assert (tmp_path / "a.hmk").read_bytes() == (tmp_path / "b.hmk").read_bytes()
+    assert f"plan: {shlex.join(plan)}" in run(*words, "-o", tmp_path / "c.hmk").stdout
 
 
 def test_a_plan_that_is_given_has_no_number(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,6 +24,7 @@ from .choosing.tuning import tune
 from .comparing.both_goals import follow_both
 from .comparing.finer import SMALL, finer
 from .comparing.follow import Task, follow
+from .comparing.followed import Followed
 from .errors import GoalMissed, expect, invalid, shown
 from .fitting.fit import EFFORTS
 from .fitting.hierarchy import Run
@@ -151,7 +152,7 @@ def compress(
         journal: keeps what is finished, so that an interrupted call can go on.
 
     Returns:
-        The model; `Model.save` writes the file.
+        The model; `Model.save` writes the file. `Model.made_by` is the plan that was best, for other arrays like it.
 
     Raises:
         HmkctaError: an argument is out of range, the array holds NaN or infinity, memory would not do, or the journal
@@ -174,10 +175,7 @@ def compress(
     _check_types(array, organisation, transform, nan, max_memory)
     expect("plan", plan, Plan | str | None, "text such as R=4,4,6,6, or a Plan")
     expect("journal", journal, Journal | None, "a Journal")
-    if scheme not in (None, *SCHEMES, AUTO):
-        raise invalid("unknown-scheme", "scheme", scheme, ", ".join((*SCHEMES, AUTO)))
-    if kind is not None and kind not in KINDS:
-        raise invalid("unknown-kind", "kind", kind, ", ".join(KINDS))
+    _check_names(scheme, kind)
     wanted = wanted_of(snr, size, decode_cost, organisation, max_memory, bits)
     with _threads(run.threads):
         source = prepare(array, axes, transform, nan, run.threads)
@@ -204,8 +202,9 @@ def compress(
             wanted.organisation is not None,
         )
         with kernels.use(device):
-            model = follow(task) if plan else follow_both(
-                task, plans[1:], lambda said: warn(said, stacklevel=6), chosen, wanted.ceiling).model
+            task, model = Followed(task, follow(task)) if plan else follow_both(
+                task, plans[1:], lambda said: warn(said, stacklevel=6), chosen, wanted.ceiling)
+    model.made_by = task.plan
     _warn_of(model, source.array, task.plan.snr if plan else wanted.snr)  # without a goal it ends at 50 dB if it can
     return model
 
@@ -292,6 +291,13 @@ def _run(quality: str, decode_cost: int, seed: int, threads: int | None, progres
     if not 0 <= seed < 2**53:
         raise invalid("seed", "seed", seed, "0 to 2^53 - 1")
     return Run(EFFORTS[quality], int(seed), thread_count(threads), progress or nobody)
+
+
+def _check_names(scheme: str | None, kind: str | None) -> None:
+    if scheme not in (None, *SCHEMES, AUTO):
+        raise invalid("unknown-scheme", "scheme", scheme, ", ".join((*SCHEMES, AUTO)))
+    if kind is not None and kind not in KINDS:
+        raise invalid("unknown-kind", "kind", kind, ", ".join(KINDS))
 
 
 def _check_types(array: object, organisation: object, transform: object, nan: object, max_memory: object) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import asdict
 from math import floor, isinf
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import click
 from numpy.typing import NDArray
 
+from ..axes import format_organisation
 from ..backends import Device, find_device
 from ..comparing.both_goals import UP_TO
 from ..comparing.finer import USED
@@ -70,8 +72,10 @@ def compress_command(source: str, output: str, plan: str | None, device: str, re
         model = compress(array, plan, snr=goal.snr, size=goal.size, kind=goal.kind, device=where,
                          progress=progress, journal=journal, **goal.settings_for(array))
         model.save(output, overwrite=overwrite)
-    report = {**describe(model, array, progress), "device": asdict(where), "nodes_resumed": journal.found,
-              "plans_tried": progress.plans}
+    report: dict[str, Any] = {
+        **describe(model, array, progress), "device": asdict(where), "nodes_resumed": journal.found,
+        "plans_tried": progress.plans, **plan_of(model),
+    }
     missed = missed_goal(model, goal)
     said += notes(model, array, planned=plan is not None) + unused(model, goal, plan)
     said += beyond_cost(model.decode_cost, goal, plan) + ordinary_cameras(goal, model.metadata.kind)
@@ -82,6 +86,7 @@ def compress_command(source: str, output: str, plan: str | None, device: str, re
         if where.name != "cpu":
             click.echo(on_device(where))
         click.echo(f"{output}: {model!r}")
+        click.echo(f"plan: {shlex.join(['--organisation', report['organisation'], '--plan', report['plan']])}")
         if verbose:
             click.echo("\n".join(f"  {stage}: {seconds(time)}" for stage, time in progress.stages.items()), err=True)
     for sentence in [] if quiet else said:
@@ -109,6 +114,12 @@ def describe(model: Model, array: NDArray[Any], progress: Progress) -> dict[str,
     return {"snr_db": model.snr, "bytes": model.nbytes, "ratio": array.nbytes / model.nbytes,
             "decode_cost": model.decode_cost, "seconds": round(progress.elapsed, 3), "levels": levels,
             "transform": model.metadata.transform["name"]}
+
+
+def plan_of(model: Model) -> dict[str, str]:
+    """The plan that made the model, as --organisation and --plan have it."""
+    plan = model.made_by or model.plan
+    return {"organisation": format_organisation(plan.organisation), "plan": str(plan)}
 
 
 def as_text(report: dict[str, Any]) -> str:
