@@ -327,7 +327,7 @@ def test_the_report_names_the_device(gpu: StandIn, source: Path, tmp_path: Path)
     result = run(*command)
     described = "cuda: Stand-in 1, compute capability 9.0, CuPy 14.2.0, CUDA 12.9"
     assert f"{described}: 3 of 3 kernel calls" in result.stdout
-    assert result.stderr == ""
+    assert "cuda" not in result.stderr
     found = report(*command)["device"]
     assert found == {"name": "cuda", "described": described, "missing": "", "calls": 3, "calls_on_cpu": 0}
     assert report("info", tmp_path / "a.hmk")["writer"].endswith(", cuda")

@@ -14,7 +14,9 @@ import hmkcta
 from cli_tools import smooth
 from fit_tools import file_of
 from hmkcta import HmkctaError, Journal, Model
+from hmkcta.choosing.tuning import tune
 from hmkcta.journal import NODES, PLAN, RUN
+from hmkcta.plan import Plan
 from hmkcta.streaming.budget import PROCESS, WORKING
 from hmkcta.support.recordlog import RecordLog
 from resume_tools import DATA, LEVELS, MODES, After, Stop
@@ -179,7 +181,12 @@ def test_a_chosen_plan_is_not_chosen_again(tmp_path: Path, monkeypatch: pytest.M
     while not (tmp_path / "partial" / PLAN).exists():
         calls += 5
         interrupted(tmp_path, calls, **options)
-    monkeypatch.setattr("hmkcta.encode.tune", None)
+
+    def for_the_other_goal(*of: Any, snr: float | None, **goal: Any) -> list[Plan]:
+        assert snr is None, "the plan was chosen"
+        return tune(*of, snr=snr, **goal)
+
+    monkeypatch.setattr("hmkcta.encode.tune", for_the_other_goal)
     assert resumed(tmp_path, **options)[0] == reference
 
 

@@ -384,7 +384,7 @@ def _fits(cells: Cells, sizes: Sequence[int], spec: LevelSpec) -> bool:
 
 def _plan(content: Any) -> Plan:
     """The plan that `asdict` took apart, once JSON has made lists of its tuples."""
-    fields = _tuples(content)
+    fields = {**_tuples(content)}  # no mapping: a TypeError
     levels = tuple(LevelSpec(**level) for level in fields.pop("levels"))
     return Plan(levels=levels, **fields)
 

@@ -189,10 +189,10 @@ def view(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | Arr
     Raises:
         HmkctaError: as `serve`, before a browser is opened.
 
-    >>> view("no-such-file.hmk")  # doctest: +ELLIPSIS
+    >>> view("no-such-file.hmk")
     Traceback (most recent call last):
         ...
-    hmkcta.errors.HmkctaError: no-such-file.hmk: found No such file or directory, ... [Io/unreadable]
+    hmkcta.errors.HmkctaError: no-such-file.hmk: cannot be read: No such file or directory. [Io/unreadable]
     """
     server = serve(path, original=original, nan=nan, port=port, progress=progress)
     if browser:
