@@ -12,7 +12,7 @@ import click
 import numpy as np
 
 from ..axes import format_organisation, mode_sizes
-from ..comparing.both_goals import FROM, are_compared
+from ..comparing.both_goals import are_compared
 from ..encode import choose_plan
 from ..filesize import predicted_bytes
 from ..fitting.fit import EFFORTS
@@ -104,7 +104,7 @@ def describe(plan: Plan, source: Source, goal: Goal, choosing: float | None) -> 
     costs = _decode_costs(plan, sizes, goal.settings["decode_cost"])
     # Plans for the other goal are chosen, too, which takes about as long.
     again = cost.comparing > 0 and goal.settings["quality"] != "fast" and are_compared(source)
-    comparing = cost.comparing + (choosing or 0.0) * (again and (goal.snr or FROM) >= FROM)
+    comparing = cost.comparing + (choosing or 0.0) * again
     return {
         "organisation": format_organisation(plan.organisation), "mode_sizes": list(sizes), "plan": str(plan),
         "levels": [{"level": number, "text": str(level), "search": level.search, "decode_cost": cost}
