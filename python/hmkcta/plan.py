@@ -85,8 +85,9 @@ class LevelSpec:
             raise invalid("unknown-scheme", "scheme", self.scheme, ", ".join((*SCHEMES, AUTO)))
         if self.bits not in BITS:
             raise invalid("bits", "bits of the level", self.bits, " or ".join(map(str, BITS)))
-        if any(count < 1 for _, count in self.cuts):
-            raise invalid("clusters-too-small", "cut<=", _grid_text(self.cuts, {}), "1 or more of each axis")
+        for name, blocks in (("grid", self.grid), ("cut<=", self.cuts)):
+            if any(count < 1 for _, count in blocks):
+                raise invalid("clusters-too-small", name, _grid_text(blocks, {}), "1 or more of each axis")
         if not len(self.ranks) == len(self.clusters) == len(self.mixture):
             found = f"{len(self.ranks)} R, {len(self.clusters)} C, {len(self.mixture)} K"
             raise invalid("level-modes", "level", found, "as many of each as there are modes")
@@ -304,8 +305,6 @@ def _grid(
             allowed = f"AXIS:COUNT, each axis of {', '.join(axes)} at most once"
             raise invalid("plan-grid", "blocks of the plan", repr(word), allowed)
         grid.append((axis, _number("grid", most if dash else least)))
-        if not grid[-1][1]:
-            raise invalid("clusters-too-small", "blocks of the plan", repr(word), "1 or more of each axis")
         if dash:
             fewest.append((axis, _number("grid", least)))
             if not 1 <= fewest[-1][1] <= grid[-1][1]:

@@ -27,6 +27,18 @@ describe.runIf(there)("choices in Chromium", () => {
     };
   });
 
+  /** Rest the pointer `right` pixels right of the middle of the picture and 120 below it. */
+  const rest = async (right: number): Promise<void> => {
+    const box = (await page.locator("canvas").boundingBox())!;
+    await page.mouse.move(box.x + box.width / 2 + right, box.y + box.height / 2 + 120);
+  };
+
+  /** What is read under the pointer, once nothing is drawn any more. */
+  const readout = async (): Promise<string> => {
+    await settled(page);
+    return (await page.locator("#readout").textContent())!;
+  };
+
   it("refuses what cannot be drawn, and keeps what was shown, with live controls", async () => {
     await open("volume.hmk");
     await reached(page, "ready");
@@ -98,12 +110,7 @@ describe.runIf(there)("choices in Chromium", () => {
     await open("stack.hmk");
     await reached(page, "ready");
     await settled(page);
-    const box = (await page.locator("canvas").boundingBox())!;
-    await page.mouse.move(box.x + box.width / 2 + 120, box.y + box.height / 2 + 120);
-    const readout = async (): Promise<string> => {
-      await settled(page);
-      return await page.locator("#readout").textContent() ?? "";
-    };
+    await rest(120);
     const seen = [await readout()];
     await page.locator("canvas").focus();
     for (const key of ["[", "+", "ArrowLeft"]) {
@@ -115,7 +122,7 @@ describe.runIf(there)("choices in Chromium", () => {
     await setControls(page, { trial: "1" });
     seen.push(await readout());
     expect(new Set(seen).size, seen.join("; ")).toBe(5);
-    await page.mouse.move(box.x + box.width / 2 + 121, box.y + box.height / 2 + 120);
+    await rest(121);
     expect(await readout()).toBe(seen.at(-1));
   });
 
@@ -205,18 +212,13 @@ describe.runIf(there)("choices in Chromium", () => {
     await open("stack.hmk");
     await reached(page, "ready");
     await settled(page);
-    const box = (await page.locator("canvas").boundingBox())!;
-    await page.mouse.move(box.x + box.width / 2 + 120, box.y + box.height / 2 + 120);
-    const place = async (): Promise<string> => {
-      await settled(page);
-      return (await page.locator("#readout").textContent())!;
-    };
-    const before = await place();
+    await rest(120);
+    const before = await readout();
     for (let i = 0; i < 5; i += 1) {
       await page.mouse.wheel(0, -400);
     }
-    expect(await place()).toBe(before);
-    await page.mouse.move(box.x + box.width / 2 + 160, box.y + box.height / 2 + 120);
-    expect(await place(), "pixels are large").toBe(before);
+    expect(await readout()).toBe(before);
+    await rest(160);
+    expect(await readout(), "pixels are large").toBe(before);
   });
 });

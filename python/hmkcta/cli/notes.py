@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..axes import folded
 from ..model import Model
+from ..offset import HIDDEN
 from ..support.memory import drop_pages
 from ..support.slabs import thinning
 
@@ -27,8 +28,6 @@ STEPS = 4.0
 BYTES = {8: "a byte", 16: "two bytes"}
 #: Whole numbers may be labels where a sample of so many elements has up to so many values.
 LOOKED_AT, LABELS = 1 << 16, 16
-#: An error hides the values where it is this share of what they spread by.
-HIDDEN = 0.5
 #: Samples of a signal side by side.
 WINDOW = 256
 #: Rows of one mode are most of a file from this share on.

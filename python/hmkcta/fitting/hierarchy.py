@@ -218,11 +218,12 @@ def fit_nodes(
             return
         rng = np.random.default_rng([run.seed, depth, s])
 
-        def fitted(outside: Streamed | None, level: int) -> Cells | None:
+        def fitted(outside: Streamed | None, level: int) -> tuple[Cells | None, F32 | None]:
             if outside is not None:
-                return fit_outside(outside, level, spec, run.effort, rng, labels(node), told).rounded()
+                return fit_outside(outside, level, spec, run.effort, rng, labels(node), told).rounded(), None
             tensor = gather(tree.residual, node, lent=True)
-            return fit_level(tensor, spec, run.effort, rng, labels(node)).rounded() if tensor.any() else None
+            found = fit_level(tensor, spec, run.effort, rng, labels(node)).rounded() if tensor.any() else None
+            return found, tensor
 
         _renew(tree, run, (step, depth, s), spec, fitted)
 
@@ -233,12 +234,13 @@ def fit_nodes(
 
 def _renew(
     tree: Hierarchy, run: Run, at: tuple[int, int, int], spec: LevelSpec,
-    fitted: Callable[[Streamed | None, int], Cells | None],
+    fitted: Callable[[Streamed | None, int], tuple[Cells | None, F32 | None]],
 ) -> None:
     """Give a node the cells that the journal has of this step, or else those that are `fitted` now, which it keeps.
 
     `at` are the step, the node's depth and its number in the level. What fits is given the tensor and the level there,
-    where memory does not hold the node; of it comes None where the node keeps the cells that it had.
+    where memory does not hold the node; of it come the cells, None where the node keeps those that it had, and the
+    node's residual, if it was gathered and is as it was.
     """
     step, depth, s = at
     node = tree.levels[depth - 1][s]
@@ -246,7 +248,7 @@ def _renew(
     if isinstance(outside, Large) and old is not None:
         outside.already_less(old)
     finished = run.journal.recall(step, s, node.sizes, spec)
-    cells = fitted(outside, level) if finished is None else finished.cells
+    cells, residual = fitted(outside, level) if finished is None else (finished.cells, None)
     if finished is None:
         run.journal.keep(step, s, cells)
     elif outside is not None and node.piece is None and cells is not None:
@@ -257,7 +259,8 @@ def _renew(
     if outside is not None:
         outside.change(level, cells)
     else:
-        scatter(tree.residual, node, _exchanged(gather(tree.residual, node, lent=True), old, cells))
+        residual = gather(tree.residual, node, lent=True) if residual is None else residual
+        scatter(tree.residual, node, _exchanged(residual, old, cells))
 
 
 def _exchanged(residual: F32, old: Cells | None, new: Cells | None) -> F32:
@@ -364,10 +367,10 @@ def backfit(tree: Hierarchy, run: Run, *, last: bool = False) -> None:
             if old is None:
                 return
 
-            def refitted(outside: Streamed | None, level: int) -> Cells | None:
+            def refitted(outside: Streamed | None, level: int) -> tuple[Cells | None, None]:
                 if outside is not None:
-                    return refit_outside(outside, level, old.copy(), told).rounded()
-                return _refitted(old, gather(tree.residual, node))
+                    return refit_outside(outside, level, old.copy(), told).rounded(), None
+                return _refitted(old, gather(tree.residual, node)), None
 
             _renew(tree, run, (step, number, s), old.spec, refitted)
 

@@ -32,13 +32,7 @@ FEW = 1 << 20
 
 def available_memory() -> int | None:
     """Bytes that can be allocated now, within the limits of a container; None where the system does not say."""
-    free: list[int] = []
-    try:
-        fields = dict(line.split(":", 1) for line in _MEMINFO.read_text().splitlines())
-        free.append(int(fields["MemAvailable"].split()[0]) * 1024)
-    except (OSError, ValueError, KeyError):  # another system
-        pass
-    free += [limit - _taken(group) for group, limit in _limits()]
+    free = [*_of_machine("MemAvailable"), *(limit - _taken(group) for group, limit in _limits())]
     return max(0, min(free)) if free else None
 
 
@@ -52,6 +46,15 @@ def peak_memory() -> int:
 
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
     return 0
+
+
+def _of_machine(field: str) -> list[int]:
+    """Bytes that the system tells of the machine's memory; none on another system."""
+    try:
+        fields = dict(line.split(":", 1) for line in _MEMINFO.read_text().splitlines())
+        return [int(fields[field].split()[0]) * 1024]
+    except (OSError, ValueError, KeyError):
+        return []
 
 
 def _limits() -> Iterator[tuple[Path, int]]:
@@ -79,11 +82,7 @@ def _taken(group: Path) -> int:
 def stays_cached(count: int) -> bool:
     """Whether a file of `count` bytes stays in the system's cache while it is worked on: it takes up to half of the
     memory that the machine, or the container, has. False where the system does not say."""
-    had: list[int] = []
-    with suppress(OSError, ValueError, KeyError):  # another system
-        fields = dict(line.split(":", 1) for line in _MEMINFO.read_text().splitlines())
-        had.append(int(fields["MemTotal"].split()[0]) * 1024)
-    had += [limit for _, limit in _limits()]
+    had = [*_of_machine("MemTotal"), *(limit for _, limit in _limits())]
     return bool(had) and 2 * count <= min(had)
 
 
