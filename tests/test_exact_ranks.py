@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from hmkcta import compress
 from hmkcta.comparing.alternatives import with_clusters_times
 from hmkcta.comparing.follow import Task
-from hmkcta.comparing.rivals import _fits  # pyright: ignore[reportPrivateUsage]
+from hmkcta.comparing.followed import fits
 from hmkcta.fitting.fit import EFFORTS
 from hmkcta.fitting.hierarchy import Run
 from hmkcta.plan import parse_plan
@@ -46,4 +46,4 @@ def test_no_more_clusters_are_tried_than_there_are_rows() -> None:
     more = with_clusters_times(plan, 1.5)
     assert more is not None
     assert max(more.levels[0].clusters) == 4
-    assert not _fits(task, more, model)
+    assert not fits(task, more, model)

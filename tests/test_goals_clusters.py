@@ -45,6 +45,13 @@ def test_scattered_materials_get_clusters_of_the_data() -> None:
     assert model.nbytes < 0.5 * matrix.nbytes
 
 
+def test_a_fast_choice_finds_clusters_too() -> None:
+    """Without them it ends at 6 dB."""
+    model = compress(scattered(), axes="y, x, band", size=24_000, quality="fast", threads=1)
+    assert model.bounds[0].clusters[0] > 1
+    assert model.snr > 40
+
+
 @pytest.mark.parametrize("goal", [{"snr": 30.0}, {"size": 30_000}], ids=["snr", "size"])
 def test_one_level_of_clusters_is_cut_to_a_goal(goal: dict[str, Any]) -> None:
     """Of equal ranks, and what is measured is what was stored."""

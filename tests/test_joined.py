@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
-from hmkcta import compress
+from hmkcta import Model, compress
+from hmkcta.comparing import cluster_counts
 from hmkcta.comparing.alternatives import FEW_NODES, joined
+from hmkcta.comparing.cluster_counts import _least_reaching, with_best_clusters  # pyright: ignore[reportPrivateUsage]
 from hmkcta.comparing.follow import Task, follow
 from hmkcta.comparing.followed import Followed
-from hmkcta.comparing.rivals import _least_reaching  # pyright: ignore[reportPrivateUsage]
 from hmkcta.fitting.fit import EFFORTS
 from hmkcta.fitting.hierarchy import Run
-from hmkcta.plan import parse_plan
+from hmkcta.plan import Plan, parse_plan
 from hmkcta.streaming.source import prepare
 from hmkcta.support.progress import nobody
 
@@ -85,6 +90,27 @@ def test_clusters_for_an_snr_are_compared_at_a_size() -> None:
     assert least.model.snr >= 30.0
     assert least.model.nbytes < 0.45 * matrix.model.nbytes
     assert _least_reaching(least, 200.0, dozen) is None, "far from what so few bytes reach"
+
+
+def test_more_clusters_are_tried_from_what_is_hardly_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The best has none; of those with some the one that is a dB behind is ahead once it has 24."""
+    reached = {8: 16.0, 16: 19.0, 24: 25.0, 27: 24.0}
+
+    def as_told(task: Task, plans: Sequence[Plan], _: Followed) -> list[Followed]:
+        return [Followed(replace(task, plan=plan), told(plan)) for plan in plans]
+
+    def told(plan: Plan) -> Model:
+        return cast("Model", SimpleNamespace(snr=reached.get(plan.levels[0].cells, 10.0), nbytes=1000))
+
+    monkeypatch.setattr(cluster_counts, "further", as_told)
+    best = followed(np.random.default_rng(0).standard_normal((4, 8, 16, 16)), "R<=4,*", 1.0)
+    task = replace(best.task, plan=replace(best.task.plan, snr=None, size=100_000))
+    plain = Followed(task, cast("Model", SimpleNamespace(snr=20.0, nbytes=1000)))
+    others = [replace(task.plan, levels=parse_plan(f"R<=4,* C={count},1", task.plan.organisation).levels)
+              for count in (8, 16)]
+    found = with_best_clusters(plain, as_told(task, others, plain))
+    assert (found.model.snr, found.task.plan.levels[0].clusters) == (25.0, (24, 1))
+    assert with_best_clusters(plain, as_told(task, others[:1], plain)) == plain, "4 dB behind"
 
 
 def followed(values: NDArray[np.float64], plan: str, snr: float) -> Followed:

@@ -57,7 +57,7 @@ WITHIN = {
     "comparing": (
         ("finer", "follow"),
         ("alternatives", "followed"),
-        ("second_levels",),
+        ("cluster_counts", "second_levels"),
         ("rivals",),
         ("both_goals",),
     ),

@@ -48,7 +48,7 @@ FEW = 8
 SURELY = 0.1
 #: Matrices that are worth so much less than the best, without clusters, are not looked at with them.
 SURPASSED = 6.0
-#: Where the best with clusters and the best without lie no further apart they are rivals, to be told apart by fits.
+#: What lies no further apart is not told apart here: of the best with clusters and the best without fits tell.
 CLOSE = 1.5
 #: Further numbers of clusters are not looked at where all so far, and none, are worth so much less than the best.
 LACKING = 8.0
@@ -70,9 +70,10 @@ def with_clusters(search: Search, found: Scored) -> Scored:
         if len(modes) == 2 and min(mode_sizes(source.axes, modes)) <= MOST_COLUMNS:
             same = map(worth_of, ranked) if key.size == search.goal.size else ()
             worth[modes] = max([worth.get(modes, 0.0), *same])
-    best = sorted((modes for modes in worth if worth[modes] > found.worth - SURPASSED), key=lambda modes: -worth[modes])
+    least = found.worth - search.care.patience * SURPASSED
+    best = sorted((modes for modes in worth if worth[modes] > least), key=lambda modes: -worth[modes])
     judged: Ranked = []
-    likely = _likely(search, list(worth), found.worth - LACKING)
+    likely = _likely(search, list(worth), found.worth - search.care.patience * LACKING)
     for modes in dict.fromkeys([*best[: search.clustered], *likely]):
         for item in clustered(search.goal, modes, threads=search.threads):
             judged.append(item)
@@ -90,7 +91,8 @@ def with_clusters(search: Search, found: Scored) -> Scored:
 
 
 def _likely(search: Search, matrices: Sequence[Organisation], least: float) -> list[Organisation]:
-    """Matrices that are worth most with clusters, told from a few rows, as many as are to be looked at further.
+    """Matrices that are worth most with clusters, told from a few rows: as many as are to be looked at further, and as
+    many again where these rows hardly tell them apart.
 
     What they are worth without says little of it: the best with clusters may then be 10 dB behind. As little say a few
     clusters of many, where each is a line.
@@ -102,8 +104,9 @@ def _likely(search: Search, matrices: Sequence[Organisation], least: float) -> l
         return max(map(worth_of, clustered(search.goal, modes, few=True)), default=-OUT_OF_REACH)
 
     worth = dict(zip(matrices, in_order(worth_with, matrices, search.threads), strict=True))
+    least = max(least, sorted(worth.values())[-search.clustered :][0] - CLOSE)
     likely = sorted((modes for modes in worth if worth[modes] > least), key=lambda modes: -worth[modes])
-    return likely[: search.clustered]
+    return likely[: 2 * search.clustered]
 
 
 def clustered(

@@ -32,6 +32,8 @@ class Care:
         compare: elements to rank grids, one race for each entry.
         finalists: how many candidates go on from each race.
         matrices: how many organisations in two modes (matrix PCA) are settled, too.
+        clustered: how many of them are looked at with clusters of the data, and as many that a few rows tell.
+        patience: how far those may lie behind the best, as a share of what `clustered.py` allows at the most.
         refine: elements to settle the blocks.
         far: how far a second start of that may lie behind the best, in dB or octaves of bytes.
         steps: grids that a climb may judge; beyond these it begins no further change.
@@ -43,6 +45,8 @@ class Care:
     compare: tuple[int, ...]
     finalists: int
     matrices: int
+    clustered: int
+    patience: float
     refine: int
     far: float
     steps: int
@@ -52,15 +56,15 @@ class Care:
 CARES = {
     EFFORTS["fast"]: Care(
         survey=1 << 15, organisations=3, compare=(1 << 18,), finalists=1, matrices=0,
-        refine=1 << 20, far=0.0, steps=4, cuts=0,
+        clustered=1, patience=0.25, refine=1 << 20, far=0.0, steps=4, cuts=0,
     ),
     EFFORTS["medium"]: Care(
         survey=1 << 15, organisations=4, compare=(1 << 17, 1 << 20), finalists=4, matrices=2,
-        refine=1 << 20, far=0.3, steps=4, cuts=1 << 20,
+        clustered=1, patience=1.0, refine=1 << 20, far=0.3, steps=4, cuts=1 << 20,
     ),
     EFFORTS["thorough"]: Care(
         survey=1 << 16, organisations=12, compare=(1 << 18, 1 << 21), finalists=8, matrices=6,
-        refine=1 << 23, far=1.0, steps=1000, cuts=1 << 23,
+        clustered=3, patience=1.0, refine=1 << 23, far=1.0, steps=1000, cuts=1 << 23,
     ),
 }
 

@@ -102,7 +102,7 @@ def tune(
     trial = replace(trial, room=2 * together, memory=room)
     care = CARES.get(run.effort, CARES[EFFORTS["medium"]])
     held = not is_streamed(elements, workset_limit(memory))
-    search = Search(trial, trial, plain, run.threads, care, together, care.matrices // 2 if held else 0)
+    search = Search(trial, trial, plain, run.threads, care, together, care.clustered if held else 0)
     look = partial(_searched, told=run.progress, narrow=snr is not None)
     search, (worth, best) = searched_by_bits(search, look, bits, organisation is not None, aimed=snr is not None)
     if trial.ceiling is None and worth > -10 * log10(VERBATIM) - ALIKE:

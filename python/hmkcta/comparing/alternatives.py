@@ -105,11 +105,12 @@ def nodes_of_clusters(plan: Plan) -> Iterator[Plan]:
     """For a plan of one level with clusters along one mode: plans that make nodes of such clusters, as many and more.
 
     The first level has rank one and the clusters; below it each cluster is a node with ranks of its own, or none where
-    its rows are alike. The last plan also parts the other modes into their axes.
+    its rows are alike. The last plans, of as many and of more, also part the other modes into their axes.
 
     >>> from hmkcta import parse_plan
-    >>> [str(each) for each in nodes_of_clusters(parse_plan("R<=8,* C=16,1", (("y",), ("x", "rgb"))))]
-    ['R=1,* C=16,1 / R<=8,*', 'R=1,* C=64,1 / R<=8,*', 'R=1,* C=256,1 / R<=8,*', 'R=1,1,1 C=64,1,1 / R<=8,160,160']
+    >>> nodes = nodes_of_clusters(parse_plan("R<=8,* C=16,1", (("y",), ("x", "rgb"))))
+    >>> [str(each) for each in nodes][1:4]
+    ['R=1,* C=64,1 / R<=8,*', 'R=1,* C=256,1 / R<=8,*', 'R=1,1,1 C=16,1,1 / R<=8,160,160']
     """
     first, *others = plan.levels
     if others or not first.own or not _is_of_one_mode(first):
@@ -123,7 +124,7 @@ def nodes_of_clusters(plan: Plan) -> Iterator[Plan]:
     modes = tuple(mode for part, _ in parts for mode in part)
     if len(modes) > first.order:
         ranks = tuple(rank if len(part) == 1 else MOST_RANKS for part, rank in parts for _ in part)
-        yield _nodes(plan, modes, ranks, clustered, counts[1])
+        yield from (_nodes(plan, modes, ranks, clustered, count) for count in counts[:2])
 
 
 def with_clusters_times(plan: Plan, factor: float) -> Plan | None:
@@ -136,9 +137,14 @@ def with_clusters_times(plan: Plan, factor: float) -> Plan | None:
     """
     first, *others = plan.levels
     count = max(2, round(first.cells * factor))
-    if len(others) > 1 or not plan.levels[-1].own or not _is_of_one_mode(first) or count == first.cells:
+    if not has_clusters(plan) or count == first.cells:
         return None
     return replace(plan, levels=(_of_data(first, _counted(first, count)), *others))
+
+
+def has_clusters(plan: Plan) -> bool:
+    """Whether it has ranks of its own for clusters of the data along one mode, or for nodes of them."""
+    return not plan.levels[2:] and plan.levels[-1].own and _is_of_one_mode(plan.levels[0])
 
 
 def _is_of_one_mode(level: LevelSpec) -> bool:

@@ -18,9 +18,11 @@ from ..model import Model
 from ..plan import Plan
 from ..streaming.source import Source
 from ..support.progress import nobody
+from .alternatives import has_clusters
+from .cluster_counts import in_fewer_bytes
 from .follow import Task
-from .followed import NOT_FOLLOWED, Followed, best_of, further, is_verbatim
-from .rivals import Choose, follow_any, is_worth
+from .followed import NOT_FOLLOWED, Followed, best_of, further, is_verbatim, is_worth
+from .rivals import Choose, follow_any
 
 #: After a fit for a size the other goal is tried from so many dB on: below, rounding does not tell plans apart.
 FROM = 40.0
@@ -69,11 +71,14 @@ def follow_both(
 
 
 def _as_asked(found: Followed, asked: Plan, best: Followed) -> Followed:
-    """What was found for a size, or its plan by the SNR asked for, unless that takes more bytes than the best."""
+    """What was found for a size, or its plan by the SNR asked for, unless that takes more bytes than the best; with the
+    clusters that suit these bytes."""
     if asked.snr is None:
         return found
     as_asked = replace(found.task, plan=replace(found.task.plan, snr=asked.snr, size=None))
-    return best_of([Followed(as_asked, found.model), *further(as_asked, [as_asked.plan], best)])
+    reached = best_of([Followed(as_asked, found.model), *further(as_asked, [as_asked.plan], best)])
+    plan = reached.task.plan
+    return in_fewer_bytes(reached, [plan] if has_clusters(plan) else [])
 
 
 def are_compared(source: Source) -> bool:

@@ -4,16 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from math import inf
+from math import inf, prod
 from typing import NamedTuple
 
+from ..axes import mode_sizes
 from ..errors import HmkctaError
+from ..filesize import planned_bytes
+from ..fitting.fit import EFFORTS
 from ..model import Model
 from ..plan import Plan
-from .follow import Task, follow
+from ..streaming.budget import is_streamed
+from .finer import LARGE
+from .follow import Task, follow, limit_of
 
 #: Reasons why a plan cannot be followed, or none be chosen, that are none to end with: there is a model already.
 NOT_FOLLOWED = ("size-too-small", "memory")
+#: Share of the nodes below a first level that are taken to store ranks of one, where a plan's least bytes are told:
+#: nodes whose rows are alike store nothing.
+FILLED = 0.5
 
 
 class Followed(NamedTuple):
@@ -89,3 +97,41 @@ def may_be(task: Task, plan: Plan) -> bool:
 def is_verbatim(plan: Plan) -> bool:
     """Whether it leaves the values as they are."""
     return len(plan.levels) == 1 and not any(plan.levels[0].ranks)
+
+
+def is_worth(task: Task) -> bool:
+    """Whether other plans like it are fitted as well: where that takes seconds, unless it should be fast."""
+    return prod(task.source.shape) <= LARGE and is_held(task)
+
+
+def is_held(task: Task) -> bool:
+    """Whether memory holds the array, and plans are compared at all."""
+    compared = task.run.effort.candidates > EFFORTS["fast"].candidates
+    return compared and not is_streamed(prod(task.source.shape), limit_of(task))
+
+
+def is_behind(model: Model, best: Model, snr: float | None, far: tuple[float, float]) -> bool:
+    """Whether it is so `far` from the best, for a size in dB, for an SNR in times its bytes."""
+    return model.snr < best.snr - far[0] if snr is None else model.nbytes > far[1] * best.nbytes
+
+
+def fitting(task: Task, plans: Iterable[Plan], best: Model) -> list[Plan]:
+    """Those that there are rows and bytes for."""
+    return [plan for plan in plans if fits(task, plan, best)]
+
+
+def fits(task: Task, plan: Plan, best: Model) -> bool:
+    """Whether there are rows for its clusters, and before these are looked for room for ranks of one, in a size or the
+    bytes of the best for an SNR; below a first level, of ranks of one in a share of the nodes."""
+    sizes = mode_sizes(task.source.axes, plan.organisation)
+    if any(clusters > size for clusters, size in zip(plan.levels[0].clusters, sizes, strict=True)):
+        return False
+    first, *below = (
+        replace(level.ways(plan.organisation)[0], ranks=tuple(rank and 1 for rank in level.ranks), own=False)
+        for level in plan.levels
+    )
+    least = planned_bytes(replace(plan, levels=(first,)), task.source)
+    if below:
+        least += int(FILLED * (planned_bytes(replace(plan, levels=(first, *below)), task.source) - least))
+    snr, size = task.plan.snr, task.plan.size
+    return least <= (size if size is not None else best.nbytes if snr is None or best.snr >= snr else inf)
