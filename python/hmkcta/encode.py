@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
-from functools import cache, partial
+from functools import cache
 from math import prod
 from numbers import Integral, Real
 from threading import Lock
@@ -24,7 +24,7 @@ from .choosing.tuning import tune
 from .comparing.both_goals import follow_both
 from .comparing.finer import SMALL, finer
 from .comparing.follow import Task, follow
-from .comparing.followed import Followed
+from .comparing.followed import Followed, best_of
 from .errors import GoalMissed, expect, invalid, shown
 from .fitting.fit import EFFORTS
 from .fitting.hierarchy import Run
@@ -38,7 +38,7 @@ from .streaming.budget import check_least_memory
 from .streaming.source import Source, prepare
 from .support.executors import thread_count
 from .support.memory import keep_freed_memory
-from .support.progress import Progress, nobody
+from .support.progress import Compared, Progress, nobody
 from .wanted import Wanted, read_plan, the_goal, wanted_of
 
 #: Default goal: this share of the float32 bytes, or `wanted.DEFAULT_SNR` where that takes fewer.
@@ -189,24 +189,44 @@ def compress(
             journal.begin(decisive(source, plan, kind=kind, quality=quality, seed=run.seed,
                                    device=device.described, **asdict(wanted)))
 
-        @cache
-        def samples() -> Samples | None:  # of all choices; they and the values stay while plans are fitted
-            return samples_of(source) if prod(source.shape) <= SHARED else None
-
-        def chosen(name: str, aim: float | None = None, **others: Any) -> list[Plan]:
-            return run.journal.plans(lambda: _chosen(source, run, replace(wanted, **others), aim, samples()), name)
-
-        plans = [plan] if plan else chosen("plan")
-        task = Task(
-            source, plans[0], wanted.decode_cost, kind or source.kind, run, wanted.max_memory, wanted.bits,
-            wanted.organisation is not None,
-        )
         with kernels.use(device):
-            task, model = Followed(task, follow(task)) if plan else follow_both(
-                task, plans[1:], lambda said: warn(said, stacklevel=6), chosen, wanted.ceiling)
+            if plan is None:
+                task, model = _best_for(source, run, wanted, kind or source.kind)
+            else:
+                task = _task(source, run, wanted, kind or source.kind, plan)
+                model = follow(task)
     model.made_by = task.plan
     _warn_of(model, source.array, task.plan.snr if plan else wanted.snr)  # without a goal it ends at 50 dB if it can
     return model
+
+
+def _best_for(source: Source, run: Run, wanted: Wanted, kind: str) -> Followed:
+    """The best that plans come to which are chosen for the goal, with all that `medium` comes to if `thorough`: more
+    care is judged by samples, too, and may choose worse."""
+    @cache
+    def samples() -> Samples | None:  # of all choices; they and the values stay while plans are fitted
+        return samples_of(source) if prod(source.shape) <= SHARED else None
+
+    compared = Compared()
+
+    def best(run: Run, suffix: str = "") -> Followed:
+        def chosen(name: str, aim: float | None = None, **others: Any) -> list[Plan]:
+            wants = replace(wanted, **others)
+            return run.journal.plans(lambda: _chosen(source, run, wants, aim, samples()), name + suffix)
+
+        first, *others = chosen("plan")
+        task = replace(_task(source, run, wanted, kind, first), compared=compared)
+        return follow_both(task, others, lambda said: warn(said, stacklevel=8), chosen, wanted.ceiling)
+
+    if run.effort != EFFORTS["thorough"]:
+        return best(run)
+    before = best(replace(run, effort=EFFORTS["medium"]), "-medium")
+    return best_of([best(run), before])
+
+
+def _task(source: Source, run: Run, wanted: Wanted, kind: str, plan: Plan) -> Task:
+    organised = wanted.organisation is not None
+    return Task(source, plan, wanted.decode_cost, kind, run, wanted.max_memory, wanted.bits, organised)
 
 
 def _warn_of(model: Model, array: NDArray[Any], goal: float | None) -> None:
@@ -323,11 +343,8 @@ def _chosen(
     if wanted.ceiling is not None:
         rows = sum(source.shape if fixed is None else mode_sizes(source.axes, fixed))
         size = max(4 * prod(source.shape) // DEFAULT_RATIO, SMALLEST_DEFAULT, ROW_BYTES * rows)
-    search = partial(
-        tune, source, snr=wanted.snr, size=size, ceiling=wanted.ceiling, decode_cost=wanted.decode_cost,
+    plans = tune(
+        source, run, snr=wanted.snr, size=size, ceiling=wanted.ceiling, decode_cost=wanted.decode_cost,
         organisation=fixed, memory=wanted.max_memory, bits=wanted.bits, aim=aim, samples=samples,
     )
-    plans = search(run)
-    if run.effort == EFFORTS["thorough"]:  # whose choice is judged by samples, too: fits tell whether it is better
-        plans += [plan for plan in search(replace(run, effort=EFFORTS["medium"])) if plan not in plans]
     return [finer(plan, source.axes) or plan for plan in plans] if prod(source.shape) <= SMALL else plans

@@ -10,7 +10,7 @@ from ..axes import Organisation
 from ..goals import misses
 from ..narrow import BITS
 from ..plan import Plan
-from .alternatives import EITHER, has_clusters, joined, with_bits, with_clusters_times
+from .alternatives import EITHER, EITHER_BELOW, has_clusters, joined, with_bits, with_clusters_times
 from .follow import Task
 from .followed import Followed, best_of, fits, fitting, further, is_behind, is_worth
 
@@ -62,13 +62,17 @@ def with_other_clusters(start: Followed, steps: Iterable[float], tried: set[Plan
 
 def with_joined(own: Followed) -> Followed:
     """The best of a model and of nodes for clusters along two axes at a time."""
-    task = own.task
+    task, plain = own.task, own.task.source.organisation(None)
     if not _is_small(task) or misses(own.model.snr, task.plan.snr):
         return own
-    few, more = (list(joined(task.plan, task.source.organisation(None), count)) for count in JOINED)
-    found = best_of([own, *further(task, fitting(task, few, own.model), own)])
-    found = found if found is own else with_other_clusters(found, STEPS, set())
-    return best_of([found, in_fewer_bytes(own, more)])
+    few, more = (list(joined(task.plan, plain, count)) for count in JOINED)
+    narrow = min(BITS) if task.bits is None and own.model.snr < EITHER_BELOW else task.plan.levels[-1].bits
+    begun = [*further(task, fitting(task, (with_bits(plan, narrow) for plan in few), own.model), own)]
+    best = best_of([own, *begun])
+    if task.plan.snr is None and begun and best is own and best_of(begun).model.snr > own.model.snr - CATCHING_UP:
+        best = best_of(begun)
+    found = best if best is own else with_other_clusters(best, STEPS, set())
+    return best_of([own, found, in_fewer_bytes(own, more)])
 
 
 def in_fewer_bytes(own: Followed, begin: Sequence[Plan]) -> Followed:
