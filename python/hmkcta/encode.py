@@ -56,7 +56,7 @@ def choose_plan(
     size: int | str | None = None,
     decode_cost: int = 4096,
     quality: str = "medium",
-    organisation: str | None = None,
+    organisation: str | Sequence[Sequence[str]] | None = None,
     transform: str | None = None,
     nan: float | None = None,
     bits: int | None = None,
@@ -87,10 +87,10 @@ def choose_plan(
     """
     run = _run(quality, decode_cost, seed, threads, progress)
     snr, size = the_goal(snr, size)
-    _check_types(array, organisation, transform, nan, max_memory)
+    _check_types(array, transform, nan, max_memory)
+    wanted = wanted_of(snr, size, decode_cost, organisation, max_memory, bits)
     with _threads(run.threads):
-        source = prepare(array, axes, transform, nan, run.threads)
-        return _chosen(source, run, wanted_of(snr, size, decode_cost, organisation, max_memory, bits))[0]
+        return _chosen(prepare(array, axes, transform, nan, run.threads), run, wanted)[0]
 
 
 def compress(
@@ -102,7 +102,7 @@ def compress(
     size: int | str | None = None,
     decode_cost: int = 4096,
     quality: str = "medium",
-    organisation: str | None = None,
+    organisation: str | Sequence[Sequence[str]] | None = None,
     scheme: str | None = None,
     transform: str | None = None,
     nan: float | None = None,
@@ -129,8 +129,8 @@ def compress(
         decode_cost: most multiply-adds for one scattered element: bounds ranks that are chosen, those of a chosen plan
             and of ``R<=`` in a written one. Written ranks are kept.
         quality: ``fast``, ``medium`` or ``thorough``: how long the fit tries.
-        organisation: axes merged into modes, ``"light+rgb, view, y+x"``; None: the `Plan`'s, chosen, or a mode for
-            each axis.
+        organisation: axes merged into modes, ``"light+rgb, view, y+x"``, or their names for each mode, as
+            `Plan.organisation` has them; None: the `Plan`'s, chosen, or a mode for each axis.
         scheme: ``most``, ``least``, ``uniform`` or ``auto`` (the best of the three; above ``R<=`` ``most``) subdivision
             of written levels; None: as a `Plan` says, ``auto`` of a text.
         transform: value transform for high dynamic range, e.g. ``log1p``; None: identity.
@@ -172,7 +172,7 @@ def compress(
     device = _found(device)
     run = replace(_run(quality, decode_cost, seed, threads, progress), device=device.name)
     snr, size = the_goal(snr, size)
-    _check_types(array, organisation, transform, nan, max_memory)
+    _check_types(array, transform, nan, max_memory)
     expect("plan", plan, Plan | str | None, "text such as R=4,4,6,6, or a Plan")
     expect("journal", journal, Journal | None, "a Journal")
     _check_names(scheme, kind)
@@ -300,7 +300,7 @@ def _check_names(scheme: str | None, kind: str | None) -> None:
         raise invalid("unknown-kind", "kind", kind, ", ".join(KINDS))
 
 
-def _check_types(array: object, organisation: object, transform: object, nan: object, max_memory: object) -> None:
+def _check_types(array: object, transform: object, nan: object, max_memory: object) -> None:
     if isinstance(array, str | bytes | os.PathLike):
         path = repr(os.fsdecode(cast("str | bytes | os.PathLike[str]", array)))
         raise invalid("array-is-path", "array", f"a path, {path}", "an array", f"open it: hmkcta.open_array({path})")
@@ -309,7 +309,6 @@ def _check_types(array: object, organisation: object, transform: object, nan: ob
         found = f"a {type(cast(object, array)).__name__} of {shown(names)}"
         raise invalid("array-is-group", "array", found, "one array of it",
                       'give it by its name, array["NAME"], or by hmkcta.open_array("FILE:/NAME")')
-    expect("organisation", organisation, str | None, 'text such as "light+rgb, view, y+x"')
     expect("transform", transform, str | None, 'text such as "log1p:0.5"')
     expect("nan", nan, Real | None, "a number")
     expect("max_memory", max_memory, Integral | None, "a whole number of bytes")

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from math import inf
 from numbers import Integral
 
-from .axes import check_organisation, format_organisation
+from .axes import check_organisation, format_organisation, organisation_text
 from .errors import expect, invalid
 from .goals import BYTES_ALLOWED, check_goal, read_bytes
 from .narrow import BITS
@@ -107,16 +107,16 @@ def of_bits(levels: Sequence[LevelSpec], bits: int | None) -> tuple[LevelSpec, .
 
 
 def wanted_of(
-    snr: float | None, size: int | None, decode_cost: int, organisation: str | None, max_memory: int | None,
-    bits: int | None,
+    snr: float | None, size: int | None, decode_cost: int, organisation: str | Sequence[Sequence[str]] | None,
+    max_memory: int | None, bits: int | None,
 ) -> Wanted:
-    """The arguments as numbers of Python's own, checked.
+    """The arguments as numbers of Python's own, and the organisation as text, checked.
 
     Raises:
-        HmkctaError: a number of bits that no file has.
+        HmkctaError: a number of bits that no file has, or an organisation that is neither text nor lists of names.
     """
     expect("bits", bits, Integral | None, "a whole number")
     if bits not in (None, *BITS):
         raise invalid("bits", "bits", bits, " or ".join(map(str, BITS)))
     memory, bits = (None if given is None else int(given) for given in (max_memory, bits))
-    return Wanted(snr, size, int(decode_cost), organisation, memory, bits)
+    return Wanted(snr, size, int(decode_cost), organisation_text(organisation), memory, bits)
