@@ -152,7 +152,7 @@ def test_coordinates_may_be_lists(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("options", [
     {"snr": "30"}, {"size": ["1 MB"]}, {"decode_cost": 1.5}, {"seed": None}, {"threads": 2.5}, {"nan": "0"},
-    {"quality": ["fast"]}, {"progress": 3}, {"journal": "a.partial"}, {"max_memory": "1GB"},
+    {"quality": ["fast"]}, {"progress": 3}, {"journal": "a.partial"}, {"max_memory": [1]},
     {"organisation": 3}, {"transform": 3}, {"plan": ["R=2"]},
     {"size": True}, {"snr": False}, {"seed": True}, {"threads": True}, {"max_memory": True},
 ], ids=str)

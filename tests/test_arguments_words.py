@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hmkcta import HmkctaError, choose_plan, compress
+from hmkcta import HmkctaError, choose_plan, compress, open_array
 
 WAVE: NDArray[np.float64] = np.add.outer(np.sin(np.arange(20) / 3), np.arange(18.0) / 9)
 
@@ -24,6 +27,24 @@ def test_a_size_may_be_written_with_a_unit() -> None:
     error = refused(size="twenty")
     assert (error.reason, error.found) == ("size", "'twenty'")
     assert "KiB" in str(error)
+
+
+def test_so_may_memory(tmp_path: Path) -> None:
+    np.savez_compressed(tmp_path / "a.npz", WAVE)
+    model = compress(WAVE, "R=2", max_memory="300 MB")
+    assert model.nbytes == compress(WAVE, "R=2").nbytes
+    assert np.array_equal(model.reconstruct(max_memory="100KB"), model.reconstruct())
+    assert np.array_equal(open_array(tmp_path / "a.npz", max_memory="100KB"), WAVE)
+    calls: tuple[Callable[..., object], ...] = (
+        partial(compress, WAVE, "R=2"), partial(choose_plan, WAVE, snr=20), model.reconstruct)
+    for call in calls:
+        sentences: list[str] = []
+        for memory in (1000, "1 KB", "lots"):
+            with pytest.raises(HmkctaError) as caught:
+                call(max_memory=memory)
+            sentences.append(str(caught.value))
+        assert sentences[0] == sentences[1]
+        assert sentences[2].startswith("max_memory: found 'lots', allowed bytes, or a number with KB")
 
 
 def test_an_organisation_may_be_lists_of_names() -> None:
