@@ -40,6 +40,15 @@ def packed(source: Path) -> Path:
 # Values
 
 
+def test_values_none_of_which_is_finite(tmp_path: Path) -> None:
+    source = saved(tmp_path / "a.npy", np.full((6, 8, 10), np.nan))
+    sentence = refused("compress", source, "-o", tmp_path / "a.hmk", *PLAN, code=2)
+    assert "480 values that are NaN or infinite" in sentence
+    assert "no value of it is finite" in sentence
+    assert "--nan fill=0 puts zeros" in sentence
+    assert "others" not in sentence
+
+
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_values_that_are_not_finite(value: float, tmp_path: Path) -> None:
     values = smooth(6, 8, 10)

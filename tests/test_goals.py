@@ -259,6 +259,7 @@ def test_a_size_below_the_tables_names_the_least(plan: str | None) -> None:
     """What is named as the least is enough, and a byte less is not."""
     error = refused(plan=plan, size=700, quality="fast", axes=dataset("light_field").axes)
     assert error.reason == "size-too-small"
+    assert "header, tables and the least that can be stored of each row" in str(error)
     least = int("".join(filter(str.isdigit, str(error.allowed).split("bytes")[0])))
     assert fitted("light_field", plan=plan, size=least, quality="fast").nbytes <= least
     again = refused(plan=plan, size=least - 1, quality="fast", axes=dataset("light_field").axes)

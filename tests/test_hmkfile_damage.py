@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -122,6 +123,9 @@ def test_payload_damage_needs_verification() -> None:
     error = verdict(damaged)
     assert error is not None
     assert error.reason == "array-crc"
+    crc = "0x[0-9a-f]{8}"
+    said = rf"found stored bytes whose checksum \(CRC-32\) is {crc}, allowed {crc}, as the metadata say\."
+    assert re.search(said, str(error))
     loads(damaged, verify=False)
 
 

@@ -155,6 +155,14 @@ def test_options_that_do_nothing_are_said(files: Path, tmp_path: Path) -> None:
         assert report(*words)["notes"][-1] == f"for a {kind} these do nothing: {options}"
 
 
+def test_a_band_of_many_is_chosen_and_nothing_is_said(tmp_path: Path) -> None:
+    values = np.random.default_rng(0).uniform(size=(3, 3, 8, 8, 5)).astype(np.float32)
+    words = ("render", tmp_path / "bands.hmk", "-o", tmp_path / "a.png", *SIZE, "--at", "band=3")
+    hmkcta.compress(values, "R=2", axes="row, column, y, x, band", quality="fast").save(words[1])
+    assert report(*words)["notes"] == []
+    assert np.ptp(pixels(words[3]), axis=-1).max() < 10, "grey, but for the background"
+
+
 @pytest.mark.parametrize(("name", "kind", "given", "said"), [
     ("jet", "volume", ("--at", "time=1", "--at", "x=3"),
      "--at time=1 (--time moves along time), --at x=3 (all of x is shown)"),

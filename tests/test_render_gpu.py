@@ -192,6 +192,16 @@ def test_light_fields_in_colour_with_cameras_in_one_axis() -> None:
          replace(SMALL, viewpoint=Viewpoint(1.2, 0.4)))
 
 
+def test_one_band_of_many(material: synthetic.Dataset) -> None:
+    bands = [each for n in range(2) for each in (material.values[..., n], material.values[..., n] ** 2)]
+    cloth = synthetic.Dataset(np.stack(bands, axis=-1), (*material.axes[:4], Axis("band", 4, "channel")), "svbrdf")
+    grid = np.stack([synthetic.light_field(3, 20, 1).values[..., 0] ** n for n in range(1, 5)], axis=-1)
+    field = synthetic.Dataset(grid, name_axes(grid.shape, ["row", "column", "y", "x", "band"]), "lightfield")
+    for model in (compressed(cloth, "light, view, y, x+band", "R=4,3,6,8"),
+                  compressed(field, "row, column, y, x+band", "R=2,2,8,9")):
+        assert (same(model, SMALL, position={"band": 3}) != same(model, SMALL)).any()
+
+
 @pytest.mark.parametrize("look", [
     Look(), Look("emission", "ice", clip_high=(0.8, 0.6, 1.0)), Look("maximum", "viridis", step=1.0),
     Look("iso", "coolwarm", iso=0.4, ambient=0.2, window=(0.0, 0.8)),

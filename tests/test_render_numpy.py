@@ -177,6 +177,15 @@ def test_a_camera_of_a_light_field_sees_its_picture() -> None:
     np.testing.assert_allclose(wide[:, COLUMNS : 2 * COLUMNS, :3], values[1, 2, ..., 0], atol=3e-3)
 
 
+def test_one_band_of_many_is_shown_in_grey() -> None:
+    values = np.random.default_rng(4).uniform(size=(3, 3, ROWS, COLUMNS, 5)).astype(np.float32)
+    model = model_of(values, name_axes(values.shape, ["row", "column", "y", "x", "band"]), "lightfield")
+    scene = Scene(width=COLUMNS, height=ROWS, viewpoint=Viewpoint(row=1, column=2))
+    for position, shown in ((None, [4, 2, 0]), ({"band": 3}, [3, 3, 3])):
+        radiance = Renderer(model, backend="numpy", position=position).radiance(scene)
+        np.testing.assert_allclose(radiance[..., :3], values[1, 2][..., shown], atol=3e-3)
+
+
 def test_what_is_in_focus_stays_sharp() -> None:
     """A plane that moves by 2 pixels a camera: averaged over an aperture, it is itself only in its focus."""
     plane = np.random.default_rng(5).uniform(size=(40, 40)).astype(np.float32)

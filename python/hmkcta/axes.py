@@ -32,6 +32,9 @@ _ROLE_OF_NAME = {
     **dict.fromkeys(("rgb", "channel", "colour", "color", "c", "band", "wavelength", "spectral"), "channel"),
 }
 
+#: What modes are, where they are no text.
+_MODES = 'names of axes for each mode, (("light", "rgb"), ("view",), ("y",), ("x",))'
+
 #: Names of axes that tell what they are drawn as: slices, rows, columns.
 DRAWN = ("z", "y", "x")
 
@@ -233,10 +236,30 @@ def check_modes(organisation: object) -> None:
     Raises:
         HmkctaError: reason ``argument-type``.
     """
-    words = 'names of axes for each mode, (("light", "rgb"), ("view",), ("y",), ("x",))'
-    expect("organisation", organisation, tuple | list, words)
+    expect("organisation", organisation, tuple | list, _MODES)
     for mode in cast("Sequence[object]", organisation):
-        expect("mode of the organisation", mode, tuple | list, words)
+        expect("mode of the organisation", mode, tuple | list, _MODES)
+        for name in cast("Sequence[object]", mode):
+            expect("name of an axis", name, str, _MODES)
+
+
+def organisation_text(given: object) -> str | None:
+    """An organisation as callers have it, a text or the names of the axes of each mode, as `parse_organisation` has it.
+
+    >>> organisation_text([["light", "rgb"], ["y"]]), organisation_text("y, x"), organisation_text(None)
+    ('light+rgb, y', 'y, x', None)
+
+    Raises:
+        HmkctaError: reason ``argument-type``, or ``organisation``: a name that no axis has.
+    """
+    if given is None or isinstance(given, str):
+        return given
+    expect("organisation", given, tuple | list, f'text such as "light+rgb, view, y+x", or {_MODES}')
+    check_modes(given)
+    organisation = cast(Organisation, given)
+    if any("+" in name or "," in name for mode in organisation for name in mode):
+        raise invalid("organisation", "organisation", shown(given), _MODES, "give each axis a text of its own")
+    return format_organisation(organisation)
 
 
 def separate(axes: Sequence[Axis]) -> Organisation:

@@ -56,13 +56,13 @@ def choose_plan(
     size: int | str | None = None,
     decode_cost: int = 4096,
     quality: str = "medium",
-    organisation: str | None = None,
+    organisation: str | Sequence[Sequence[str]] | None = None,
     transform: str | None = None,
     nan: float | None = None,
     bits: int | None = None,
     seed: int = 0,
     threads: int | None = None,
-    max_memory: int | None = None,
+    max_memory: int | str | None = None,
     progress: Progress | None = None,
 ) -> Plan:
     """The first plan that `compress` would fit for a goal, found by trial on a sample; nothing is fitted yet.
@@ -87,10 +87,10 @@ def choose_plan(
     """
     run = _run(quality, decode_cost, seed, threads, progress)
     snr, size = the_goal(snr, size)
-    _check_types(array, organisation, transform, nan, max_memory)
+    _check_types(array, transform, nan)
+    wanted = wanted_of(snr, size, decode_cost, organisation, max_memory, bits)
     with _threads(run.threads):
-        source = prepare(array, axes, transform, nan, run.threads)
-        return _chosen(source, run, wanted_of(snr, size, decode_cost, organisation, max_memory, bits))[0]
+        return _chosen(prepare(array, axes, transform, nan, run.threads), run, wanted)[0]
 
 
 def compress(
@@ -102,7 +102,7 @@ def compress(
     size: int | str | None = None,
     decode_cost: int = 4096,
     quality: str = "medium",
-    organisation: str | None = None,
+    organisation: str | Sequence[Sequence[str]] | None = None,
     scheme: str | None = None,
     transform: str | None = None,
     nan: float | None = None,
@@ -110,7 +110,7 @@ def compress(
     kind: str | None = None,
     seed: int = 0,
     threads: int | None = None,
-    max_memory: int | None = None,
+    max_memory: int | str | None = None,
     device: str | Device = "cpu",
     progress: Progress | None = None,
     journal: Journal | None = None,
@@ -129,8 +129,8 @@ def compress(
         decode_cost: most multiply-adds for one scattered element: bounds ranks that are chosen, those of a chosen plan
             and of ``R<=`` in a written one. Written ranks are kept.
         quality: ``fast``, ``medium`` or ``thorough``: how long the fit tries.
-        organisation: axes merged into modes, ``"light+rgb, view, y+x"``; None: the `Plan`'s, chosen, or a mode for
-            each axis.
+        organisation: axes merged into modes, ``"light+rgb, view, y+x"``, or their names for each mode, as
+            `Plan.organisation` has them; None: the `Plan`'s, chosen, or a mode for each axis.
         scheme: ``most``, ``least``, ``uniform`` or ``auto`` (the best of the three; above ``R<=`` ``most``) subdivision
             of written levels; None: as a `Plan` says, ``auto`` of a text.
         transform: value transform for high dynamic range, e.g. ``log1p``; None: identity.
@@ -142,8 +142,8 @@ def compress(
             roles make.
         seed: the same seed makes the same file.
         threads: how many at most; None, and any number beyond them: all cores.
-        max_memory: bytes to work in; None: half of what is free. A tensor too large for it is streamed, by way of
-            scratch files in the folder for temporary files (``TMPDIR``).
+        max_memory: bytes to work in, or a text such as ``"200MB"``; None: half of what is free. A tensor too large for
+            it is streamed, by way of scratch files in the folder for temporary files (``TMPDIR``).
         device: ``cpu``; or ``cuda``, by which the kernels work on an NVIDIA GPU, through CuPy. Where there is none
             that works it is the CPU, with a warning that says what is missing. Files of another device differ, by
             rounding. Or what `backends.find_device` found, which then keeps count of kernel calls.
@@ -172,7 +172,7 @@ def compress(
     device = _found(device)
     run = replace(_run(quality, decode_cost, seed, threads, progress), device=device.name)
     snr, size = the_goal(snr, size)
-    _check_types(array, organisation, transform, nan, max_memory)
+    _check_types(array, transform, nan)
     expect("plan", plan, Plan | str | None, "text such as R=4,4,6,6, or a Plan")
     expect("journal", journal, Journal | None, "a Journal")
     _check_names(scheme, kind)
@@ -183,7 +183,7 @@ def compress(
         if plan is not None:
             plan = read_plan(plan, source, wanted, scheme)
         # Before anything is kept of a run that cannot be.
-        check_least_memory(prod(source.shape), max_memory, choosing=plan is None)
+        check_least_memory(prod(source.shape), wanted.max_memory, choosing=plan is None)
         if journal is not None:
             run = replace(run, journal=journal)
             journal.begin(decisive(source, plan, kind=kind, quality=quality, seed=run.seed,
@@ -320,7 +320,7 @@ def _check_names(scheme: str | None, kind: str | None) -> None:
         raise invalid("unknown-kind", "kind", kind, ", ".join(KINDS))
 
 
-def _check_types(array: object, organisation: object, transform: object, nan: object, max_memory: object) -> None:
+def _check_types(array: object, transform: object, nan: object) -> None:
     if isinstance(array, str | bytes | os.PathLike):
         path = repr(os.fsdecode(cast("str | bytes | os.PathLike[str]", array)))
         raise invalid("array-is-path", "array", f"a path, {path}", "an array", f"open it: hmkcta.open_array({path})")
@@ -329,10 +329,8 @@ def _check_types(array: object, organisation: object, transform: object, nan: ob
         found = f"a {type(cast(object, array)).__name__} of {shown(names)}"
         raise invalid("array-is-group", "array", found, "one array of it",
                       'give it by its name, array["NAME"], or by hmkcta.open_array("FILE:/NAME")')
-    expect("organisation", organisation, str | None, 'text such as "light+rgb, view, y+x"')
     expect("transform", transform, str | None, 'text such as "log1p:0.5"')
     expect("nan", nan, Real | None, "a number")
-    expect("max_memory", max_memory, Integral | None, "a whole number of bytes")
 
 
 def _chosen(

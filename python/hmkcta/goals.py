@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import re
 from math import inf
-from numbers import Real
+from numbers import Integral, Real
 
 from .errors import expect, invalid
 
 #: How far below a goal an SNR in dB may be and still be what was asked for: what is printed is rounded more.
 _SLACK = 0.005
+#: What the fewest bytes of a file are for, where the goal chooses ranks.
+LEAST = "header, tables and the least that can be stored of each row"
 _UNITS = {"": 1, "B": 1, **{f"{p}B": 1000**n for n, p in enumerate("KMGT", 1)},
           **{f"{p}IB": 1024**n for n, p in enumerate("KMGT", 1)}}
 #: How a size may be written.
@@ -25,6 +27,37 @@ def read_bytes(text: str) -> float | None:
     found = re.fullmatch(r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*([A-Za-z]*)", text.strip())
     unit = _UNITS.get(found[2].upper()) if found else None
     return None if found is None or unit is None else float(found[1]) * unit
+
+
+def bytes_given(name: str, given: int | str | None) -> int | None:
+    """What an argument says in bytes, which may be a text that has a unit.
+
+    >>> bytes_given("size", "20 KiB"), bytes_given("size", 100)
+    (20480, 100)
+
+    Raises:
+        HmkctaError: reason ``size``: the text is no number of bytes.
+    """
+    if not isinstance(given, str):
+        return given
+    number = read_bytes(given)
+    if number is None:
+        raise invalid("size", name, repr(given), BYTES_ALLOWED)
+    return round(number) if number < inf else 0
+
+
+def memory_given(given: int | str | None) -> int | None:
+    """The bytes of the argument `max_memory`, as a whole number of Python's own.
+
+    >>> memory_given("200MB"), memory_given(None)
+    (200000000, None)
+
+    Raises:
+        HmkctaError: reason ``size`` of a text that is no number of bytes, ``argument-type`` of anything else.
+    """
+    memory = bytes_given("max_memory", given)
+    expect("max_memory", memory, Integral | None, "a whole number of bytes, or text such as 200MB")
+    return None if memory is None else int(memory)
 
 
 def check_goal(snr: float | None, size: float | None, of: str = "") -> None:

@@ -17,6 +17,7 @@ from numpy.typing import DTypeLike, NDArray
 from .axes import axis_order, mode_sizes
 from .decode import decode_block, decode_elements
 from .errors import expect, invalid
+from .goals import memory_given
 from .hmkfile import DEFAULT_LIMITS, Limits, encoded_size, load, save
 from .indexing import Index, Selection, cut, occurring, positions, select
 from .packed import LevelBounds, LevelQuality, Metadata, PackedLevel
@@ -219,13 +220,13 @@ class Model:
             values[start : start + step] = self._interpolate(flat[start : start + step])
         return values.reshape(points.shape[:-1])[()]
 
-    def reconstruct(self, out: NDArray[Any] | None = None, max_memory: int | None = None) -> NDArray[Any]:
+    def reconstruct(self, out: NDArray[Any] | None = None, max_memory: int | str | None = None) -> NDArray[Any]:
         """Decode all elements, slab by slab along the first axis.
 
         Args:
             out: array to fill, of the source's shape, for instance a `numpy.memmap`; a new float32 array by default.
                 Of integers, say of the type `metadata.source_dtype`, or float16 it gets the nearest ones.
-            max_memory: bytes to allocate at most; what is available by default.
+            max_memory: bytes to allocate at most, or a text such as ``"200MB"``; what is available by default.
 
         Returns:
             `out`, or the new array.
@@ -234,12 +235,11 @@ class Model:
             HmkctaError: `out` has another shape, other numbers or is read-only; the memory does not suffice.
         """
         expect("out", out, np.ndarray | None, "an array")
-        expect("max_memory", max_memory, Integral | None, "a whole number of bytes")
         if out is not None and (out.shape != self.shape or out.dtype.kind not in "fiub" or not out.flags.writeable):
             kept = "" if out.flags.writeable else "read-only "
             raise invalid("out-shape", "out", f"{kept}{out.dtype} of shape {out.shape}",
                           f"floats or integers of shape {self.shape}, to be written to")
-        limit = available_memory() if max_memory is None else max_memory
+        limit = available_memory() if max_memory is None else memory_given(max_memory)
         own = 0 if out is not None else 4 * self.size
         # A slab and the decoder's working arrays take up to four times its elements.
         slab = _SLAB if limit is None else min(_SLAB, (limit - own) // 16)

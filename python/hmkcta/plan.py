@@ -384,13 +384,14 @@ def parse_plan(text: str, organisation: Organisation, scheme: str = AUTO) -> Pla
         The plan, without a goal.
 
     Raises:
-        HmkctaError: no text, no level, or a level that `parse_level` refuses.
+        HmkctaError: no text, modes that are no lists of names, no level, or a level that `parse_level` refuses.
 
     >>> plan = parse_plan("R=4 / R=2 C=4,1 K=2", (("y",), ("x", "rgb")))
     >>> str(plan), plan.decode_cost()  # 4 * 4 + (2 * 2) * (2 * 1)
     ('R=4,4 / R=2,2 C=4,1 K=2,1', 24)
     """
     expect("plan", text, str, "text such as R=4,4,6,6")
+    check_modes(organisation)
     if "=" not in text:
         is_path = "." in text
         hint = "a file is written by Model.save, or by -o FILE" if is_path else "give R of each level, R<=.. for a goal"

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import inf
 from numbers import Integral
 
-from .axes import check_organisation, format_organisation
+from .axes import check_organisation, format_organisation, organisation_text
 from .errors import expect, invalid
-from .goals import BYTES_ALLOWED, check_goal, read_bytes
+from .goals import bytes_given, check_goal, memory_given
 from .narrow import BITS
 from .plan import AUTO, LevelSpec, Plan, parse_plan
 from .streaming.source import Source
@@ -48,11 +47,7 @@ def the_goal(snr: float | None, size: int | str | None) -> tuple[float | None, i
     Raises:
         HmkctaError: both are given; the SNR is no finite number above 0; the size is no number of bytes from 1 on.
     """
-    if isinstance(size, str):
-        number = read_bytes(size)
-        if number is None:
-            raise invalid("size", "size", repr(size), BYTES_ALLOWED)
-        size = round(number) if number < inf else 0
+    size = bytes_given("size", size)
     check_goal(snr, size)
     if snr is not None and size is not None:
         raise invalid("two-goals", "goal", "snr and size", "one of them", "leave one of them out")
@@ -107,16 +102,17 @@ def of_bits(levels: Sequence[LevelSpec], bits: int | None) -> tuple[LevelSpec, .
 
 
 def wanted_of(
-    snr: float | None, size: int | None, decode_cost: int, organisation: str | None, max_memory: int | None,
-    bits: int | None,
+    snr: float | None, size: int | None, decode_cost: int, organisation: str | Sequence[Sequence[str]] | None,
+    max_memory: int | str | None, bits: int | None,
 ) -> Wanted:
-    """The arguments as numbers of Python's own, checked.
+    """The arguments as numbers of Python's own, and the organisation as text, checked.
 
     Raises:
-        HmkctaError: a number of bits that no file has.
+        HmkctaError: a number of bits that no file has, an organisation that is neither text nor lists of names, or a
+            memory that is no number of bytes.
     """
     expect("bits", bits, Integral | None, "a whole number")
     if bits not in (None, *BITS):
         raise invalid("bits", "bits", bits, " or ".join(map(str, BITS)))
-    memory, bits = (None if given is None else int(given) for given in (max_memory, bits))
-    return Wanted(snr, size, int(decode_cost), organisation, memory, bits)
+    bits = None if bits is None else int(bits)
+    return Wanted(snr, size, int(decode_cost), organisation_text(organisation), memory_given(max_memory), bits)

@@ -143,7 +143,9 @@ describe.each(["v1.0-merged.hmk", "v1.1-eight.hmk", "v1.1-mixed.hmk", "v1.2-mixe
     reading.readTables(arrived(reading.tablesEnd));
     const error = verdict(() => reading.readLevel(1, arrived(reading.levelEnd(1) - 1)));
     expect(error?.reason).toBe("array-crc");
-    expect(error?.message, "as Python writes them").toMatch(/found 0x[0-9a-f]{8}, allowed 0x[0-9a-f]{8}\b/);
+    expect(error?.message, "as Python writes them").toMatch(
+      /found stored bytes whose checksum \(CRC-32\) is 0x[0-9a-f]{8}, allowed 0x[0-9a-f]{8}, as the metadata say\./,
+    );
   });
 });
 

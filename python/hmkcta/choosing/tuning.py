@@ -19,6 +19,7 @@ from ..errors import invalid
 from ..filesize import planned_bytes
 from ..fitting.fit import EFFORTS
 from ..fitting.hierarchy import Run
+from ..goals import LEAST
 from ..grids import SMALLEST_EDGE, changed, coarser, few_grids
 from ..plan import Plan
 from ..streaming.budget import is_streamed, sampled_together, workset_limit
@@ -114,7 +115,7 @@ def tune(
     if size is not None and worth <= -OUT_OF_REACH:
         least = planned_bytes(plan_of(source, best, None, None, 1), source, seed=run.seed)
         if ceiling is None:
-            allowed = f"at least {least} bytes for an array of {elements} elements"
+            allowed = f"at least {least} bytes for an array of {elements} elements: {LEAST}"
             raise invalid("size-too-small", "size", f"{size} bytes", allowed, _more_room(source.shape))
         size = least
     if ceiling is not None and worth > (search.goal.ceiling or inf):

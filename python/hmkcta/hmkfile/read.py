@@ -127,7 +127,9 @@ def _verify(view: memoryview, header: Header, parsed: Parsed) -> None:
     for name, entry in header.entries.items():
         crc = zlib.crc32(view[header.data_start + entry.begin:header.data_start + entry.end])
         if crc != parsed.arrays[name].crc32:
-            raise fault("array-crc", name, f"{crc:#010x}", f"{parsed.arrays[name].crc32:#010x}", "fetch the file again")
+            found = f"stored bytes whose checksum (CRC-32) is {crc:#010x}"
+            allowed = f"{parsed.arrays[name].crc32:#010x}, as the metadata say"
+            raise fault("array-crc", name, found, allowed, "fetch the file again")
 
 
 def _array(view: memoryview, start: int, entry: Entry) -> NDArray[Any]:

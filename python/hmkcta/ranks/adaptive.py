@@ -23,6 +23,7 @@ from ..fitting.hierarchy import (
     saved,
 )
 from ..fitting.memberships import by_subspaces, start_candidates
+from ..goals import LEAST
 from ..metrics import noise_at, snr_db
 from ..narrow import LEFT
 from ..plan import LevelSpec
@@ -258,7 +259,7 @@ class _LastLevel:
             exact = self.goal.file_bytes(self._dressed(least))
             fitting = least if exact <= size else None
         if fitting is None:
-            allowed = f"at least {exact} bytes for this plan and organisation"
+            allowed = f"at least {exact} bytes for this plan and organisation: {LEAST}"
             hint = "ask for more, merge axes or give a coarser plan"
             raise invalid("size-too-small", "size", f"{self.goal.size} bytes", allowed, hint)
         return fitting

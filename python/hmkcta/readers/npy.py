@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 import zipfile
 import zlib
+from contextlib import suppress
 from pathlib import Path
 from tokenize import TokenError
 from typing import Any, BinaryIO, cast
@@ -12,12 +13,16 @@ from typing import Any, BinaryIO, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from .source import Layout, check_layout, choose, io_error, mapped, opened
+from ..errors import HmkctaError
+from .source import LISTED, Layout, check_layout, choose, io_error, mapped, opened
 from .unpacked import Unpacker
 
 MAGIC = b"\x93NUMPY"
 ZIP_MAGICS = (b"PK\x03\x04", b"PK\x05\x06")  # an archive, an empty archive
 
+#: What is raised of a damaged archive. RuntimeError: encrypted; NotImplementedError, which is one: an unknown
+#: compression.
+_DAMAGES = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, struct.error)
 _HEADER_READERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 #: Bytes of a member's own header in a zip archive, and where in it the lengths of its name and of its extra field are.
 _LOCAL_HEADER, _LOCAL_LENGTHS = 30, 26
@@ -52,8 +57,7 @@ def open_npz(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any]
                 if info.compress_type == zipfile.ZIP_STORED and not info.flag_bits & 1:
                     return _map_member(path, file, info, where)
                 return _unpack_member(archive, info, where, unpacker)
-        except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, struct.error) as error:
-            # RuntimeError: encrypted; NotImplementedError, which is one: an unknown compression.
+        except _DAMAGES as error:
             raise io_error("source-damaged", str(path), error, "a complete .npz archive", "fetch it again") from error
 
 
@@ -86,7 +90,17 @@ def _check_length(layout: Layout, found: int, where: str) -> None:
 def _member(archive: zipfile.ZipFile, where: str, name: str | None) -> zipfile.ZipInfo:
     members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()
                if info.filename.endswith(".npy")}
-    return members[choose(where, dict.fromkeys(members, ""), name)]
+    texts = dict.fromkeys(members, "")
+    if name not in members and len(members) > 1:  # they will be listed
+        texts |= {each: _described(archive, members[each]) for each in sorted(members)[:LISTED]}
+    return members[choose(where, texts, name)]
+
+
+def _described(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> str:
+    """Shape and number type of a member, of which the header alone is read; empty: it holds no real numbers."""
+    with suppress(HmkctaError, *_DAMAGES), archive.open(info) as stream:
+        return str(_read_layout(cast("BinaryIO", stream), info.filename))
+    return ""
 
 
 def _map_member(path: Path, file: BinaryIO, info: zipfile.ZipInfo, where: str) -> NDArray[Any]:

@@ -11,6 +11,7 @@ from typing import Any
 from numpy.typing import DTypeLike, NDArray
 
 from ..errors import expect, invalid
+from ..goals import memory_given
 from ..support.progress import Progress
 from .formats import FORMATS, PAGES, format_of
 from .raw import open_raw
@@ -25,7 +26,7 @@ _HOLDERS = tuple(ending for each in FORMATS if each.members for ending in each.e
 
 def open_array(
     uri: str | Path, *, member: str | None = None, shape: Sequence[int] | None = None, dtype: DTypeLike | None = None,
-    order: str = "C", offset: int = 0, max_memory: int | None = None, progress: Progress | None = None,
+    order: str = "C", offset: int = 0, max_memory: int | str | None = None, progress: Progress | None = None,
 ) -> NDArray[Any]:
     """Open a file as an array, memory-mapped where possible, else read or unpacked into a temporary file.
 
@@ -37,7 +38,8 @@ def open_array(
         dtype: of raw binary, as NumPy writes it; ``>f4`` is big-endian float32.
         order: of raw binary: "C" (last axis fastest) or "F".
         offset: bytes to skip at the start of raw binary.
-        max_memory: bytes to unpack in, half of them for the array itself; None: half of what is free.
+        max_memory: bytes to unpack in, or a text such as ``"200MB"``, half of them for the array itself; None: half of
+            what is free.
         progress: called with a stage's name and the fraction of it done, while something is unpacked.
 
     Raises:
@@ -59,7 +61,7 @@ def open_array(
         raise invalid("argument-type", "uri", "''", "the path of a file or a folder, or a pattern",
                       "give one; '.' is the folder at hand")
     place, inner = _split(str(uri))
-    member, unpacker = member if member is not None else inner, Unpacker(max_memory, progress)
+    member, unpacker = member if member is not None else inner, Unpacker(memory_given(max_memory), progress)
     if _is_pattern(place):
         return open_series(_matches(place), place, lambda path, unpacker: _open(path, member, unpacker), unpacker)
     return _open(Path(place), member, unpacker)

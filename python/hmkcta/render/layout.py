@@ -93,6 +93,8 @@ def axes_without_place(axes: Sequence[Axis], kind: str) -> list[int]:
     >>> axes = name_axes((9, 6, 8, 7), ["time", "z", "y", "x"])
     >>> axes_without_place(axes, "volume"), axes_without_place(axes, "generic")
     ([1, 2, 3, 0], [2, 3])
+    >>> axes_without_place(name_axes((5, 8, 7, 12), ["view", "y", "x", "band"]), "lightfield")
+    [0, 1, 2]
 
     Raises:
         HmkctaError: the axes do not make this kind.
@@ -101,8 +103,8 @@ def axes_without_place(axes: Sequence[Axis], kind: str) -> list[int]:
         sides, colour = picture_axes(axes)
         return sides if colour is None else [*sides, colour]
     layout = lay_out(axes, kind)
-    placed = layout.channel if len(layout.channels) == 1 else None  # one of two channels is shown
-    return [axis for axis in layout.moving if axis != placed]
+    placed = [n for n in (layout.channel,) if n is not None and axes[n].size != 3]  # one channel may be shown
+    return [axis for axis in layout.moving if axis not in placed]
 
 
 def value_range(source: Any, shape: Sequence[int]) -> tuple[float, float]:
@@ -143,9 +145,9 @@ def time_steps(time: float | None, count: int) -> tuple[tuple[int, int], tuple[f
 def _channels(axis: Axis, position: Mapping[str, int]) -> tuple[int, ...]:
     """Indices shown as red, green, blue: the first three of a colour, else long, middle and short end of a spectrum.
 
-    Of two channels one is shown, in grey.
+    Of two channels one is shown, in grey; so is the one of more than three that `position` names.
     """
-    if axis.size == 2:
+    if axis.size == 2 or (axis.size > 3 and axis.name in position):
         return (position.get(axis.name, 0),)
     return (0, 1, 2) if axis.size <= 4 else (axis.size - 1, axis.size // 2, 0)
 

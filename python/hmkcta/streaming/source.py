@@ -287,10 +287,16 @@ def _scan(array: NDArray[Any], nan: float | None) -> tuple[str, bool, list[tuple
     if count and nan is None:
         index = tuple(int(i) for i in np.unravel_index(first, array.shape))
         found = f"{count} values that are NaN or infinite, the first at index {index}"
-        value = _near_mean(array)
-        hint = f"give a value to put there; near the mean of the others is nan={value} or --nan fill={value}"
-        raise invalid("not-finite", "array", found, "finite numbers", hint)
+        raise invalid("not-finite", "array", found, "finite numbers", _fill(array, count))
     return digest.hexdigest(), bool(count), extents
+
+
+def _fill(array: NDArray[Any], count: int) -> str:
+    """What to do where `count` values are not finite."""
+    if count == array.size:
+        return "look at what made the array, as no value of it is finite; nan=0 or --nan fill=0 puts zeros everywhere"
+    value = _near_mean(array)
+    return f"give a value to put there; near the mean of the others is nan={value} or --nan fill={value}"
 
 
 def _near_mean(array: NDArray[Any]) -> str:

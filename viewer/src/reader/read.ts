@@ -85,8 +85,8 @@ export class Reading {
       const start = this.header.dataStart;
       const found = crc32(file.subarray(start + entry.begin, start + entry.end));
       if (found !== record.crc32) {
-        throw fault("array-crc", name, hexadecimal(found), hexadecimal(record.crc32),
-          "fetch the file again");
+        throw fault("array-crc", name, `stored bytes whose checksum (CRC-32) is ${hexadecimal(found)}`,
+          `${hexadecimal(record.crc32)}, as the metadata say`, "fetch the file again");
       }
     }
   }
