@@ -83,7 +83,7 @@ def test_archives(tmp_path: Path) -> None:
     assert "found none" in refused("compress", path, *output, code=2)
     np.savez(path, one=smooth(4, 5), two=smooth(4, 5))
     assert f"{path}:NAME" in refused("compress", path, *output, code=2)
-    assert "one, two" in refused("compress", f"{path}:three", *output, code=2)
+    assert "one (4 x 5 of float32), two (4 x 5 of float32)" in refused("compress", f"{path}:three", *output, code=2)
     path.write_bytes(path.read_bytes()[:300])
     refused("compress", path, *output, code=3)
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:

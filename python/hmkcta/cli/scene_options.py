@@ -94,7 +94,7 @@ _LIGHTS = together(
                  help="A point light."),
     click.option("--size", type=Shape(), metavar="WxH", help="Pixels (default 640x480)."),
     click.option("--at", "places", type=Place(), metavar="AXIS=I", multiple=True,
-                 help="Index of an axis the picture does not span, or the one of many channels to show."),
+                 help="Index of an axis the picture does not span."),
     click.option("--heat", is_flag=True, help="The error against level N (--split N), or the original (--against)."),
 )
 
