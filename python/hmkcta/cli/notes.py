@@ -24,6 +24,8 @@ LOUD, FEW = 20.0, 3.0
 ZERO = 1e-5
 #: What whole numbers spread by is rounding, or noise of a sensor, up to so many steps; so it is of all of one byte.
 STEPS = 4.0
+#: So many lost channels are named.
+SOME = 4
 #: What a number takes, by its bits.
 BYTES = {8: "a byte", 16: "two bytes"}
 #: Whole numbers may be labels where a sample of so many elements has up to so many values.
@@ -52,7 +54,8 @@ def notes(model: Model, array: NDArray[Any], *, planned: bool = True) -> list[st
     elif (windows := folded(array.shape)) is not None and (share := _share_of_longest(model)) > MOSTLY:
         found.append(f"the longest axis has more rows than all others together, which take {100 * share:.0f} % of "
                      f"the file. Next: where neighbours are alike, make windows of it, {windows}")
-    return found + _few_loud(model, array) + _labels(model, array) + _undirected(model)
+    lost = _lost_channels(model, array) or _few_loud(model, array)
+    return found + lost + _labels(model, array) + _undirected(model)
 
 
 def _share_of_longest(model: Model) -> float:
@@ -72,6 +75,31 @@ def _why_large(model: Model, array: NDArray[Any], planned: bool) -> str:
              "ask for less, by --snr or --size, or leave noise as it is: it takes "
              f"{BYTES[model.levels[-1].bits]} a number")
     return f"{numbers} are for cores and bases. Next: {fewer}"
+
+
+def _lost_channels(model: Model, array: NDArray[Any]) -> list[str]:
+    """Whether some channels are lost beside others of larger values, as of quantities that have units of their own."""
+    axes = [n for n, axis in enumerate(model.metadata.axes) if axis.role == "channel" and axis.size > 1]
+    if not axes or not LOUD < model.snr < np.inf:
+        return []
+    axis, size = model.metadata.axes[axes[0]].name, array.shape[axes[0]]
+    steps = thinning([1 if n == axes[0] else rows for n, rows in enumerate(array.shape)], max(1, COMPARED // size))
+    places = tuple(slice(None, None, 1 if n == axes[0] else step) for n, step in enumerate(steps))
+    values, decoded = (np.moveaxis(np.asarray(each[places], np.float64), axes[0], 0).reshape(size, -1)
+                       for each in (array, model))  # fmt: skip
+    drop_pages(array)
+    told = np.isfinite(values).all(axis=0)
+    if not told.any():
+        return []
+    deviation = values[:, told].std(axis=1)
+    error = np.sqrt(np.square(values - decoded)[:, told].mean(axis=1))
+    lost = np.flatnonzero((deviation > 0) & (error > HIDDEN * deviation))
+    if not 0 < len(lost) < size:
+        return []
+    more = f" and {len(lost) - SOME} more" if len(lost) > SOME else ""
+    some = ", ".join(f"{i} (RMSE {error[i]:.2g}, values {deviation[i]:.2g} around their mean)" for i in lost[:SOME])
+    return [f"along {axis} the file holds little of index {some}{more}, as others of larger values make the SNR. "
+            "Next: divide each by its own deviation first, or compress them apart"]
 
 
 def _few_loud(model: Model, array: NDArray[Any]) -> list[str]:
