@@ -161,7 +161,10 @@ def forecast(
 
     def found(peak: int, scratch: int = 0, cut: int | None = None) -> Forecast:
         seconds = _seconds(plan, sizes, effort, threads, limit, own_numbers, cut)
-        return Forecast(held + peak, scratch, seconds, others * seconds)
+        comparing = others * seconds
+        if choosing and effort == EFFORTS["thorough"]:  # which does all that `medium` does first
+            comparing += (1 + others) * _seconds(plan, sizes, EFFORTS["medium"], threads, limit, own_numbers, cut)
+        return Forecast(held + peak, scratch, seconds, comparing)
 
     own = plan.levels[-1].own
     if not streamed:
