@@ -60,7 +60,7 @@ def test_names_that_are_not_those_of_the_axes_are_refused(names: list[list[str]]
 
 
 @pytest.mark.parametrize(("given", "where"), [
-    ({"axis0", "axis1"}, "organisation"), (["axis0", "axis1"], "mode of the organisation"),
+    ({"axis0": 1}, "organisation"), (["axis0", "axis1"], "mode of the organisation"),
     ([["axis0"], [1]], "name of an axis"),
 ], ids=str)
 def test_what_names_no_axes_of_modes_is_told_what_does(given: object, where: str) -> None:
