@@ -16,7 +16,7 @@ from .followed import Followed, best_of, fits, fitting, further, is_behind, is_w
 
 #: How many clusters along two axes are tried first: for the goal, and for an SNR at a size besides.
 JOINED = (4, 12)
-#: Share of a model's bytes at which nodes for clusters along two axes are first compared for an SNR.
+#: Share of a model's bytes at which numbers of clusters are first compared for an SNR.
 SPARED = 0.9
 #: More or fewer of them are tried from so many dB below the SNR on.
 CATCHING_UP = 3.0
@@ -68,11 +68,11 @@ def with_joined(own: Followed) -> Followed:
     few, more = (list(joined(task.plan, plain, count)) for count in JOINED)
     narrow = min(BITS) if task.bits is None and own.model.snr < EITHER_BELOW else task.plan.levels[-1].bits
     begun = [*further(task, fitting(task, (with_bits(plan, narrow) for plan in few), own.model), own)]
-    best = best_of([own, *begun])
-    if task.plan.snr is None and begun and best is own and best_of(begun).model.snr > own.model.snr - CATCHING_UP:
-        best = best_of(begun)
-    found = best if best is own else with_other_clusters(best, STEPS, set())
-    return best_of([own, found, in_fewer_bytes(own, more)])
+    best = best_of(begun or [own])
+    is_near = task.plan.snr is None and best.model.snr > own.model.snr - CATCHING_UP
+    if begun and (is_near or best_of([own, best]) is best):
+        best = with_other_clusters(best, STEPS, set())
+    return best_of([own, best, in_fewer_bytes(own, more)])
 
 
 def in_fewer_bytes(own: Followed, begin: Sequence[Plan]) -> Followed:
