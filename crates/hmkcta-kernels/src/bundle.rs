@@ -3,14 +3,28 @@
 //! These rows are a bundle: they differ in the last leading mode only, and share their subsets there. So they meet the
 //! same cells, and the columns of a cluster of mode b, of all tuples of the bundle, fill vectors side by side.
 
+use crate::grouped::{Group, Lines, ROWS};
 use crate::leading::{PAD, Partial};
-use crate::lines::{Buffers, Group, Lines, ROWS};
 use crate::machine::prefetch_from;
 use crate::threads::room;
 use pulp::{Simd, WithSimd};
 
 /// Most vectors of columns worked on at a time.
 const WIDE: usize = 3;
+
+/// Buffers of one task.
+#[derive(Default)]
+pub struct Buffers {
+    /// Where the tuples of a bundle and of the next one start.
+    pub starts: Vec<*mut f32>,
+    pub ahead: Vec<*mut f32>,
+    /// The cells that lines of a group belong to.
+    pub choices: Vec<Choice>,
+    /// Cores contracted with the bases of mode b: lines `[combinations, C_a, R_a]`.
+    pub panels: Vec<f32>,
+    /// Lines of the rows of a group.
+    pub lines: Vec<f32>,
+}
 
 /// One bundle.
 pub struct Bundle<'p> {

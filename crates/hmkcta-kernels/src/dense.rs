@@ -6,7 +6,7 @@
 
 use crate::element::Elements;
 use crate::packed::{Level, NodeView};
-use crate::part::Part;
+use crate::part::{Part, Requested};
 use crate::threads::for_each;
 
 /// Elements of a run: many, since each run widens the numbers of its nodes for itself.
@@ -16,13 +16,6 @@ const LARGEST: usize = 1 << 26;
 const RUNS: usize = 16;
 /// Elements that a node puts together before they are added to the block.
 const TOGETHER: usize = 1 << 21;
-
-/// The requested rows of one mode of a node, and their places in the run.
-#[derive(Clone, Default)]
-pub struct Requested {
-    pub pos: Vec<u32>,
-    pub place: Vec<u32>,
-}
 
 /// Add the block of the outer product of `rows`, one list a mode, to `out`; levels before `first` add nothing.
 pub fn decode(levels: &[Level], rows: &[&[i64]], first: usize, out: &mut [f32]) -> Result<(), String> {

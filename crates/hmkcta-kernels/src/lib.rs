@@ -20,6 +20,7 @@ mod elimination;
 mod gauss_seidel;
 mod gemm;
 mod gram;
+mod grouped;
 mod hooi;
 mod kmeans;
 mod lanes;

@@ -5,19 +5,14 @@
 //! weighs. Lines are products of matrices then, cluster by cluster of mode b, whose columns are put back in their places
 //! as lines are added to the tensor.
 
-use crate::bundle::{Bundle, Choice};
+use crate::bundle::{Buffers, Bundle};
 use crate::cells::Node;
-use crate::leading::{Leading, Partial, alike, subsets};
+use crate::grouped::{Lines, ROWS};
+use crate::leading::{Partial, alike};
 use crate::machine::dispatch;
 use crate::mode_order::Turned;
-use crate::places::Places;
 use crate::threads::{PARALLEL, for_each};
 
-/// Rows of mode a worked on at a time.
-pub const ROWS: usize = 8;
-/// Numbers that the lines of a bundle should have for a row of mode a, all clusters' members; most rows of a bundle.
-const BUNDLED: usize = 400;
-const MOST_BUNDLED: usize = 8;
 /// What a group of rows and a multiply-add of a panel cost beside one of a line, measured.
 const GROUP: f64 = 2.0;
 const PANEL: f64 = 4.0;
@@ -52,7 +47,7 @@ pub fn accumulate(node: &Node, mode: usize, tensor: &mut [f32], bases: &[&[f32]]
     for_each(parallel, (0..count).step_by(piece).collect(), |from| {
         let mut buffers = Buffers::default();
         let range = from..count.min(from + piece);
-        lines.leading.each(range, &all, |number, present| lines.add(number, present, &mut buffers, &target));
+        lines.leading.each(range, &all, |number, present| add(&lines, number, present, &mut buffers, &target));
     });
 }
 
@@ -85,112 +80,19 @@ impl Target {
     }
 }
 
-/// A node prepared for it. Modes a and b are the last two.
-pub struct Lines<'a> {
-    pub leading: Leading<'a>,
-    pub node: &'a Node<'a>,
-    pub columns: usize,
-    /// Rows of mode a with the same subsets, some at a time.
-    pub groups: Vec<Group>,
-    /// For each cell of the modes but b, and each cluster of b, `[R_b, members]`, these padded.
-    pub bases: Vec<f32>,
-    /// Where each column is in a line.
-    pub places: Places,
+/// Where the tuples of a bundle start.
+fn starts(lines: &Lines, number: usize, target: &Target, starts: &mut Vec<*mut f32>) {
+    let (rows, first) = lines.leading.bundle(number);
+    starts.clear();
+    starts.extend(rows.iter().map(|&row| target.tuple(first + row as usize)));
 }
 
-/// Buffers of one task.
-#[derive(Default)]
-pub struct Buffers {
-    /// Where the tuples of a bundle and of the next one start.
-    pub starts: Vec<*mut f32>,
-    pub ahead: Vec<*mut f32>,
-    /// The cells that lines of a group belong to.
-    pub choices: Vec<Choice>,
-    /// Cores contracted with the bases of mode b: lines `[combinations, C_a, R_a]`.
-    pub panels: Vec<f32>,
-    /// Lines of the rows of a group.
-    pub lines: Vec<f32>,
-}
-
-impl<'a> Lines<'a> {
-    fn new(node: &'a Node<'a>, bases: &[Vec<f32>]) -> Self {
-        let (a, b) = (node.order() - 2, node.order() - 1);
-        let most = (BUNDLED / (node.mixture[b] * node.sizes[b])).clamp(1, MOST_BUNDLED);
-        let leading = Leading::new(node, bases, most);
-        let longest = leading.bundles.iter().map(Vec::len).max().unwrap_or(1);
-        let mut lines = Lines {
-            columns: node.sizes[b],
-            node,
-            groups: groups(node, a, &bases[a]),
-            leading,
-            places: Places::new(node, b, longest),
-            bases: vec![],
-        };
-        lines.bases = lines.sorted(&bases[b]);
-        lines
-    }
-
-    /// Basis numbers of mode b, which are stored as `[I_b, K_b, cells but b, R_b]`.
-    fn sorted(&self, basis: &[f32]) -> Vec<f32> {
-        let b = self.node.order() - 1;
-        let (rank, clusters, size) = (self.node.ranks[b], self.node.clusters[b], self.basis());
-        let cells = self.node.cells() / clusters;
-        let mut sorted = vec![0.0; cells * size];
-        let mut filled = vec![0; clusters];
-        for (&c, numbers) in self.node.members(b).iter().zip(basis.chunks_exact(cells * rank)) {
-            let c = usize::from(c);
-            let (start, width) = (self.places.starts[c], self.places.starts[c + 1] - self.places.starts[c]);
-            let at = start * rank + filled[c];
-            filled[c] += 1;
-            for (numbers, sorted) in numbers.chunks_exact(rank).zip(sorted.chunks_exact_mut(size)) {
-                sorted[at..].iter_mut().step_by(width).zip(numbers).for_each(|(to, &u)| *to = u);
-            }
-        }
-        sorted
-    }
-
-    /// Numbers of all clusters of mode b for one cell of the others.
-    pub fn basis(&self) -> usize {
-        let b = self.node.order() - 1;
-        self.node.ranks[b] * self.places.starts[self.node.clusters[b]]
-    }
-
-    /// Where the tuples of a bundle start.
-    fn starts(&self, number: usize, target: &Target, starts: &mut Vec<*mut f32>) {
-        let (rows, first) = self.leading.bundle(number);
-        starts.clear();
-        starts.extend(rows.iter().map(|&row| target.tuple(first + row as usize)));
-    }
-
-    /// Add the model to one bundle.
-    fn add(&self, number: usize, present: &Partial, buffers: &mut Buffers, target: &Target) {
-        self.starts(number, target, &mut buffers.starts);
-        self.starts(number + 1, target, &mut buffers.ahead);
-        // SAFETY: the bundle's lines lie in the tensor, and this thread alone works on them.
-        dispatch(unsafe { Bundle::new(self, present, buffers, target.step()) });
-    }
-}
-
-/// Up to `ROWS` rows of mode a that share their subsets.
-pub struct Group {
-    pub subsets: Vec<u16>,
-    pub rows: Vec<u32>,
-    /// Their basis numbers `[K_a, cells of the other modes, R_a, ROWS]`.
-    pub basis: Vec<f32>,
-}
-
-/// All rows of mode a, whose basis is stored as `[I_a, K_a, cells of the other modes, R_a]`.
-fn groups(node: &Node, a: usize, basis: &[f32]) -> Vec<Group> {
-    let length = basis.len() / node.sizes[a];
-    let group = |rows: Vec<u32>| {
-        let mut numbers = vec![0.0; length * ROWS];
-        for (at, &row) in rows.iter().enumerate() {
-            let from = &basis[row as usize * length..][..length];
-            numbers[at..].iter_mut().step_by(ROWS).zip(from).for_each(|(to, &u)| *to = u);
-        }
-        Group { subsets: subsets(node, a, rows[0]).to_vec(), rows, basis: numbers }
-    };
-    alike(node, a, ROWS).into_iter().map(group).collect()
+/// Add the model to one bundle.
+fn add(lines: &Lines, number: usize, present: &Partial, buffers: &mut Buffers, target: &Target) {
+    starts(lines, number, target, &mut buffers.starts);
+    starts(lines, number + 1, target, &mut buffers.ahead);
+    // SAFETY: the bundle's lines lie in the tensor, and this thread alone works on them.
+    dispatch(unsafe { Bundle::new(lines, present, buffers, target.step()) });
 }
 
 #[cfg(test)]

@@ -1,7 +1,6 @@
 //! The requested rows of one node, as the fitting kernels want them or as single elements.
 
 use crate::cells::Node;
-use crate::dense::Requested;
 use crate::element::Elements;
 use crate::machine::dispatch;
 use crate::packed::{NodeView, Position};
@@ -18,6 +17,13 @@ const MULTIPLY_ADD: f64 = 0.125;
 const NODE: f64 = 20_000.0;
 const NUMBER: f64 = 2.0;
 const VISIT: f64 = 0.2;
+
+/// The requested rows of one mode of a node, and their places in the run.
+#[derive(Clone, Default)]
+pub struct Requested {
+    pub pos: Vec<u32>,
+    pub place: Vec<u32>,
+}
 
 pub struct Part<'p> {
     pub node: &'p NodeView<'p>,
