@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 from dataclasses import replace
 from pathlib import Path
+from threading import Barrier
 from typing import Any
 
 import pytest
@@ -109,10 +110,60 @@ def test_a_plan_that_is_given_has_no_number(monkeypatch: pytest.MonkeyPatch) -> 
 def test_the_only_plan_has_no_number_until_others_are_known(capsys: pytest.CaptureFixture[str]) -> None:
     plans = Compared()
     plans.expect(1)
-    plans.following(print)("level 1", 0.5)
+    plans.following(plans.begin(1)[0], print)("level 1", 0.5)
+    plans.end()
     plans.expect(3)
-    plans.following(print)("level 1", 0.5)
+    plans.following(plans.begin(1)[0], print)("level 1", 0.5)
     assert capsys.readouterr().out == "level 1 0.5\nlevel 1, plan 2 of 4 0.5\n"
+
+
+def test_of_plans_side_by_side_the_oldest_tells_and_then_what_the_next_one_said_last(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    plans = Compared()
+    plans.expect(3)
+    first, second, third = (plans.following(number, print) for number in plans.begin(3))
+    second("level 1", 0.25)
+    first("level 1", 0.5)
+    second("level 2", 0.75)
+    plans.end()
+    plans.end()
+    third("level 1", 1.0)
+    said = ["level 1, plan 1 of 3 0.5", "level 2, plan 2 of 3 0.75", "level 1, plan 3 of 3 1.0"]
+    assert capsys.readouterr().out.splitlines() == said
+
+
+RANKS = [parse_plan(text, MODES) for text in ("R=1", "R=2", "R=3", "R=4")]
+
+
+def task_on_two_threads() -> follow.Task:
+    run = Run(EFFORTS["medium"], seed=0, threads=2, progress=lambda *_: None)
+    return follow.Task(prepare(smooth(12, 14, 16), "z, y, x", None, None, 1), RANKS[0], 4096, "volume", run)
+
+
+def test_plans_are_followed_side_by_side(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two threads meet; one alone would wait in vain."""
+    meeting = Barrier(2)
+
+    def met(task: follow.Task) -> Model:
+        meeting.wait(timeout=30)
+        return follow.follow(task)
+
+    monkeypatch.setattr("hmkcta.comparing.followed.follow", met)
+    assert [of.plan for of, _ in further(task_on_two_threads(), RANKS)] == RANKS
+
+
+def test_a_plan_that_fails_beside_others_ends_them_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    def failing(task: follow.Task) -> Model:
+        if task.plan == RANKS[1]:
+            raise ZeroDivisionError
+        return follow.follow(task)
+
+    monkeypatch.setattr("hmkcta.comparing.followed.follow", failing)
+    models = further(task_on_two_threads(), RANKS)
+    assert next(models).task.plan == RANKS[0]
+    with pytest.raises(ZeroDivisionError):
+        next(models)
 
 
 def test_the_command_line_adds_the_times_of_all_plans_and_counts_them(tmp_path: Path) -> None:

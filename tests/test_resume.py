@@ -29,13 +29,15 @@ CASES: dict[str, dict[str, Any]] = {
     "blocks, snr": {"plan": "R=1 grid=y:2,x:2 / R<=8", "snr": 20.0},
     "own ranks, size": {"plan": "R=2,1,2,2 C=2,1,2,2 / R<=8", "size": 20000},
     "chosen plan": {"snr": 20.0, "quality": "fast"},
+    "plans side by side": {"size": 24000, "organisation": None},
     "bytes": {"plan": "R=2,1,2,2 / R=1 C=2,1,2,2 K=2", "bits": 8},
     "transform": {"plan": "R=2,1,2,2 / R=1 C=2,1,2,2 K=2", "transform": "log1p"},
 }
 
 
 def fitted(**options: Any) -> Model:
-    return hmkcta.compress(DATA.values, axes=DATA.axes, organisation=MODES, threads=2, **options)
+    settings: dict[str, Any] = {"organisation": MODES, **options}
+    return hmkcta.compress(DATA.values, axes=DATA.axes, threads=2, **settings)
 
 
 def resumed(folder: Path, **options: Any) -> tuple[bytes, int]:

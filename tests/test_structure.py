@@ -25,7 +25,7 @@ LAYERS = (
     ("plan_checks",),
     ("cells", "hmkfile", "_example"),
     ("backends",),
-    ("decode", "streaming"),
+    ("decode", "journal_cells", "streaming"),
     ("journal",),
     ("fitting",),
     ("filesize", "model", "pack", "verbatim"),

@@ -8,6 +8,7 @@ from math import inf, prod
 
 from .choosing.judging import CARES
 from .comparing.finer import LARGE
+from .comparing.followed import SIDE_BY_SIDE
 from .fitting.disjoint import JUDGING
 from .fitting.fit import EFFORTS, Effort
 from .fitting.memberships import ROUNDS, ROWS, ROWS_EACH
@@ -22,6 +23,7 @@ from .streaming.budget import (
     ROW,
     TRIED_APART,
     WORKING,
+    followed_together,
     is_streamed,
     joint_bytes,
     memory_limit,
@@ -34,7 +36,7 @@ from .streaming.budget import (
 )
 from .streaming.source import SLAB as CHECKED
 from .streaming.streamed import SLAB
-from .support.memory import stays_cached
+from .support.memory import memory_budget, stays_cached
 
 #: Bytes for each element of a tensor in memory of its residual, which lasts; the rest of `WORKING` does not.
 _RESIDUAL = 4
@@ -174,7 +176,8 @@ def forecast(
         features = _parting_bytes(plan, sizes, compared=compared)
         theirs = model if plan.snr is None else max(model, _most_of_others(plan, elements))
         # One other is seldom followed to the end.
-        fits = [fit + theirs, fit + model] if compared and others > 1 else [fit + model]
+        side_by_side = min(SIDE_BY_SIDE, followed_together(elements, threads, memory_budget(memory)))
+        fits = [side_by_side * (fit + theirs), fit + model] if compared and others > 1 else [fit + model]
         return found(_peak(choosing, *fits, measuring, beside=features + (_HEAPS_COMPARED if compared else 0)))
     check_worksets(plan, sizes, limit, memory)
     if limit == elements:  # fitted in place

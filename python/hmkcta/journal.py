@@ -13,15 +13,14 @@ import os
 import platform
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, replace
-from math import prod
+from copy import copy
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import sleep
 from types import TracebackType
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from . import backends
 from ._version import __version__
@@ -30,14 +29,16 @@ from .cells import Cells
 from .errors import DISK_FULL, HmkctaError, Kind
 from .hmkfile import published
 from .hmkfile.reasons import fault
+from .journal_cells import fits, packed, unpacked
 from .plan import LevelSpec, Plan
 from .streaming.source import Source
 from .support.recordlog import Busy, RecordLog, in_use
 
+#: More steps than a fit has.
+MOST_STEPS = 1 << 12
 RUN, PLAN, NODES = "run.json", "plan.json", "nodes.log"
 #: Seconds beyond which no process merely looks whether another is at work.
 _LOOK = 0.05
-Number = TypeVar("Number", np.uint16, np.float16, np.float32)
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,15 @@ class NoJournal:
     def step(self) -> int:
         """The number of the next step, the same in every run with the same fields."""
         return 0
+
+    def part(self, number: int) -> NoJournal:
+        """The journal for one of several fits that may be made side by side, whose steps are numbered for themselves.
+
+        Args:
+            number: of the fit, the same in every run with the same fields.
+        """
+        del number
+        return self
 
     def recall(self, step: int, node: int, sizes: Sequence[int], spec: LevelSpec) -> Finished | None:
         """What became of a node; None: it is still to be fitted.
@@ -211,6 +221,12 @@ class Journal(NoJournal):
         self._steps += 1
         return self._steps
 
+    def part(self, number: int) -> Journal:
+        """This journal with steps of its own."""
+        journal = copy(self)
+        journal._steps = number * MOST_STEPS
+        return journal
+
     def recall(self, step: int, node: int, sizes: Sequence[int], spec: LevelSpec) -> Finished | None:
         """What is written down of a node in a step.
 
@@ -222,8 +238,8 @@ class Journal(NoJournal):
             content = self._log.read((step, node))
         if content is None:
             return None
-        cells = _unpacked(content, spec) if content else None
-        if cells is not None and not _fits(cells, sizes, spec):
+        cells = unpacked(content, spec) if content else None
+        if cells is not None and not fits(cells, sizes, spec):
             raise self._useless(f"{cells.spec} for {cells.sizes} in step {step}, node {node}", f"{spec} for {sizes}")
         return Finished(cells)
 
@@ -234,7 +250,7 @@ class Journal(NoJournal):
             HmkctaError: `Io`, ``disk-full`` or ``unwritable``; what was written before stays.
         """
         assert self._log is not None
-        content = b"" if cells is None else _packed(cells)
+        content = b"" if cells is None else packed(cells)
         with self._as_io():
             self._log.append((step, node), content)
 
@@ -339,47 +355,6 @@ def decisive(source: Source, plan: Plan | None, **settings: Any) -> dict[str, An
         "axes": axes, "transform": source.transform, "nan": source.nan, **settings,
         "hmkcta": __version__, "kernels": backends.name, "machine": " ".join([platform.machine(), *blas]),
     }
-
-
-def _packed(cells: Cells) -> bytes:
-    """I, R (-1: undecomposed), C, K of every mode, memberships, bases as float16, which they are rounded to, cores.
-
-    Cores are kept as float32: they are float16 times a factor, and which factor is not known any more.
-    """
-    ranks = [-1 if rank is None else rank for rank in cells.spec.ranks]
-    shape = np.array([cells.sizes, ranks, cells.spec.clusters, cells.spec.mixture], np.int32)
-    numbers = [array.tobytes() for array in (*cells.members, *(b.astype(np.float16) for b in cells.bases), cells.cores)]
-    return b"".join([bytes([cells.order]), shape.tobytes(), *numbers])
-
-
-def _unpacked(content: bytes, spec: LevelSpec) -> Cells:
-    """The cells; what their spec has beside R, C and K is that of `spec`."""
-    place = 1 + 16 * content[0]
-    shape = np.frombuffer(content, np.int32, 4 * content[0], 1).reshape(4, -1).tolist()
-    sizes, ranks, clusters, mixture = (tuple(row) for row in shape)
-    exact = replace(spec, ranks=tuple(None if r < 0 else r for r in ranks), clusters=clusters, mixture=mixture)
-
-    def taken(shape: tuple[int, ...], dtype: type[Number]) -> NDArray[Number]:
-        nonlocal place
-        array = np.frombuffer(content, dtype, prod(shape), place).reshape(shape)
-        place += array.nbytes
-        return array.copy()
-
-    members = [taken((i, k), np.uint16) for i, k in zip(sizes, mixture, strict=True)]
-    bases = [
-        taken((0,) if r < 0 else (i, k, exact.cells // c, r), np.float16).astype(np.float32)
-        for i, r, c, k in zip(*shape, strict=True)
-    ]
-    cores = taken((exact.cells, *(i if r < 0 else r for i, r in zip(sizes, ranks, strict=True))), np.float32)
-    return Cells(sizes, exact, members, bases, cores)
-
-
-def _fits(cells: Cells, sizes: Sequence[int], spec: LevelSpec) -> bool:
-    """Whether cells can be what a node of these sizes was fitted by, so that a mixed-up journal is noticed."""
-    most, found = spec.clamped(sizes), cells.spec
-    within = all((r is None) == (m is None) and (r or 0) <= (m or 0)
-                 for r, m in zip(found.ranks, most.ranks, strict=True))
-    return cells.sizes == tuple(sizes) and found.clusters == most.clusters and within
 
 
 def _plan(content: Any) -> Plan:

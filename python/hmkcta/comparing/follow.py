@@ -116,8 +116,12 @@ def follow(task: Task) -> Model:
 
 def limit_of(task: Task) -> int:
     """How many elements are worked on at once: of every plan by what was free as the first run of the call began."""
-    budget = task.run.journal.settled("budget", lambda: memory_budget(task.memory))
-    return memory_limit(task.plan, mode_sizes(task.source.axes, task.plan.organisation), task.memory, budget)
+    return memory_limit(task.plan, mode_sizes(task.source.axes, task.plan.organisation), task.memory, budget_of(task))
+
+
+def budget_of(task: Task) -> int:
+    """Bytes to work in, as the first run of the call found them."""
+    return task.run.journal.settled("budget", lambda: memory_budget(task.memory))
 
 
 def _begun(task: Task) -> tuple[Hierarchy, Goal]:

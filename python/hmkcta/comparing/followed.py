@@ -13,12 +13,15 @@ from ..filesize import planned_bytes
 from ..fitting.fit import EFFORTS
 from ..model import Model
 from ..plan import Plan
-from ..streaming.budget import is_streamed
+from ..streaming.budget import followed_together, is_streamed
+from ..support.executors import in_order
 from .finer import LARGE
-from .follow import Task, follow, limit_of
+from .follow import Task, budget_of, follow, limit_of
 
 #: Reasons why a plan cannot be followed, or none be chosen, that are none to end with: there is a model already.
 NOT_FOLLOWED = ("size-too-small", "memory")
+#: Most plans that are followed at once.
+SIDE_BY_SIDE = 8
 #: Share of the nodes below a first level that are taken to store ranks of one, where a plan's least bytes are told:
 #: nodes whose rows are alike store nothing.
 FILLED = 0.5
@@ -39,16 +42,18 @@ def fitted_with(task: Task, plans: Iterable[Plan], far: float) -> list[Followed]
     """
     plans = _suiting(task, plans)
     task.compared.expect(1 + len(plans))
-    own = _fitted(task)
+    (number,) = task.compared.begin(1)
+    own = Followed(task, _model(task, number))
+    task.compared.end()
     return [own, *_each(task, plans, own, far)]
 
 
 def further(task: Task, plans: Iterable[Plan], best: Followed | None = None) -> Iterator[Followed]:
-    """The task with the models of further plans, one after another, but for those that cannot be followed.
+    """The task with the models of further plans, in their order, but for those that cannot be followed.
 
     A plan is left out, as there is a model already, where its smallest file exceeds the size, where memory does not
     suffice, where its organisation is not the one that was given, and where it promises to take more bytes for the SNR
-    than the `best`, if that is told, or than one of the models before it.
+    than the `best`, if that is told, or than a model that is well before it.
     """
     plans = _suiting(task, plans)
     task.compared.expect(len(plans))
@@ -60,24 +65,52 @@ def _suiting(task: Task, plans: Iterable[Plan]) -> list[Plan]:
     return [plan for plan in plans if not task.organised or plan.organisation == task.plan.organisation]
 
 
-def _fitted(task: Task) -> Followed:
-    """The task with the model that its plan comes to."""
-    told = task.compared.following(task.run.progress)
-    return Followed(task, follow(replace(task, run=replace(task.run, progress=told))))
+def _model(task: Task, number: int) -> Model:
+    """What the task's plan comes to, which has this number of all plans that are compared."""
+    run = task.run
+    told = task.compared.following(number, run.progress)
+    return follow(replace(task, run=replace(run, progress=told, journal=run.journal.part(number))))
 
 
-def _each(task: Task, plans: Iterable[Plan], best: Followed | None, far: float = 1.0) -> Iterator[Followed]:
-    """Models of the plans that can be followed, and do not take `far` more times the bytes of the best by then."""
-    for plan in plans:
-        most = inf if best is None or best.model.snr < (task.plan.snr or inf) else far * best.model.nbytes
+def _each(task: Task, plans: Sequence[Plan], best: Followed | None, far: float = 1.0) -> Iterator[Followed]:
+    """Models of the plans that can be followed, and do not take `far` more times the bytes of the best by then.
+
+    They are followed side by side. So that threads decide nothing, of those before a plan only such count for it as
+    would be known by then whatever their number is.
+    """
+    workers = min(_side_by_side(task), max(1, len(plans)))
+    beside = replace(task, run=replace(task.run, threads=max(1, task.run.threads // workers)))
+    numbers, ended = task.compared.begin(len(plans)), list[Followed | None]()
+
+    def followed(at: int) -> Followed | None:
+        known = [best, *ended[: max(0, at - SIDE_BY_SIDE)]] if best is not None else []
+        most = _bytes_to_reach(best_of([each for each in known if each is not None])) if known else inf
         try:
-            found = _fitted(replace(task, plan=plan, most=most))
+            model = _model(replace(beside, plan=plans[at], most=far * most), numbers[at])
         except HmkctaError as error:
             if error.reason not in NOT_FOLLOWED:
                 raise
-            continue
-        best = None if best is None else best_of([best, found])
-        yield found
+            return None
+        return Followed(replace(task, plan=plans[at]), model)
+
+    for found in in_order(followed, range(len(plans)), workers):
+        task.compared.end()
+        ended.append(found)
+        if found is not None:
+            yield found
+
+
+def _side_by_side(task: Task) -> int:
+    """How many plans are followed at once: of arrays so small that the steps of one hardly keep all threads busy."""
+    if task.run.device != "cpu":
+        return 1
+    elements, budget = prod(task.source.shape), budget_of(task)
+    return min(SIDE_BY_SIDE, followed_together(elements, task.run.threads, budget))
+
+
+def _bytes_to_reach(best: Followed) -> float:
+    """What the best takes for the SNR that is asked for, if it reaches that."""
+    return best.model.nbytes if best.model.snr >= (best.task.plan.snr or inf) else inf
 
 
 def best_of(followed: Sequence[Followed]) -> Followed:

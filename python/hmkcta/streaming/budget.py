@@ -36,6 +36,8 @@ TOGETHER = 1 << 24
 FEWEST = 1 << 20
 #: Bytes of memory for each of these elements.
 EACH = 40
+#: Bytes of memory for each element of an array on which a plan is followed beside others.
+BESIDE_OTHERS = 2 * WORKING
 #: SNR in dB beyond which samples are looked at in float64.
 PRECISE = 50.0
 #: How many times fewer elements of samples then have room.
@@ -90,6 +92,16 @@ def room_beside(elements: int, memory: int | None) -> int:
 def side_by_side(spec: LevelSpec, sizes: Sequence[int], threads: int, room: int) -> int:
     """How many nodes of these sizes are fitted side by side, by so many threads at most: as many as have room."""
     return max(1, min(threads, room // max(1, tried_bytes(spec, sizes))))
+
+
+def followed_together(elements: int, threads: int, budget: int) -> int:
+    """How many plans are followed at once on an array of so many elements: as many as `budget` bytes have room for.
+
+    >>> followed_together(1 << 20, threads=2, budget=1 << 30), followed_together(1 << 24, threads=2, budget=1 << 30)
+    (2, 1)
+    """
+    room = (budget - PROCESS) // (BESIDE_OTHERS * elements)
+    return max(1, min(threads, TOGETHER // elements, room))
 
 
 def model_bytes(plan: Plan, sizes: Sequence[int], threads: int = 1, room: int = 0) -> int:
