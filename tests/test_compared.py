@@ -19,7 +19,7 @@ from hmkcta.fitting.fit import EFFORTS
 from hmkcta.fitting.hierarchy import Run
 from hmkcta.plan import Plan, parse_plan
 from hmkcta.streaming.source import prepare
-from hmkcta.support.progress import OF_PLAN, Compared
+from hmkcta.support.progress import OF_PLAN, Compared, nobody
 
 MODES = (("z",), ("y",), ("x",))
 #: Stages of choosing a plan, for the other goal once more.
@@ -137,7 +137,7 @@ RANKS = [parse_plan(text, MODES) for text in ("R=1", "R=2", "R=3", "R=4")]
 
 
 def task_on_two_threads() -> follow.Task:
-    run = Run(EFFORTS["medium"], seed=0, threads=2, progress=lambda *_: None)
+    run = Run(EFFORTS["medium"], seed=0, threads=2, progress=nobody)
     return follow.Task(prepare(smooth(12, 14, 16), "z, y, x", None, None, 1), RANKS[0], 4096, "volume", run)
 
 
