@@ -61,7 +61,7 @@ def follow_both(
     for number in range(STEPS):
         before, other = best, _other_goal(asked, best.model, ceiling)
         found = None if other is None else _followed(task, choose, f"plan-of-other-goal-{number}", other)
-        found = None if found is None else _as_asked(found, asked, best)
+        found = None if found is None else _as_asked(found, asked, best, ceiling)
         if found is None or not _is_better(found.model, best.model, asked):
             break
         best = found
@@ -70,13 +70,17 @@ def follow_both(
     return best
 
 
-def _as_asked(found: Followed, asked: Plan, best: Followed) -> Followed:
-    """What was found for a size, or its plan by the SNR asked for, unless that takes more bytes than the best; with the
-    clusters that suit these bytes."""
-    if asked.snr is None:
+def _as_asked(found: Followed, asked: Plan, best: Followed, ceiling: float | None) -> Followed:
+    """What was found for the other goal, or its plan by the goal asked for, unless that takes more bytes for the SNR
+    than the best; for an SNR with the clusters that suit these bytes."""
+    within = found.model.nbytes <= (asked.size or 0)
+    if within and ceiling is not None and found.model.snr >= ceiling:
         return found
-    as_asked = replace(found.task, plan=replace(found.task.plan, snr=asked.snr, size=None))
-    reached = best_of([Followed(as_asked, found.model), *further(as_asked, [as_asked.plan], best)])
+    as_asked = replace(found.task, plan=replace(found.task.plan, snr=asked.snr, size=asked.size))
+    again = [*further(as_asked, [as_asked.plan], best)]
+    if asked.snr is None:
+        return best_of([found if within else best, *again])
+    reached = best_of([Followed(as_asked, found.model), *again])
     plan = reached.task.plan
     return in_fewer_bytes(reached, [plan] if has_clusters(plan) else [])
 

@@ -34,10 +34,12 @@ from .followed import (
     is_worth,
     may_be,
 )
-from .second_levels import ROUNDED, below_bytes, below_rounding, deeper
+from .second_levels import ROUNDED, below_bytes, below_rounding, deeper, with_bytes_below
 
 #: SNR in dB above which plans of two levels are tried: one level of float16 numbers may not reach it.
 NEARLY = 64.0
+#: SNR in dB above which bytes are tried below a level of float16 numbers.
+BYTES_END = 40.0
 #: Where a model of 16-bit numbers ends more than so many dB above an SNR goal, two levels of bytes are tried.
 BEYOND = 3.0
 #: These two levels of bytes are taken only if they need less than this share of its bytes.
@@ -128,6 +130,8 @@ def _in_other_ways(given: Task, followed: Sequence[Followed], others: Sequence[P
     if goal > ROUNDED[min(BITS)] or (wide and model.snr > goal + BEYOND):
         most, two = LESS * model.nbytes, further(task, below_bytes(task, followed), Followed(task, model))
         task, model = best_of([Followed(task, model), *(each for each in two if each.model.nbytes < most)])
+    if (task.plan.snr or model.snr) > BYTES_END:
+        task, model = with_bytes_below(Followed(task, model), followed)
     if (task.plan.snr or model.snr) > NEARLY:
         plans = dict.fromkeys(below_rounding(given, others))
         task, model = best_of([Followed(task, model), *further(given, plans, Followed(task, model))])

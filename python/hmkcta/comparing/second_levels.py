@@ -7,14 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from math import prod
 
 from ..axes import mode_sizes
 from ..model import Model
 from ..narrow import BITS
-from ..plan import Plan
+from ..plan import LevelSpec, Plan
 from .alternatives import whole_plan, with_bits
 from .follow import Task
-from .followed import Followed, further, is_verbatim, may_be
+from .followed import Followed, best_of, further, is_verbatim, may_be
 
 #: SNR in dB at which a first level ends, by the bits of its numbers: about what their rounding lets one level keep.
 ROUNDED = {16: 68.0, 8: 43.0}
@@ -26,6 +27,13 @@ BOTH = 106.0
 OF_BYTES = 36.0
 #: How many such first levels are fitted at most, and how many plans of two levels of bytes come of a call.
 FIRSTS = 2
+#: How many dB bytes hold of what a level above them leaves; for an SNR more and less of them are tried as well.
+HELD = (28.0, 34.0, 22.0)
+#: A level of float16 numbers above bytes is worth having from so many dB on.
+LEAST_ABOVE = 12.0
+#: Of how many of the plans that were followed it is tried, such as differ in organisation or undecomposed modes; of
+#: arrays of more than `FEW_ELEMENTS` of the best alone, once.
+UNCUT, FEW_ELEMENTS = 5, 1 << 22
 
 
 def below_rounding(task: Task, others: Sequence[Plan]) -> Iterator[Plan]:
@@ -50,6 +58,49 @@ def below_rounding(task: Task, others: Sequence[Plan]) -> Iterator[Plan]:
         narrow = [with_bits(each, min(BITS)) for each in below if (task.plan.snr or 0.0) < BOTH]
         both = dict.fromkeys([*(each for each in narrow if task.bits is None), *below])
         yield from (replace(each, snr=task.plan.snr, size=task.plan.size) for each in both)
+
+
+def with_bytes_below(best: Followed, followed: Sequence[Followed]) -> Followed:
+    """The best of a model and of bytes below a level of float16 numbers, which ends so far before it as bytes hold.
+
+    Bytes alone end where their own rounding outweighs what a rank more would gain, and float16 numbers take twice as
+    many. So float16 are the few numbers that hold most of the energy. Plans that were followed tell which modes have
+    ranks; for a size the model that comes of it tells where the level above should end, as long as that helps.
+    """
+    task = best.task
+    if task.bits is not None:
+        return best
+    plans = dict.fromkeys(_uncut(each.task.plan) for each in _best_first(followed) if each.task.plan.levels[-1].own)
+    is_small = prod(task.source.shape) <= FEW_ELEMENTS
+    for plan in [*plans][: UNCUT if is_small else 1]:
+        helps = True
+        while helps:
+            found = best_of([best, *_bytes_below(best, plan, HELD if is_small else HELD[:1])])
+            helps, best = found is not best and task.plan.snr is None, found
+    return best
+
+
+def _bytes_below(best: Followed, plan: Plan, held: Sequence[float]) -> Iterator[Followed]:
+    """What comes of a plan of one level, ended so many dB before the goal or before the best, and bytes below it."""
+    task, goal = best.task, best.task.plan.snr
+    ends = [best.model.snr - held[0]] if goal is None else [goal - each for each in held]
+    above = further(task, [replace(plan, snr=end, size=None) for end in ends if end >= LEAST_ABOVE])
+    both = [with_bits(two, min(BITS)) for two in (deeper(*each) for each in above) if two is not None]
+    yield from further(task, [replace(two, snr=goal, size=task.plan.size) for two in both], best)
+
+
+def _best_first(followed: Sequence[Followed]) -> list[Followed]:
+    """For a size those of the highest SNR first; for an SNR the smallest that reach it, before the others."""
+    goal = followed[0].task.plan.snr
+    if goal is None:
+        return sorted(followed, key=lambda each: -each.model.snr)
+    return sorted(followed, key=lambda each: (each.model.snr < goal, each.model.nbytes))
+
+
+def _uncut(plan: Plan) -> Plan:
+    """One level of float16 numbers with ranks of its own, for the modes that have ranks in the plan's last level."""
+    last = plan.levels[-1]
+    return replace(plan, levels=(LevelSpec.of_one_cell(last.ranks, max(BITS), last.scheme),))
 
 
 def below_bytes(task: Task, followed: Sequence[Followed]) -> list[Plan]:
