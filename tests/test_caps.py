@@ -19,7 +19,7 @@ from hmkcta.comparing.follow import Task
 from hmkcta.comparing.rivals import follow_any
 from hmkcta.errors import HmkctaError
 from hmkcta.fitting.fit import EFFORTS
-from hmkcta.fitting.hierarchy import Run
+from hmkcta.fitting.run import Run
 from hmkcta.fitting.workset import check_worksets
 from hmkcta.plan import LevelSpec, Plan, parse_plan
 from hmkcta.streaming.budget import memory_limit

@@ -103,13 +103,15 @@ def test_what_keeps_a_file_from_its_size_is_said(words: tuple[str, ...], sentenc
     assert (sentence or "") in result.stderr
 
 
-def test_channels_that_are_lost_beside_louder_ones_are_named(tmp_path: Path) -> None:
-    """As a pressure beside velocities; not where each keeps its share, nor of what is constant."""
+@pytest.mark.parametrize("name", ["channel", "variable"])
+def test_channels_that_are_lost_beside_louder_ones_are_named(name: str, tmp_path: Path) -> None:
+    """As a pressure beside velocities, whatever their axis is called; not where each keeps its share, nor of what is
+    constant."""
     loud, quiet = smooth(20, 24, 12), 0.001 * np.random.default_rng(0).random((20, 24, 12))
     values = np.stack([100 * loud, quiet, np.zeros_like(loud), 0.01 * loud], axis=-1)
-    words = ("--axes", "z,y,x,channel", "--plan", "R=6,6,6,1")
+    words = ("--axes", f"z,y,x,{name}", "--plan", "R=6,6,6,1")
     said = run("compress", saved(tmp_path / "a.npy", values), "-o", tmp_path / "a.hmk", *words).stderr
-    assert "along channel the file holds little of index 1 (RMSE 0.000" in said
+    assert f"along {name} the file holds little of index 1 (RMSE 0.000" in said
     assert said.count("values 0.00029 around their mean), as others of larger values make the SNR. Next: divide") == 1
     even = saved(tmp_path / "b.npy", np.stack([loud, 2 * loud, 3 * loud], axis=-1))
     assert "of larger values" not in run("compress", even, "-o", tmp_path / "b.hmk", *words).stderr

@@ -16,7 +16,7 @@ from hmkcta import Model
 from hmkcta.comparing import follow
 from hmkcta.comparing.followed import fitted_with, further
 from hmkcta.fitting.fit import EFFORTS
-from hmkcta.fitting.hierarchy import Run
+from hmkcta.fitting.run import Run
 from hmkcta.plan import Plan, parse_plan
 from hmkcta.streaming.source import prepare
 from hmkcta.support.progress import OF_PLAN, Compared, nobody

@@ -11,7 +11,7 @@ from hmkcta.comparing.alternatives import with_clusters_times
 from hmkcta.comparing.follow import Task
 from hmkcta.comparing.followed import fits
 from hmkcta.fitting.fit import EFFORTS
-from hmkcta.fitting.hierarchy import Run
+from hmkcta.fitting.run import Run
 from hmkcta.plan import parse_plan
 from hmkcta.streaming.source import prepare
 from hmkcta.support.progress import nobody

@@ -11,7 +11,8 @@ import pytest
 
 from hmkcta import Model, compress
 from hmkcta.fitting.fit import EFFORTS
-from hmkcta.fitting.hierarchy import Run, backfit, descend, fit_nodes, whole
+from hmkcta.fitting.hierarchy import backfit, descend, fit_nodes, whole
+from hmkcta.fitting.run import Run
 from hmkcta.plan import parse_plan
 from hmkcta.synthetic import light_field, material, volume
 from real_data import real_data

@@ -68,7 +68,7 @@ WITHIN = {
         ("memberships",),
         ("search",),
         ("fit", "subdivision"),
-        ("workset",),
+        ("run", "workset"),
         ("disjoint",),
         ("hierarchy",),
     ),

@@ -23,11 +23,11 @@ from .choosing.blocks import SHARED, Samples, samples_of
 from .choosing.tuning import tune
 from .comparing.both_goals import follow_both
 from .comparing.finer import SMALL, finer
-from .comparing.follow import Task, follow
+from .comparing.follow import ORGANISATIONS, Task, follow
 from .comparing.followed import Followed, best_of
 from .errors import GoalMissed, expect, invalid, shown
 from .fitting.fit import EFFORTS
-from .fitting.hierarchy import Run
+from .fitting.run import Run
 from .goals import misses
 from .hmkfile import KINDS
 from .journal import Journal, decisive
@@ -38,6 +38,7 @@ from .streaming.budget import check_least_memory
 from .streaming.source import Source, prepare
 from .support.executors import thread_count
 from .support.memory import keep_freed_memory
+from .support.once import Once
 from .support.progress import Compared, Progress, nobody
 from .wanted import Wanted, read_plan, the_goal, wanted_of
 
@@ -207,7 +208,7 @@ def _best_for(source: Source, run: Run, wanted: Wanted, kind: str) -> Followed:
     def samples() -> Samples | None:  # of all choices; they and the values stay while plans are fitted
         return samples_of(source) if prod(source.shape) <= SHARED else None
 
-    compared = Compared()
+    shared: dict[str, Any] = {"compared": Compared(), "first_levels": Once(ORGANISATIONS)}
 
     def best(run: Run, suffix: str = "") -> Followed:
         def chosen(name: str, aim: float | None = None, **others: Any) -> list[Plan]:
@@ -215,7 +216,7 @@ def _best_for(source: Source, run: Run, wanted: Wanted, kind: str) -> Followed:
             return run.journal.plans(lambda: _chosen(source, run, wants, aim, samples()), name + suffix)
 
         first, *others = chosen("plan")
-        task = replace(_task(source, run, wanted, kind, first), compared=compared)
+        task = replace(_task(source, run, wanted, kind, first), **shared)
         return follow_both(task, others, lambda said: warn(said, stacklevel=8), chosen, wanted.ceiling)
 
     if run.effort != EFFORTS["thorough"]:

@@ -18,7 +18,7 @@ from ..axes import Organisation, folded, mode_sizes
 from ..errors import invalid
 from ..filesize import planned_bytes
 from ..fitting.fit import EFFORTS
-from ..fitting.hierarchy import Run
+from ..fitting.run import Run
 from ..goals import LEAST
 from ..grids import SMALLEST_EDGE, changed, coarser, few_grids
 from ..plan import Plan

@@ -24,8 +24,8 @@ LOUD, FEW = 20.0, 3.0
 ZERO = 1e-5
 #: What whole numbers spread by is rounding, or noise of a sensor, up to so many steps; so it is of all of one byte.
 STEPS = 4.0
-#: So many lost channels are named.
-SOME = 4
+#: So many lost channels are named; an axis of no known role may be of channels up to so many.
+SOME, SHORT = 4, 16
 #: What a number takes, by its bits.
 BYTES = {8: "a byte", 16: "two bytes"}
 #: Whole numbers may be labels where a sample of so many elements has up to so many values.
@@ -78,14 +78,31 @@ def _why_large(model: Model, array: NDArray[Any], planned: bool) -> str:
 
 
 def _lost_channels(model: Model, array: NDArray[Any]) -> list[str]:
-    """Whether some channels are lost beside others of larger values, as of quantities that have units of their own."""
-    axes = [n for n, axis in enumerate(model.metadata.axes) if axis.role == "channel" and axis.size > 1]
-    if not axes or not LOUD < model.snr < np.inf:
+    """Whether some channels are lost beside others of larger values, as of quantities that have units of their own.
+
+    A short axis of no known role may be of such quantities, too.
+    """
+    if not LOUD < model.snr < np.inf:
         return []
-    axis, size = model.metadata.axes[axes[0]].name, array.shape[axes[0]]
-    steps = thinning([1 if n == axes[0] else rows for n, rows in enumerate(array.shape)], max(1, COMPARED // size))
-    places = tuple(slice(None, None, 1 if n == axes[0] else step) for n, step in enumerate(steps))
-    values, decoded = (np.moveaxis(np.asarray(each[places], np.float64), axes[0], 0).reshape(size, -1)
+    axes = list(enumerate(model.metadata.axes))
+    named = [n for n, axis in axes if axis.role == "channel" and axis.size > 1]
+    short = [n for n, axis in axes if axis.role == "other" and 1 < axis.size <= SHORT]
+    lost = {n: _lost_along(model, array, n) for n in named or short}
+    most = max(lost, key=lambda n: len(lost[n]), default=0)
+    if not lost or not 0 < len(lost[most]) < array.shape[most]:
+        return []
+    more = f" and {len(lost[most]) - SOME} more" if len(lost[most]) > SOME else ""
+    return [f"along {model.metadata.axes[most].name} the file holds little of index {', '.join(lost[most][:SOME])}"
+            f"{more}, as others of larger values make the SNR. "
+            "Next: divide each by its own deviation first, or compress them apart"]
+
+
+def _lost_along(model: Model, array: NDArray[Any], n: int) -> list[str]:
+    """The indices of axis n of which errors hide what varies, each with the two, told by a sample."""
+    size = array.shape[n]
+    steps = thinning([1 if m == n else rows for m, rows in enumerate(array.shape)], max(1, COMPARED // size))
+    places = tuple(slice(None, None, 1 if m == n else step) for m, step in enumerate(steps))
+    values, decoded = (np.moveaxis(np.asarray(each[places], np.float64), n, 0).reshape(size, -1)
                        for each in (array, model))  # fmt: skip
     drop_pages(array)
     told = np.isfinite(values).all(axis=0)
@@ -94,12 +111,7 @@ def _lost_channels(model: Model, array: NDArray[Any]) -> list[str]:
     deviation = values[:, told].std(axis=1)
     error = np.sqrt(np.square(values - decoded)[:, told].mean(axis=1))
     lost = np.flatnonzero((deviation > 0) & (error > HIDDEN * deviation))
-    if not 0 < len(lost) < size:
-        return []
-    more = f" and {len(lost) - SOME} more" if len(lost) > SOME else ""
-    some = ", ".join(f"{i} (RMSE {error[i]:.2g}, values {deviation[i]:.2g} around their mean)" for i in lost[:SOME])
-    return [f"along {axis} the file holds little of index {some}{more}, as others of larger values make the SNR. "
-            "Next: divide each by its own deviation first, or compress them apart"]
+    return [f"{i} (RMSE {error[i]:.2g}, values {deviation[i]:.2g} around their mean)" for i in lost]
 
 
 def _few_loud(model: Model, array: NDArray[Any]) -> list[str]:

@@ -14,7 +14,6 @@ from ..filesize import metadata_of, undecomposed_in
 from ..fitting.fit import EFFORTS
 from ..fitting.hierarchy import (
     Hierarchy,
-    Run,
     ascend,
     backfit,
     descend,
@@ -25,6 +24,7 @@ from ..fitting.hierarchy import (
     thinned,
     whole,
 )
+from ..fitting.run import FirstLevels, Run
 from ..fitting.workset import check_worksets
 from ..hmkfile import encoded_size
 from ..measure import measure_both
@@ -40,10 +40,13 @@ from ..streaming.budget import is_streamed, memory_limit, room_beside
 from ..streaming.source import Source
 from ..streaming.streamed import Streamed
 from ..support.memory import give_back_freed_memory, memory_budget
+from ..support.once import Once
 from ..support.progress import Compared
 
 #: Share of the error that an SNR allows below which ranks of a node need not be told apart by their errors.
 UNTOLD = 0.02
+#: How many first levels of one organisation, and of how many organisations, are kept for further plans.
+FIRST_LEVELS, ORGANISATIONS = 8, 8
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,7 @@ class Task:
         organised: whether the organisation is given, so that plans of another one are out.
         most: bytes for the SNR beyond which the plan is given up, as another one takes less.
         compared: counts the plans that are compared.
+        first_levels: of all plans that are compared, by their organisation; None: there is one plan alone.
     """
 
     source: Source
@@ -73,6 +77,7 @@ class Task:
     organised: bool = False
     most: float = inf
     compared: Compared = field(default_factory=Compared)
+    first_levels: Once[FirstLevels] | None = None
 
 
 def follow(task: Task) -> Model:
@@ -82,8 +87,12 @@ def follow(task: Task) -> Model:
         HmkctaError: the plan does not fit the tensor, or its goal is below what it can do.
     """
     give_back_freed_memory()
-    run = replace(task.run, room=room_beside(prod(task.source.shape), task.memory))
-    task, plan = replace(task, run=run), task.plan
+    plan, firsts = task.plan, task.first_levels
+    run = replace(
+        task.run, room=room_beside(prod(task.source.shape), task.memory),
+        first_levels=firsts and firsts.get(plan.organisation, lambda: FirstLevels(FIRST_LEVELS)),
+    )  # fmt: skip
+    task = replace(task, run=run)
     check_plan(plan, mode_sizes(task.source.axes, plan.organisation))
     tree, goal = _begun(task)
     rounds, met = run.effort.backfits if len(plan.levels) > 1 and not plan.levels[-1].own else 0, False

@@ -151,12 +151,18 @@ def _chosen_anew(given: Task, found: Followed, left: list[Plan], choose: Choose)
     transformed = not given.source.value_transform.is_identity
     if transformed and goal is not None:
         return _aimed_anew(found, goal, left, choose) if misses(model.snr, goal) or is_worth(given) else (found, left)
-    fall_short = task.plan.levels[-1].bits == bits or misses(model.snr, goal)
+    fall_short = not _is_of_bytes(task.plan) or misses(model.snr, goal)
     doubtful = transformed if goal is None else given.plan.levels[-1].bits < bits and fall_short
     if not doubtful or given.bits is not None or not is_worth(given):
         return found, left
     plans = filterfalse(is_verbatim, choose("plan-2", bits=bits))
     return best_of([found, *further(task, plans, found)]), left
+
+
+def _is_of_bytes(plan: Plan) -> bool:
+    """Whether one level of bytes does, alone or below ranks of one."""
+    *above, last = plan.levels
+    return last.bits < max(BITS) and all((rank or 1) == 1 for level in above for rank in level.ranks)
 
 
 def _aimed_anew(found: Followed, goal: float, left: list[Plan], choose: Choose) -> tuple[Followed, list[Plan]]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from math import prod
+from math import inf, prod
 
 from ..axes import mode_sizes
 from ..model import Model
@@ -84,7 +84,7 @@ def _bytes_below(best: Followed, plan: Plan, held: Sequence[float]) -> Iterator[
     """What comes of a plan of one level, ended so many dB before the goal or before the best, and bytes below it."""
     task, goal = best.task, best.task.plan.snr
     ends = [best.model.snr - held[0]] if goal is None else [goal - each for each in held]
-    above = further(task, [replace(plan, snr=end, size=None) for end in ends if end >= LEAST_ABOVE])
+    above = further(task, [replace(plan, snr=end, size=None) for end in ends if LEAST_ABOVE <= end < inf])
     both = [with_bits(two, min(BITS)) for two in (deeper(*each) for each in above) if two is not None]
     yield from further(task, [replace(two, snr=goal, size=task.plan.size) for two in both], best)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import partial
@@ -16,52 +16,21 @@ from ..arrays import F32
 from ..axes import Axis, Organisation
 from ..cells import Cells
 from ..errors import invalid
-from ..journal import NoJournal
 from ..metrics import squared_norm
 from ..plan import LevelSpec
 from ..streaming.blocks import Saved, thinned_cells
-from ..streaming.budget import side_by_side
 from ..streaming.large import Large, large
 from ..streaming.pieces import Piece, Rows, SubTensor
 from ..streaming.streamed import Streamed
 from ..support.executors import Queue, repeatedly
 from ..support.grouping import rows_of_parts
-from ..support.progress import Progress, Told
+from ..support.progress import Told
 from .disjoint import cut_as_fitted, fit_outside, refit_outside
-from .fit import Effort, Labels, fit_level, refit_level
+from .fit import Labels, fit_level, refit_level
 from .memberships import grid_blocks
+from .run import Run
 from .subdivision import subdivide
 from .workset import SAMPLED, SMALLER, workset_steps
-
-
-@dataclass(frozen=True)
-class Run:
-    """What every step of a fit shares.
-
-    Attributes:
-        effort: how long to try.
-        seed: of all random starts.
-        threads: how many work at once.
-        progress: told each stage and the fraction of it done.
-        journal: keeps the nodes that are finished.
-        device: ``cpu`` or ``cuda``, where the kernels work.
-        room: bytes that nodes may take together while they are fitted; None: as many as they like.
-    """
-
-    effort: Effort
-    seed: int
-    threads: int
-    progress: Progress
-    journal: NoJournal = field(default_factory=NoJournal)
-    device: str = "cpu"
-    room: int | None = None
-
-    def side_by_side(self, specs: Iterable[LevelSpec | None], nodes: Sequence[Node]) -> int:
-        """How many of the nodes are fitted side by side; what comes out does not depend on it."""
-        if self.room is None or len(nodes) < 2:
-            return self.threads
-        largest = tuple(map(max, *(node.sizes for node in nodes)))
-        return min((side_by_side(spec, largest, self.threads, self.room) for spec in set(specs) if spec), default=1)
 
 
 @dataclass(eq=False)
@@ -222,8 +191,11 @@ def fit_nodes(
             if outside is not None:
                 return fit_outside(outside, level, spec, run.effort, rng, labels(node), told).rounded(), None
             tensor = gather(tree.residual, node, lent=True)
-            found = fit_level(tensor, spec, run.effort, rng, labels(node)).rounded() if tensor.any() else None
-            return found, tensor
+
+            def found() -> Cells | None:
+                return fit_level(tensor, spec, run.effort, rng, labels(node)).rounded() if tensor.any() else None
+
+            return run.first_level(spec, found) if depth == 1 else found(), tensor
 
         _renew(tree, run, (step, depth, s), spec, fitted)
 

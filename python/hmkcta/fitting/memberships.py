@@ -158,12 +158,17 @@ def _means(rows: F64, labels: NDArray[np.intp]) -> F64:
 
 def _spread_centres(features: F64, clusters: int, rng: np.random.Generator) -> F64:
     """K-means++: rows drawn by their squared distance to the nearest that has been drawn, `[C, F]`."""
-    chosen = [int(rng.integers(len(features)))]
+    squares = np.square(features).sum(axis=1)
     nearest = np.full(len(features), np.inf)
+    chosen = [int(rng.integers(len(features)))]
     while len(chosen) < clusters:
-        nearest = np.minimum(nearest, np.square(features - features[chosen[-1]]).sum(axis=1))
-        total = nearest.sum()
-        chosen.append(int(rng.choice(len(features), p=nearest / total if total > 0 else None)))
+        last = chosen[-1]
+        distance = squares - 2 * (features @ features[last]) + squares[last]
+        nearest = np.minimum(nearest, np.maximum(distance, 0.0))
+        nearest[last] = 0.0
+        share: F64 = np.cumsum(nearest)
+        drawn = int(share.searchsorted(rng.random() * float(share[-1]), side="right"))
+        chosen.append(drawn if drawn < len(features) else int(rng.integers(len(features))))  # all are where one is
     return features[chosen]
 
 

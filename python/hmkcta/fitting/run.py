@@ -1,0 +1,55 @@
+"""What every step of a fit shares, and what fits of plans that begin alike share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+
+from ..cells import Cells
+from ..journal import NoJournal
+from ..plan import LevelSpec
+from ..streaming.budget import side_by_side
+from ..streaming.pieces import SubTensor
+from ..support.once import Once
+from ..support.progress import Progress
+from .fit import Effort
+
+#: First levels of one organisation: the cells, None where the tensor is zero, by what they were fitted by.
+FirstLevels = Once[Cells | None]
+
+
+@dataclass(frozen=True)
+class Run:
+    """What every step of a fit shares.
+
+    Attributes:
+        effort: how long to try.
+        seed: of all random starts.
+        threads: how many work at once.
+        progress: told each stage and the fraction of it done.
+        journal: keeps the nodes that are finished.
+        device: ``cpu`` or ``cuda``, where the kernels work.
+        room: bytes that nodes may take together while they are fitted; None: as many as they like.
+        first_levels: of other plans of the same organisation for the same tensor; None: there are none.
+    """
+
+    effort: Effort
+    seed: int
+    threads: int
+    progress: Progress
+    journal: NoJournal = field(default_factory=NoJournal)
+    device: str = "cpu"
+    room: int | None = None
+    first_levels: FirstLevels | None = None
+
+    def side_by_side(self, specs: Iterable[LevelSpec | None], nodes: Sequence[SubTensor]) -> int:
+        """How many of the nodes are fitted side by side; what comes out does not depend on it."""
+        if self.room is None or len(nodes) < 2:
+            return self.threads
+        largest = tuple(map(max, *(node.sizes for node in nodes)))
+        return min((side_by_side(spec, largest, self.threads, self.room) for spec in set(specs) if spec), default=1)
+
+    def first_level(self, spec: LevelSpec, fit: Callable[[], Cells | None]) -> Cells | None:
+        """The cells of a first level, of another plan that begins with it or fitted now; nobody changes them."""
+        is_shared = self.first_levels is not None and spec.cells > 1 and not spec.grid and not spec.own
+        return self.first_levels.get((spec, self.effort), fit) if self.first_levels and is_shared else fit()
