@@ -8,17 +8,22 @@ from pathlib import Path
 from threading import Barrier
 from typing import Any
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import hmkcta
 from cli_tools import report, run, saved, smooth
 from hmkcta import Model
+from hmkcta.cells import Cells
 from hmkcta.comparing import follow
 from hmkcta.comparing.followed import fitted_with, further
-from hmkcta.fitting.fit import EFFORTS
-from hmkcta.fitting.run import Run
-from hmkcta.plan import Plan, parse_plan
+from hmkcta.fitting.fit import EFFORTS, fit_level
+from hmkcta.fitting.run import FirstLevels, Run
+from hmkcta.hmkfile import encode
+from hmkcta.plan import LevelSpec, Plan, parse_plan
 from hmkcta.streaming.source import prepare
+from hmkcta.support.once import Once
 from hmkcta.support.progress import OF_PLAN, Compared, nobody
 
 MODES = (("z",), ("y",), ("x",))
@@ -164,6 +169,27 @@ def test_a_plan_that_fails_beside_others_ends_them_all(monkeypatch: pytest.Monke
     assert next(models).task.plan == RANKS[0]
     with pytest.raises(ZeroDivisionError):
         next(models)
+
+
+def test_plans_that_begin_alike_share_their_first_level(monkeypatch: pytest.MonkeyPatch) -> None:
+    fitted = list[LevelSpec]()
+
+    def noted(tensor: NDArray[np.float32], spec: LevelSpec, *others: Any) -> Cells:
+        fitted.append(spec)
+        return fit_level(tensor, spec, *others)
+
+    monkeypatch.setattr("hmkcta.fitting.hierarchy.fit_level", noted)
+    texts = ("R=1 C=3,1,1 / R<=4", "R=1 C=3,1,1 / R<=4 bits=8")
+    plans = [replace(parse_plan(text, MODES), size=9000) for text in texts]
+    alone = task_on_two_threads()
+    together = [replace(alone, first_levels=firsts) for firsts in (None, Once[FirstLevels](1))]
+    files, first_levels = list[list[bytes]](), list[int]()
+    for task in together:
+        fitted.clear()
+        files.append([b"".join(encode(model.metadata, model.levels)) for _, model in further(task, plans)])
+        first_levels.append(sum(spec.cells == 3 for spec in fitted))
+    assert files[0] == files[1]
+    assert first_levels == [2, 1]
 
 
 def test_the_command_line_adds_the_times_of_all_plans_and_counts_them(tmp_path: Path) -> None:
