@@ -330,6 +330,11 @@ def raised(call: Callable[[], object]) -> HmkctaError:
     return caught.value
 
 
+def test_no_memory_at_all_is_a_bad_argument() -> None:
+    error = refused(WAVE, max_memory=-1)
+    assert (error.reason, error.found, error.allowed) == ("size", -1, "a positive number of bytes")
+
+
 def test_what_to_do_next_is_said_in_the_words_of_python_too(tmp_path: Path) -> None:
     compress(WAVE, "R=1").save(tmp_path / "a.hmk")
     (tmp_path / "a.partial").mkdir()

@@ -313,3 +313,10 @@ def test_exr_files_of_several_parts_are_refused(tmp_path: Path) -> None:
              for name in ("left", "right")]
     exr.File(parts).write(str(tmp_path / "a.exr"))
     assert "2 parts" in str(refusal(tmp_path / "a.exr"))
+
+
+def test_a_series_may_be_of_either_byte_order(tmp_path: Path) -> None:
+    values = np.arange(24, dtype=np.float32).reshape(2, 3, 4)
+    for number, order in enumerate("><"):
+        np.save(tmp_path / f"{number}.npy", values[number].astype(f"{order}f4"))
+    assert np.array_equal(open_array(tmp_path), values)

@@ -53,10 +53,12 @@ def memory_given(given: int | str | None) -> int | None:
     (200000000, None)
 
     Raises:
-        HmkctaError: reason ``size`` of a text that is no number of bytes, ``argument-type`` of anything else.
+        HmkctaError: reason ``size`` of what is no positive number of bytes, ``argument-type`` of no number or text.
     """
     memory = bytes_given("max_memory", given)
     expect("max_memory", memory, Integral | None, "a whole number of bytes, or text such as 200MB")
+    if memory is not None and memory < 1:
+        raise invalid("size", "max_memory", memory, "a positive number of bytes")
     return None if memory is None else int(memory)
 
 

@@ -59,17 +59,17 @@ def open_series(
     """
     silent = replace(unpacker, progress=None)  # it is files that are counted
     first = opener(paths[0], silent)
-    layout = Layout((len(paths), *first.shape), first.dtype)
+    layout = Layout((len(paths), *first.shape), first.dtype.newbyteorder("="))
 
     def read(part: Part) -> NDArray[Any]:
         number: int = part[0].start
         path = paths[number]
         array = opener(path, silent)
-        if (array.shape, array.dtype) != (first.shape, first.dtype):
+        if (array.shape, array.dtype.newbyteorder("=")) != (first.shape, layout.dtype):
             raise invalid("series-mixed", str(path), str(Layout(array.shape, array.dtype)),
                           f"{Layout(first.shape, first.dtype)}, as {paths[0].name} is",
                           "choose files of one shape and type by a pattern")
-        values = np.asarray(array)[np.newaxis]
+        values = np.asarray(array, layout.dtype)[np.newaxis]
         drop_pages(array)
         return values
 
