@@ -204,9 +204,10 @@ def test_an_snr_takes_fewer_bytes() -> None:
 def test_where_bytes_leave_too_much_numbers_have_two() -> None:
     """Of a smooth tensor that many ranks do not exhaust."""
     tensor = smooth(16, 24, 24, 24)
-    chosen = compress(tensor, snr=58.0, threads=1)
-    assert [level.bits for level in chosen.levels] == [16]
+    chosen, wide = compress(tensor, snr=58.0, threads=1), compress(tensor, snr=58.0, bits=16, threads=1)
+    assert [level.bits for level in chosen.levels] == [16, 8]
     assert chosen.snr >= 58
+    assert chosen.nbytes < wide.nbytes
 
 
 @pytest.mark.parametrize("bits", [8, 16])

@@ -70,7 +70,8 @@ def with_bytes_below(best: Followed, followed: Sequence[Followed]) -> Followed:
     task = best.task
     if task.bits is not None:
         return best
-    plans = dict.fromkeys(_uncut(each.task.plan) for each in _best_first(followed) if each.task.plan.levels[-1].own)
+    open_ranks = (plan for plan in (each.task.plan for each in _best_first(followed)) if not is_verbatim(plan))
+    plans = dict.fromkeys(_uncut(plan) for plan in open_ranks if plan.levels[-1].own)
     is_small = prod(task.source.shape) <= FEW_ELEMENTS
     for plan in [*plans][: UNCUT if is_small else 1]:
         helps = True

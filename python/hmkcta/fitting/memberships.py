@@ -110,13 +110,6 @@ def row_features(tensor: NDArray[Any], n: int) -> F64:
     return unfolded @ _leading(unfolded.T @ unfolded)[1]
 
 
-def _in_own_span(rows: F32) -> F32:
-    """Coordinates `[I, I]` of few long rows, of the same lengths and angles."""
-    wide = rows.astype(np.float64)
-    values, vectors = np.linalg.eigh(wide @ wide.T)
-    return (vectors * np.sqrt(np.maximum(values, 0))).astype(np.float32)
-
-
 def _leading(gram: F64) -> tuple[F64, F64]:
     """Eigenvalues and -vectors of as many features, the largest first; of large matrices by subspace iteration."""
     if len(gram) <= EXACT_SIDE:
@@ -254,10 +247,7 @@ def by_subspaces(
     n, ranks = parted[0], [rank or size for rank, size in zip(spec.ranks, tensor.shape, strict=True)]
     most = prod(rank for m, rank in enumerate(ranks) if m != n)
     rows = sampled_rows(tensor, n).astype(np.float32, order="C").reshape(tensor.shape[n], -1)
-    dimensions = some_dimensions(rows.shape[1]) if spec.own else (min(ranks[n], most),)
-    if len(rows) < min(rows.shape[1], EXACT_SIDE):
-        rows = _in_own_span(rows)
-    for dimension in dimensions:
+    for dimension in some_dimensions(rows.shape[1]) if spec.own else (min(ranks[n], most),):
         if dimension < rows.shape[1] and len(rows) >= 2 * spec.clusters[n]:
             labels = [np.zeros(size, np.intp) for size in tensor.shape]
             labels[n] = subspace_clusters(rows, spec.clusters[n], dimension, rng)
