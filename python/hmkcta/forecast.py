@@ -8,7 +8,6 @@ from math import inf, prod
 
 from .choosing.judging import CARES
 from .comparing.finer import LARGE
-from .comparing.followed import SIDE_BY_SIDE
 from .fitting.disjoint import JUDGING
 from .fitting.fit import EFFORTS, Effort
 from .fitting.memberships import ROUNDS, ROWS, ROWS_EACH
@@ -176,7 +175,7 @@ def forecast(
         features = _parting_bytes(plan, sizes, compared=compared)
         theirs = model if plan.snr is None else max(model, _most_of_others(plan, elements))
         # One other is seldom followed to the end.
-        side_by_side = min(SIDE_BY_SIDE, followed_together(elements, threads, memory_budget(memory)))
+        side_by_side = followed_together(elements, threads, memory_budget(memory))
         fits = [side_by_side * (fit + theirs), fit + model] if compared and others > 1 else [fit + model]
         return found(_peak(choosing, *fits, measuring, beside=features + (_HEAPS_COMPARED if compared else 0)))
     check_worksets(plan, sizes, limit, memory)

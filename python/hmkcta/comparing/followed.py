@@ -13,15 +13,13 @@ from ..filesize import planned_bytes
 from ..fitting.fit import EFFORTS
 from ..model import Model
 from ..plan import Plan
-from ..streaming.budget import followed_together, is_streamed
+from ..streaming.budget import SIDE_BY_SIDE, followed_together, is_streamed
 from ..support.executors import in_order
 from .finer import LARGE
 from .follow import Task, budget_of, follow, limit_of
 
 #: Reasons why a plan cannot be followed, or none be chosen, that are none to end with: there is a model already.
 NOT_FOLLOWED = ("size-too-small", "memory")
-#: Most plans that are followed at once.
-SIDE_BY_SIDE = 8
 #: Share of the nodes below a first level that are taken to store ranks of one, where a plan's least bytes are told:
 #: nodes whose rows are alike store nothing.
 FILLED = 0.5
@@ -104,8 +102,7 @@ def _side_by_side(task: Task) -> int:
     """How many plans are followed at once: of arrays so small that the steps of one hardly keep all threads busy."""
     if task.run.device != "cpu":
         return 1
-    elements, budget = prod(task.source.shape), budget_of(task)
-    return min(SIDE_BY_SIDE, followed_together(elements, task.run.threads, budget))
+    return followed_together(prod(task.source.shape), task.run.threads, budget_of(task))
 
 
 def _bytes_to_reach(best: Followed) -> float:

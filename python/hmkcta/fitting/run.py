@@ -51,5 +51,6 @@ class Run:
 
     def first_level(self, spec: LevelSpec, fit: Callable[[], Cells | None]) -> Cells | None:
         """The cells of a first level, of another plan that begins with it or fitted now; nobody changes them."""
-        is_shared = self.first_levels is not None and spec.cells > 1 and not spec.grid and not spec.own
-        return self.first_levels.get((spec, self.effort), fit) if self.first_levels and is_shared else fit()
+        if self.first_levels is None or spec.cells == 1 or spec.grid or spec.own:
+            return fit()
+        return self.first_levels.get((spec, self.effort), fit)

@@ -36,6 +36,8 @@ TOGETHER = 1 << 24
 FEWEST = 1 << 20
 #: Bytes of memory for each of these elements.
 EACH = 40
+#: Most plans that are followed at once.
+SIDE_BY_SIDE = 8
 #: Bytes of memory for each element of an array on which a plan is followed beside others.
 BESIDE_OTHERS = 2 * WORKING
 #: SNR in dB beyond which samples are looked at in float64.
@@ -101,7 +103,7 @@ def followed_together(elements: int, threads: int, budget: int) -> int:
     (2, 1)
     """
     room = (budget - PROCESS) // (BESIDE_OTHERS * elements)
-    return max(1, min(threads, TOGETHER // elements, room))
+    return max(1, min(threads, SIDE_BY_SIDE, TOGETHER // elements, room))
 
 
 def model_bytes(plan: Plan, sizes: Sequence[int], threads: int = 1, room: int = 0) -> int:
