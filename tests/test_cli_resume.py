@@ -181,18 +181,26 @@ e.tune = slow
     assert sorted(path.name for path in tmp_path.iterdir()) == ["ready"]
 
 
+def written(path: Path) -> int:
+    """Bytes of a file that another process may remove at any moment; -1 where there is none."""
+    try:
+        return path.stat().st_size
+    except FileNotFoundError:
+        return -1
+
+
 def await_size(path: Path, size: int) -> None:
     """Wait until another process has written so much there."""
     deadline = time.monotonic() + 60
-    while not (path.exists() and path.stat().st_size >= size):
+    while written(path) < size:
         assert time.monotonic() < deadline
         time.sleep(0.002)
 
 
 def a_moment(process: subprocess.Popen[str], nodes: Path, more: float, seconds: float) -> None:
     """Wait until more bytes of nodes are kept than were, if the work does not end before, and then some seconds."""
-    kept = nodes.stat().st_size if nodes.exists() else 0
-    while process.poll() is None and not (nodes.exists() and nodes.stat().st_size >= kept + more):
+    kept = max(written(nodes), 0)
+    while process.poll() is None and written(nodes) < kept + more:
         time.sleep(0.002)
     time.sleep(seconds)
 
@@ -229,7 +237,7 @@ def test_killed_at_twenty_random_moments(source: Path, tmp_path: Path) -> None:
             output.unlink()
             ended += not nodes.parent.exists()  # killed when the file was there, and what was kept for it still
         else:
-            went_on += nodes.exists() and nodes.stat().st_size > 0
+            went_on += written(nodes) > 0
     words = (COMMAND, CHOSEN)[ended % 2]
     assert finish(start("compress", source, "-o", output, *words, "--quiet", "--resume"))[0] == 0
     assert output.read_bytes() == reference[words]
