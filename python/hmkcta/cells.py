@@ -10,13 +10,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from math import prod
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .arrays import F32
+from .arrays import F32, F64
 from .errors import invalid
-from .narrow import BASIS_NUMBERS, CORE_NUMBERS, LARGEST_BASIS, narrowed, widened
+from .narrow import BASIS_NUMBERS, CORE_NUMBERS, F16, LARGEST_BASIS, U8, largest_in, narrowed, widened
 from .plan import LevelSpec
 
 #: Inner products of the bases of all pairs of cells: `[R_m, PC, R_m, PC]`.
@@ -73,14 +74,15 @@ class Cells:
         bases = [basis.copy() for basis in self.bases]
         return Cells(self.sizes, self.spec, list(self.members), bases, self.cores.copy())
 
-    def rounded(self) -> Cells:
+    def rounded(self, column_bits: Sequence[U8 | None] | None = None) -> Cells:
         """The cells as they will be stored: numbers of the spec's bits, cores with a float32 factor a cell.
 
-        Of eight bits, columns of bases go as far as a byte does, and cores take their lengths.
+        Of eight bits, columns of bases go as far as a byte does, and cores take their lengths. `column_bits`: how many
+        each column `[R_n]` has instead; None: eight.
         """
         if self.spec.bits == 8:
-            bases, cores = scaled_columns(self)
-            bases = [widened(narrowed(basis, BASIS_NUMBERS), BASIS_NUMBERS) for basis in bases]
+            bases, cores = scaled_columns(self, column_bits)
+            bases = [in_bits(basis, None if column_bits is None else column_bits[n]) for n, basis in enumerate(bases)]
         else:
             bases, cores = self.bases, self.cores
         stored, scale = round_cores(cores, self.spec.bits)
@@ -99,8 +101,8 @@ def check_shape(tensor: F32, cells: Cells) -> None:
         raise invalid("wrong-shape", "tensor", tensor.shape, str(cells.sizes))
 
 
-def scaled_columns(cells: Cells) -> tuple[list[F32], F32]:
-    """Bases whose columns, cell by cell, reach up to the largest number of a byte, and cores that make up for it.
+def scaled_columns(cells: Cells, column_bits: Sequence[U8 | None] | None = None) -> tuple[list[F32], F32]:
+    """Bases whose columns, cell by cell, reach up to the largest number of their bits, and cores that make up for it.
 
     Columns that do already stay as they are, bit by bit.
     """
@@ -108,18 +110,49 @@ def scaled_columns(cells: Cells) -> tuple[list[F32], F32]:
     for n, basis in enumerate(cells.bases):
         if cells.undecomposed[n]:
             continue
-        members, clusters = cells.members[n], cells.spec.clusters
-        peak = np.zeros((clusters[n], *basis.shape[2:]), np.float32)  # [C_n, PC_-n, R_n]
-        for k in range(basis.shape[1]):
-            np.maximum.at(peak, members[:, k], np.abs(basis[:, k]))
-        factor = np.where(peak > 0, peak, LARGEST_BASIS).astype(np.float64) / LARGEST_BASIS
-        bases[n] = (basis / factor[members]).astype(np.float32)
-        before, after = prod(clusters[:n]), prod(clusters[n + 1 :])
-        each = factor.reshape(clusters[n], before, after, -1).swapaxes(0, 1).reshape(cells.spec.cells, -1)
+        bits = None if column_bits is None else column_bits[n]
+        most = LARGEST_BASIS if bits is None else largest_in(bits)
+        peak = column_peaks(cells, n)
+        factor = np.where(peak > 0, peak, most).astype(np.float64) / most
+        bases[n] = (basis / factor[cells.members[n]]).astype(np.float32)
+        each = by_cells(cells, n, factor)
         along = [1] * cells.order
         along[n] = each.shape[1]
         cores = (cores * each.reshape(-1, *along)).astype(np.float32)
     return bases, cores
+
+
+def column_peaks(cells: Cells, n: int) -> F32:
+    """Largest magnitude of each column of U_n, `[C_n, PC_-n, R_n]`."""
+    basis = cells.bases[n]
+    peak = np.zeros((cells.spec.clusters[n], *basis.shape[2:]), np.float32)
+    for k in range(basis.shape[1]):
+        np.maximum.at(peak, cells.members[n][:, k], np.abs(basis[:, k]))
+    return peak
+
+
+def column_squares(cells: Cells, n: int) -> F64:
+    """Squared length of each column of U_n, `[C_n, PC_-n, R_n]`."""
+    basis = cells.bases[n]
+    squares = np.zeros((cells.spec.clusters[n], *basis.shape[2:]))
+    for k in range(basis.shape[1]):
+        np.add.at(squares, cells.members[n][:, k], np.square(basis[:, k], dtype=np.float64))
+    return squares
+
+
+def by_cells(cells: Cells, n: int, columns: NDArray[Any]) -> NDArray[Any]:
+    """What is told of columns of mode n, `[C_n, PC_-n, R_n]`, for each cell: `[PC, R_n]`."""
+    clusters = cells.spec.clusters
+    before, after = prod(clusters[:n]), prod(clusters[n + 1 :])
+    return columns.reshape(clusters[n], before, after, -1).swapaxes(0, 1).reshape(cells.spec.cells, -1)
+
+
+def in_bits(basis: F32, bits: U8 | None) -> F32 | F16:
+    """The nearest numbers of so many bits, by column; None: of a byte."""
+    if bits is None or not basis.size:
+        return widened(narrowed(basis, BASIS_NUMBERS), BASIS_NUMBERS)
+    ones = np.exp2(bits.astype(np.float32) - 1)
+    return np.rint(basis * ones) / ones
 
 
 def round_cores(cores: F32, bits: int = 16) -> tuple[NDArray[np.float16], F32]:

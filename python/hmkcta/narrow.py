@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 F16 = NDArray[np.float16]
 I8 = NDArray[np.int8]
+U8 = NDArray[np.uint8]
 
 #: Bits of a number that a level may store.
 BITS = (16, 8)
@@ -33,6 +34,15 @@ CORE_NUMBERS: F16 = (_BYTES * np.abs(_BYTES) / LARGEST**2).astype(np.float16)
 LEFT = 8e-5
 #: The largest basis number that is written.
 LARGEST_BASIS = LARGEST / 128
+
+
+def largest_in(bits: U8) -> NDArray[np.float64]:
+    """The largest number that is written of a basis in so many bits.
+
+    >>> largest_in(np.array([2, 8], np.uint8)).tolist()
+    [0.5, 0.9921875]
+    """
+    return 1 - np.exp2(1 - bits.astype(np.float64))
 
 
 def widened(stored: I8, numbers: F16) -> F16:

@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .bitstream import bits_needed, stream_bytes
 from .cells import round_cores
 from .fitting.hierarchy import Node
-from .packed import LevelBounds, PackedLevel
+from .narrow import BASIS_NUMBERS, U8, narrowed
+from .packed import F16, U32, LevelBounds, PackedLevel, number_bits
 from .streaming.pieces import places_of
 
 Ragged = list[NDArray[Any]]
@@ -54,6 +56,7 @@ def _pack(nodes: Sequence[Node], undecomposed: Sequence[int], unit: float, bits:
         _ragged([_basis(node, n) for node in nodes], np.float16) if stored[n] else (None, None) for n in range(order)
     ]
     inner = [stored[n] and not last for n in range(order)]
+    fewer = any(node.cells is not None and node.cells.spec.own_bits for node in nodes)
     return PackedLevel(
         shape=shape,
         child=None if last else _offsets([len(node.children) for node in nodes]),
@@ -71,7 +74,19 @@ def _pack(nodes: Sequence[Node], undecomposed: Sequence[int], unit: float, bits:
             _joined([_local(node, n) for node in nodes], np.uint32) if inner[n] else None for n in range(order)
         ),
         bits=bits,
+        width=tuple(_widths(b, o, shape[:, 2, n]) for n, (b, o) in enumerate(basis)) if fewer else (),
     )
+
+
+def _widths(basis: F16 | None, offsets: U32 | None, ranks: U32) -> U8 | None:
+    """Bits of each node's columns; None where packing them saves nothing."""
+    if basis is None or offsets is None or not basis.size:
+        return None
+    stored = narrowed(basis, BASIS_NUMBERS)
+    parts = zip(offsets[:-1], offsets[1:], ranks, strict=True)
+    width = np.concatenate([bits_needed(stored[begin:end].reshape(-1, rank)) for begin, end, rank in parts if rank])
+    packed = int(number_bits(width, ranks, np.diff(offsets.astype(np.int64))).sum(dtype=np.int64))
+    return width if stream_bytes(packed) + width.size < basis.size else None
 
 
 def _members(node: Node, n: int) -> NDArray[np.uint16]:

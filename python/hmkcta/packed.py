@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from .arrays import F32
 from .axes import Axis, Organisation
-from .narrow import BASIS_NUMBERS, CORE_NUMBERS, I8, narrowed
+from .bitstream import stream_bytes, to_stream
+from .narrow import BASIS_NUMBERS, CORE_NUMBERS, I8, U8, narrowed
 
 U16 = NDArray[np.uint16]
 U32 = NDArray[np.uint32]
@@ -43,6 +44,7 @@ class PackedLevel:
     part: tuple[U16 | None, ...]  # [rows]; None at the last level and for undecomposed modes
     local: tuple[U32 | None, ...]  # [rows]; likewise
     bits: int = 16  # of a core or basis number in the file; of 8 the arrays hold what the bytes stand for (`narrow.py`)
+    width: tuple[U8 | None, ...] = ()  # per node [R_n]: bits of each column of a packed basis; empty: none is packed
 
     @property
     def nodes(self) -> int:
@@ -61,7 +63,17 @@ class PackedLevel:
     @property
     def number_bytes(self) -> int:
         """Bytes of the core and basis numbers in the file."""
-        return self.bits // 8 * self.numbers()
+        packed = (self.stored_bits(n) for n in range(self.order))
+        saved = sum(basis.size - stream_bytes(int(bits.sum(dtype=np.int64)))
+                    for basis, bits in zip(self.basis, packed, strict=True) if basis is not None and bits is not None)
+        return self.bits // 8 * self.numbers() - saved
+
+    def stored_bits(self, n: int) -> U8 | None:
+        """Bits of each number of a packed basis; None where it is not packed."""
+        width, offsets = self.width[n] if self.width else None, self.basis_offset[n]
+        if width is None or offsets is None:
+            return None
+        return number_bits(width, self.shape[:, 2, n], np.diff(offsets.astype(np.int64)))
 
     def tables(self) -> Iterator[tuple[str, NDArray[Any]]]:
         """Names (without ``level/<l>/``) and arrays of the small integer and scale tables."""
@@ -71,6 +83,7 @@ class PackedLevel:
         yield "core_offset", self.core_offset
         yield "cell_offset", self.cell_offset
         yield "core_scale", self.core_scale
+        yield from ((f"width/{n}", width) for n, width in enumerate(self.width) if width is not None)
         for n in range(self.order):
             yield f"row_offset/{n}", self.row_offset[n]
             per_mode = (
@@ -87,11 +100,26 @@ class PackedLevel:
         yield "core", self.core
         yield from ((f"basis/{n}", basis) for n, basis in enumerate(self.basis) if basis is not None)
 
-    def coefficients(self) -> Iterator[tuple[str, F16 | I8]]:
-        """The same as the file has them: of eight bits the bytes."""
+    def coefficients(self) -> Iterator[tuple[str, F16 | I8 | U8]]:
+        """The same as the file has them: of eight bits the bytes, of packed bases their bits."""
         for name, array in self.wide():
-            numbers = CORE_NUMBERS if name == "core" else BASIS_NUMBERS
-            yield name, narrowed(array, numbers) if self.bits == 8 else array
+            if self.bits != 8:
+                yield name, array
+                continue
+            stored = narrowed(array, CORE_NUMBERS if name == "core" else BASIS_NUMBERS)
+            bits = None if name == "core" else self.stored_bits(int(name.split("/")[1]))
+            yield name, stored if bits is None else to_stream(stored, bits)
+
+
+def number_bits(width: U8, ranks: NDArray[np.integer[Any]], numbers: NDArray[np.integer[Any]]) -> U8:
+    """Bits of each number of a mode's bases, by those of each node's columns, its rank and how many numbers it has.
+
+    >>> number_bits(np.array([8, 3, 5], np.uint8), np.array([2, 1]), np.array([4, 3])).tolist()
+    [8, 3, 8, 3, 5, 5, 5]
+    """
+    ends = np.cumsum(ranks.astype(np.int64))
+    nodes = zip(ends - ranks, ends, numbers, strict=True)
+    return np.concatenate([np.zeros(0, np.uint8), *(np.resize(width[begin:end], count) for begin, end, count in nodes)])
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from ..streaming.streamed import Streamed
 from ..support.executors import Queue, repeatedly
 from ..support.grouping import rows_of_parts
 from ..support.progress import Told
+from .columns import column_bits, left_of
 from .disjoint import cut_as_fitted, fit_outside, refit_outside
 from .fit import Labels, fit_level, refit_level
 from .memberships import grid_blocks
@@ -189,11 +190,15 @@ def fit_nodes(
 
         def fitted(outside: Streamed | None, level: int) -> tuple[Cells | None, F32 | None]:
             if outside is not None:
-                return fit_outside(outside, level, spec, run.effort, rng, labels(node), told).rounded(), None
+                cells = fit_outside(outside, level, spec, run.effort, rng, labels(node), told)
+                return _rounded(cells, lambda: left_of(cells, outside.error)), None
             tensor = gather(tree.residual, node, lent=True)
 
             def found() -> Cells | None:
-                return fit_level(tensor, spec, run.effort, rng, labels(node)).rounded() if tensor.any() else None
+                if not tensor.any():
+                    return None
+                cells = fit_level(tensor, spec, run.effort, rng, labels(node))
+                return _rounded(cells, lambda: left_of(cells, squared_norm(tensor)))
 
             return run.first_level(spec, found) if depth == 1 else found(), tensor
 
@@ -341,7 +346,7 @@ def backfit(tree: Hierarchy, run: Run, *, last: bool = False) -> None:
 
             def refitted(outside: Streamed | None, level: int) -> tuple[Cells | None, None]:
                 if outside is not None:
-                    return refit_outside(outside, level, old.copy(), told).rounded(), None
+                    return _rounded(refit_outside(outside, level, old.copy(), told), lambda: outside.error), None
                 return _refitted(old, gather(tree.residual, node)), None
 
             _renew(tree, run, (step, number, s), old.spec, refitted)
@@ -355,8 +360,14 @@ def _refitted(old: Cells, residual: F32) -> Cells | None:
     before = squared_norm(residual)
     cells = old.copy()
     refit_level(cells, residual)
-    rounded = cells.rounded()
+    rounded = _rounded(cells, lambda: squared_norm(residual))
     return rounded if squared_norm(_exchanged(residual, cells, rounded)) <= before else None
+
+
+def _rounded(cells: Cells, left: Callable[[], float]) -> Cells:
+    """The cells as they will be stored, where columns have bits of their own by the squared error that is `left`."""
+    own = cells.spec.own_bits and max(cells.spec.mixture) == 1
+    return cells.rounded(column_bits(cells, left()) if own else None)
 
 
 def grid_labels(spec: LevelSpec, axes: Sequence[Axis], organisation: Organisation) -> LabelsOf:

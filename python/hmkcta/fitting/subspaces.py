@@ -59,10 +59,13 @@ def subspace_clusters(
 
 
 def _coordinates(rows: F32, count: int, rng: np.random.Generator) -> F32:
-    """So many coordinates of the rows, in about the subspace that holds most of them."""
+    """So many coordinates of the rows, in about the subspace that holds most of them; of fewer rows in their own span."""
     rows = rows / np.float32(max(np.abs(rows).max(initial=0.0), 1e-30))
     if rows.shape[1] <= count:
         return rows
+    if len(rows) <= count:
+        values, vectors = leading_eigen((rows @ rows.T).astype(np.float64), len(rows))
+        return (vectors * np.sqrt(np.maximum(values, 0))).astype(np.float32)
     likely = rows.T @ (rows @ rng.standard_normal((rows.shape[1], count), np.float32))
     return rows @ np.linalg.qr(likely)[0]
 

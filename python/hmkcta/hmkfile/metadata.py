@@ -96,7 +96,7 @@ def coords_info(axis: Axis) -> ArrayInfo:
 
 def to_json(metadata: Metadata, arrays: Mapping[str, ArrayRecord]) -> dict[str, Any]:
     """The JSON object of the metadata and of the records of a file's arrays, which have infos here."""
-    version = version_of(record.info.dtype for record in arrays.values() if record.info)
+    version = version_of({name: record.info for name, record in arrays.items() if record.info})
     return {
         "version": version, "source_dtype": metadata.source_dtype,
         "axes": [axis_to_json(axis) for axis in metadata.axes],

@@ -27,7 +27,7 @@ from .limits import DEFAULT_LIMITS, Limits
 from .lookalikes import START, recognised
 from .metadata import ArrayRecord, Parsed, from_json
 from .reasons import fault
-from .schema import NUMBERS, NUMPY_TYPES, SHORT, ArrayInfo, check_order, check_schema, level_of
+from .schema import NUMPY_TYPES, SHORT, ArrayInfo, check_order, check_schema, is_number, level_of
 from .short import completed
 
 Loaded: TypeAlias = tuple[Metadata, tuple[PackedLevel, ...]]
@@ -60,7 +60,7 @@ def table_bytes(path: str | os.PathLike[str]) -> list[int]:
     entries = read_header(memoryview(_mapped(path)), DEFAULT_LIMITS).entries
     counted = Counter[int]()
     for name, entry in entries.items():
-        if name.startswith("level/") and entry.dtype not in NUMBERS:
+        if name.startswith("level/") and not is_number(name):
             counted[int(name.split("/")[1])] += entry.end - entry.begin
     return [counted[level] for level in sorted(counted)]
 

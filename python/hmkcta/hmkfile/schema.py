@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..axes import MOST_COORDS
 from ..narrow import BASIS_NUMBERS, CORE_NUMBERS, F16, widened
 from ..packed import Metadata, PackedLevel
+from .header import ITEM_SIZES
 from .limits import Limits, check_limit
 from .reasons import fault
 
@@ -22,11 +23,13 @@ TYPE_NAMES = {np.dtype(code): name for name, code in NUMPY_TYPES.items()}
 _RAGGED = -1  # a length that the tables decide
 
 #: The number types that core and basis numbers may have, by the version of the file; the newest version comes last.
-NUMBER_TYPES: Mapping[str, tuple[str, ...]] = {"1.0": ("F16",), "1.1": ("F16", "I8"), "1.2": ("F16", "I8")}
-#: Those of all versions: no table has one.
-NUMBERS = tuple(dict.fromkeys(name for names in NUMBER_TYPES.values() for name in names))
+NUMBER_TYPES: Mapping[str, tuple[str, ...]] = {
+    "1.0": ("F16",), "1.1": ("F16", "I8"), "1.2": ("F16", "I8"), "1.3": ("F16", "I8"),
+}
 #: The versions that leave out what follows from other arrays (`short.py`), and the last that has all of them.
-SHORT, WHOLE = ("1.2",), "1.1"
+SHORT, WHOLE = ("1.2", "1.3"), "1.1"
+#: The versions whose bases may be packed.
+PACKED = ("1.3",)
 #: Arrays that short versions may leave out, and the types that tables may have there, by the one in memory.
 OPTIONAL, NARROWER = ("cluster", "part", "local"), {"U32": ("U8", "U16", "U32"), "U16": ("U8", "U16")}
 
@@ -47,13 +50,30 @@ def prefix(level: int) -> str:
     return f"level/{level}/"
 
 
-def version_of(dtypes: Iterable[str]) -> str:
-    """The version that is written of arrays of these types: where all readers could read it, the oldest.
+def version_of(arrays: Mapping[str, ArrayInfo]) -> str:
+    """The version that is written of these arrays: where all readers could read it, the oldest.
 
-    >>> version_of(["U32", "F16"]), version_of(["U32", "I8"])
-    ('1.0', '1.2')
+    >>> core, width = ArrayInfo("I8", (8,)), ArrayInfo("U8", (2,))
+    >>> version_of({"level/1/core": core}), version_of({"level/1/core": core, "level/1/width/0": width}), version_of({})
+    ('1.2', '1.3', '1.0')
     """
-    return SHORT[-1] if "I8" in dtypes else next(iter(NUMBER_TYPES))
+    if any(_kind(name) == "width" for name in arrays):
+        return PACKED[0]
+    return SHORT[0] if any(info.dtype == "I8" for info in arrays.values()) else next(iter(NUMBER_TYPES))
+
+
+def is_number(name: str) -> bool:
+    """Whether an array of this name holds core or basis numbers; all others are tables.
+
+    >>> is_number("level/1/basis/0"), is_number("level/1/core"), is_number("level/1/core_scale")
+    (True, True, False)
+    """
+    return _kind(name) in ("core", "basis")
+
+
+def _kind(name: str) -> str:
+    """The name of a level's array without level and mode; of another one nothing."""
+    return name.split("/")[2] if name.startswith("level/") else ""
 
 
 def level_schema(order: int, undecomposed: Sequence[int], nodes: int, last: bool, bits: int = 16, *,
@@ -103,6 +123,7 @@ def _whole_schema(order: int, undecomposed: Sequence[int], nodes: int, last: boo
 
 #: The number type of each array of a level in memory, by its name without level and mode.
 LEVEL_TYPES = {name.split("/")[0]: info.dtype for name, info in level_schema(1, (), 0, last=False)}
+LEVEL_TYPES["width"] = "U8"
 
 
 def check_schema(metadata: Metadata, version: str, coords: Mapping[int, str], arrays: Mapping[str, ArrayInfo],
@@ -124,6 +145,8 @@ def check_schema(metadata: Metadata, version: str, coords: Mapping[int, str], ar
             bits = 8
         schema = level_schema(order, metadata.undecomposed, count, level == depth, bits, short=version in SHORT)
         expected.update((prefix(level) + part, info) for part, info in schema)
+        if bits == 8 and version in PACKED:
+            expected.update(_packed_bases(expected, prefix(level), order, arrays))
     for name, info in expected.items():
         if version in SHORT and name not in arrays and name.split("/")[2] in OPTIONAL:
             continue
@@ -138,6 +161,15 @@ def check_schema(metadata: Metadata, version: str, coords: Mapping[int, str], ar
         if width and not 1 <= width[0] <= MOST_COORDS:
             raise fault("array-shape", name, list(arrays[name].shape), f"1 to {MOST_COORDS} numbers an index")
     _check_names(arrays, {*expected, *coords.values()})
+
+
+def _packed_bases(
+    expected: Mapping[str, ArrayInfo], level: str, order: int, arrays: Mapping[str, ArrayInfo]
+) -> Iterator[tuple[str, ArrayInfo]]:
+    """What is expected of the modes whose columns have a width each, and of their bases."""
+    for n in range(order):
+        if f"{level}width/{n}" in arrays and f"{level}basis/{n}" in expected:
+            yield from ((name, ArrayInfo("U8", (_RAGGED,))) for name in (f"{level}width/{n}", f"{level}basis/{n}"))
 
 
 def _require(name: str, arrays: Mapping[str, ArrayInfo]) -> None:
@@ -163,25 +195,20 @@ def _check_info(name: str, found: ArrayInfo, dtypes: tuple[str, ...], shape: tup
 
 def file_order(arrays: Iterable[tuple[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
     """Arrays that go level by level in the order of the file: 1-, 8-, 4- and 2-byte tables, then numbers."""
-    return dict(sorted(arrays, key=lambda item: _turn(item[1].dtype)))
+    return dict(sorted(arrays, key=lambda item: _turn(item[0], item[1].dtype.itemsize)))
 
 
 def in_file_order(arrays: Mapping[str, ArrayInfo]) -> dict[str, ArrayInfo]:
     """The order of `file_order`, for arrays of which only type and shape are known, level by level."""
-    return dict(sorted(arrays.items(), key=lambda item: _TURNS[item[1].dtype]))
+    return dict(sorted(arrays.items(), key=lambda item: _turn(item[0], ITEM_SIZES[item[1].dtype])))
 
 
-def _turn(dtype: np.dtype[Any]) -> int:
+def _turn(name: str, itemsize: int) -> int:
     """Longer items first keeps every array aligned without padding; core and basis numbers come last.
 
     Single bytes are the exception: they come before all others, and the header ends so that they do not matter.
     """
-    if TYPE_NAMES.get(dtype.newbyteorder("<")) in NUMBERS:
-        return 0
-    return -16 if dtype.itemsize == 1 else -dtype.itemsize
-
-
-_TURNS = {name: _turn(np.dtype(dtype)) for name, dtype in NUMPY_TYPES.items()}
+    return 0 if is_number(name) else -16 if itemsize == 1 else -itemsize
 
 
 def level_of(arrays: Mapping[str, NDArray[Any]], level: int, order: int) -> PackedLevel:
@@ -203,6 +230,7 @@ def level_of(arrays: Mapping[str, NDArray[Any]], level: int, order: int) -> Pack
         core=core, core_offset=get("core_offset"), core_scale=get("core_scale"), cell_offset=get("cell_offset"),
         cluster=modes("cluster"), cluster_offset=modes("cluster_offset"), basis=bases,
         basis_offset=modes("basis_offset"), part=modes("part"), local=modes("local"), bits=8 if narrow else 16,
+        width=modes("width") if any(find(f"width/{n}") is not None for n in range(order)) else (),
     )
 
 
@@ -219,7 +247,7 @@ def check_order(names: Sequence[str], infos: Mapping[str, ArrayInfo]) -> None:
     for name in names:
         if 0 in infos[name].shape:
             continue  # an empty array stands nowhere in particular
-        this = int(name.split("/")[1]) if infos[name].dtype in NUMBERS else 0
+        this = int(name.split("/")[1]) if is_number(name) else 0
         if this < level:
             raise fault("array-order", name, f"after core or basis numbers of level {level}",
                         "tables first, then core and basis numbers level by level")

@@ -11,14 +11,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..packed import U16, U32, PackedLevel
+from ..bitstream import from_stream
+from ..packed import U16, U32, PackedLevel, number_bits
 from .check_tree import check_children, check_part_range, slot_of_child, slots_of
 from .reasons import fault
 from .schema import LEVEL_TYPES, NUMPY_TYPES, prefix
-from .tables import Ints, check_shapes
+from .tables import Ints, check_shapes, first
 
 Arrays = Mapping[str, NDArray[Any]]
 _MAX_U32 = 2**32 - 1
+#: Most bits of a number of a packed basis.
+MOST_BITS = 8
 
 
 def narrowest(largest: int) -> str:
@@ -37,6 +40,7 @@ def shortened(packed: PackedLevel) -> Iterator[tuple[str, NDArray[Any]]]:
     if packed.child is not None:
         yield "child", _narrow(packed.child, int(packed.child[-1]))
     yield "core_scale", packed.core_scale
+    yield from ((f"width/{n}", width) for n, width in enumerate(packed.width) if width is not None)
     for n, cluster in enumerate(packed.cluster):
         if cluster is None:
             continue
@@ -106,7 +110,10 @@ class _Level:
         for n in self.decomposed:
             entries = (self.rows[:, n] * self.mixture[:, n]).astype(np.float64)
             others = np.delete(self.clusters, n, axis=1).prod(1, np.float64)
-            self._own(f"basis_offset/{n}", f"basis/{n}", entries * others * self.ranks[:, n])
+            numbers = entries * others * self.ranks[:, n]
+            if f"{self.name}width/{n}" in self.whole:
+                self._unpack(n, numbers)
+            self._own(f"basis_offset/{n}", f"basis/{n}", numbers)
             # Bases have as many entries at the least, so that this is bounded by what the file holds.
             if (name := f"{self.name}cluster/{n}") not in self.whole:
                 if self.clusters[:, n].max(initial=0) > 1:
@@ -115,6 +122,24 @@ class _Level:
             self._own(f"cluster_offset/{n}", f"cluster/{n}", entries)
         for n in range(self.rows.shape[1]):
             self.whole[f"{self.name}row_offset/{n}"] = self._sums(self.rows[:, n].astype(np.float64), "shape")
+
+    def _unpack(self, n: int, numbers: NDArray[np.float64]) -> None:
+        """The bytes of a packed basis, whose nodes have so many `numbers`."""
+        name, width = f"{self.name}width/{n}", self.whole[f"{self.name}width/{n}"]
+        if width.size != self.ranks[:, n].sum():
+            raise fault("array-shape", name, [width.size], [int(self.ranks[:, n].sum())])
+        if (bad := first((width < 1) | (width > MOST_BITS))) is not None:
+            raise fault("width-range", name, f"{width[bad]} at {bad[0]}", f"1 to {MOST_BITS} bits")
+        stream = self.whole[f"{self.name}basis/{n}"]
+        ranks, columns = self.ranks[:, n], np.add.reduceat(np.append(width, 0).astype(np.float64), self._starts(n))
+        bits = float((numbers / np.maximum(ranks, 1) * np.where(ranks > 0, columns, 0)).sum())
+        if stream.size != -(-bits // 8):
+            raise fault("array-shape", f"{self.name}basis/{n}", [stream.size], [int(-(-bits // 8))])
+        self.whole[f"{self.name}basis/{n}"] = from_stream(stream, number_bits(width, ranks, numbers.astype(np.int64)))
+
+    def _starts(self, n: int) -> Ints:
+        """Where the columns of each node begin among all of the level."""
+        return np.cumsum(self.ranks[:, n]) - self.ranks[:, n]
 
     def _own(self, offsets: str, array: str, needed: NDArray[np.float64]) -> None:
         found = self.whole[self.name + array]

@@ -7,12 +7,14 @@ import os
 import zlib
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from math import prod
 from typing import Any, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..bitstream import from_stream, stream_bytes
 from ..errors import HmkctaError, Kind, invalid
 from ..narrow import BASIS_NUMBERS, CORE_NUMBERS, widened
 from ..packed import Metadata, PackedLevel
@@ -26,7 +28,6 @@ from .read import loads
 from .reasons import fault
 from .schema import (
     LEVEL_TYPES,
-    NUMBERS,
     NUMPY_TYPES,
     TYPE_NAMES,
     WHOLE,
@@ -174,18 +175,21 @@ def _arrays(levels: Sequence[PackedLevel], coords: Mapping[str, NDArray[Any]], *
             ) -> dict[str, NDArray[Any]]:
     """Names and arrays in the order of the file; if `wide`, core and basis numbers as they are in memory."""
     stored = [(prefix(level) + name, array) for level, packed in enumerate(levels, 1)
-              for name, array in (*(shortened(packed) if short else packed.tables()),
+              for name, array in (*(shortened(packed) if short else replace(packed, width=()).tables()),
                                   *(packed.wide() if wide else packed.coefficients()))]
     return file_order([*coords.items(), *stored])
 
 
 def _infos(levels: Sequence[PackedLevel], coords: Mapping[str, NDArray[Any]], *, short: bool) -> dict[str, ArrayInfo]:
     """Number types and shapes in the order of the file, for which no number is narrowed."""
-    narrow = tuple(prefix(level) for level, packed in enumerate(levels, 1) if packed.bits == 8)
     infos = {name: ArrayInfo(TYPE_NAMES[array.dtype.newbyteorder("<")], array.shape)
              for name, array in _arrays(levels, coords, short=short, wide=True).items()}
-    return {name: info._replace(dtype="I8") if info.dtype in NUMBERS and name.startswith(narrow) else info
-            for name, info in infos.items()}
+    for level, packed in enumerate(levels, 1):
+        for name, array in packed.wide() if packed.bits == 8 else ():
+            bits = None if name == "core" or not short else packed.stored_bits(int(name.split("/")[1]))
+            length = array.size if bits is None else stream_bytes(int(bits.sum(dtype=np.int64)))
+            infos[prefix(level) + name] = ArrayInfo("I8" if bits is None else "U8", (length,))
+    return infos
 
 
 def _check_bytes(arrays: Mapping[str, NDArray[Any]], levels: Sequence[PackedLevel]) -> None:
@@ -193,12 +197,14 @@ def _check_bytes(arrays: Mapping[str, NDArray[Any]], levels: Sequence[PackedLeve
     for level, packed in enumerate(levels, 1):
         for name, numbers in packed.wide() if packed.bits == 8 else ():
             table = CORE_NUMBERS if name == "core" else BASIS_NUMBERS
-            differ = widened(arrays[prefix(level) + name], table) != numbers
+            stored = arrays[prefix(level) + name]
+            bits = None if name == "core" else packed.stored_bits(int(name.split("/")[1]))
+            differ = widened(stored if bits is None else from_stream(stored, bits), table) != numbers
             if not differ.any():
                 continue
             found = numbers[differ][0]
             raise fault("array-dtype" if np.isfinite(found) else "not-finite", prefix(level) + name, found,
-                        "numbers that a byte stands for")
+                        "numbers that a byte stands for" if bits is None else "numbers of the bits of their columns")
 
 
 def _check_types(levels: Sequence[PackedLevel]) -> None:

@@ -94,7 +94,7 @@ def _parted_anew(
 def _with_ranks(spec: LevelSpec, ranks: NDArray[np.int32]) -> LevelSpec:
     """The level with these ranks instead of those it may choose among."""
     given = tuple(None if most is None else int(rank) for rank, most in zip(ranks, spec.ranks, strict=True))
-    return replace(spec, ranks=given, own=False)
+    return replace(spec, ranks=given, own=False, own_bits=spec.bits == 8)
 
 
 def _starts(tree: Hierarchy, spec: LevelSpec, labels: LabelsOf, run: Run) -> list[Way]:
