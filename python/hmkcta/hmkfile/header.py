@@ -155,15 +155,15 @@ def format_header(
 ) -> bytes:
     """Length and JSON of a header for arrays laid one after another in the given order.
 
-    It is padded so that U8 arrays, which come first, end at a multiple of 8, and to `least` bytes with its length.
+    It is padded so that the U8 arrays that come first end at a multiple of 8, and to `least` bytes with its length.
     """
     entries: dict[str, object] = {"__metadata__": {TEXT_KEY: text, HASH_KEY: text_hash}}
     begin = first = 0
     for name, (dtype, shape) in arrays.items():
         end = begin + prod(shape) * ITEM_SIZES[dtype]
         entries[name] = {"dtype": dtype, "shape": list(shape), "data_offsets": [begin, end]}
+        first = end if dtype == "U8" and begin == first else first
         begin = end
-        first = end if dtype == "U8" else first
     raw = format_json(entries).encode().ljust(least - LENGTH_BYTES)
     raw += b" " * (-(len(raw) + first) % LENGTH_BYTES)
     return len(raw).to_bytes(LENGTH_BYTES, "little") + raw

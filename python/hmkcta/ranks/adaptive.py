@@ -43,6 +43,8 @@ ATTEMPTS = 16
 FEW_ATTEMPTS = 3
 #: How far above the goal a level of several nodes aims, in dB: its choices come in small steps.
 MARGIN = 0.05
+#: How often a fit to a size is repeated at most, the share of it that is enough, and that is aimed at.
+SIZE_ATTEMPTS, USED, AIMED = 5, 0.98, 0.99
 #: A plan is given up that promises more than so many times the bytes of another one: before the first fit, and after
 #: it, when it is known how far promises are off.
 PROMISED = 1.1, 1.02
@@ -155,10 +157,32 @@ class _LastLevel:
 
     def to_size(self, size: int) -> None:
         """As much as fits into a file of `size` bytes; a little less is tried where the file turns out larger."""
+        if self.ways[0][0].bits == 8:
+            self._to_size_of_columns(size)
+            return
         for budget in (size, 0.995 * size, 0.98 * size):
             self._fit(self._within(budget))
             if self.goal.file_bytes(self.tree) <= size:
                 return
+
+    def _to_size_of_columns(self, size: int) -> None:
+        """The same where bits of columns are known after a fit only: the budget follows what the last fit took."""
+        budget, best, tried = float(size), None, set[bytes]()
+        for _ in range(SIZE_ATTEMPTS):
+            chosen = allocate(self.spectra, nbytes=budget - self.beside)
+            if chosen.choice.tobytes() in tried:
+                break
+            tried.add(chosen.choice.tobytes())
+            self._fit(chosen)
+            taken = self.goal.file_bytes(self.tree)
+            if taken <= size and (best is None or chosen.nbytes > best.nbytes):
+                best = chosen
+            if USED * size <= taken <= size:
+                break
+            budget = self.beside + chosen.nbytes * (AIMED * size - self.beside) / max(taken - self.beside, 1.0)
+        best = best or self._within(size)
+        if best.choice.tobytes() != self.fitted:
+            self._fit(best)
 
     def to_snr(self, snr: float) -> None:
         """Fit the level again and again until it just reaches `snr` dB, and keep the fit of fewest bytes that does.
