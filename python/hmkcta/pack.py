@@ -56,7 +56,7 @@ def _pack(nodes: Sequence[Node], undecomposed: Sequence[int], unit: float, bits:
         _ragged([_basis(node, n) for node in nodes], np.float16) if stored[n] else (None, None) for n in range(order)
     ]
     inner = [stored[n] and not last for n in range(order)]
-    fewer = any(node.cells is not None and node.cells.spec.own_bits for node in nodes)
+    fewer = any(node.cells is not None and node.cells.spec.own_bits > 0 for node in nodes)
     return PackedLevel(
         shape=shape,
         child=None if last else _offsets([len(node.children) for node in nodes]),

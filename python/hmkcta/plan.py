@@ -57,8 +57,9 @@ class LevelSpec:
             between the goal takes what pays.
         bits: of each core and basis number in the file, 16 (float16) or 8.
         bits_written: whether a text said ``bits=``, so that ``bits=16`` differs from nothing said.
-        own_bits: 8 bits are the most of a basis number: each column of a basis has as many as its share of the tensor
-            is worth (`cells.Cells.rounded`). Set where a goal has chosen the ranks.
+        own_bits: 8 bits are the most of a basis number, and each column of a basis has bits of its own, so that rounding
+            them leaves this share of the error that ranks leave (`fitting.columns`); 0: all have 8. Set where a goal
+            has chosen the ranks.
 
     Raises:
         HmkctaError: R, C or K is out of range or of another type, they are not one for each mode, or the scheme or
@@ -81,7 +82,7 @@ class LevelSpec:
     fewest: tuple[tuple[str, int], ...] = ()
     bits: int = 16
     bits_written: bool = field(default=False, compare=False, repr=False)
-    own_bits: bool = False
+    own_bits: float = 0.0
 
     def __post_init__(self) -> None:
         if self.scheme not in (*SCHEMES, AUTO):

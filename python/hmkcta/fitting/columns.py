@@ -2,7 +2,7 @@
 
 What rounding leaves is least, for the bits that are spent, where every number leaves as much: then a column whose
 numbers count for twice as much has one bit more. How much they count for is told by the core, and how much all of them
-together may leave by what the ranks leave.
+together may leave is a share of what the ranks leave (`LevelSpec.own_bits`).
 """
 
 from __future__ import annotations
@@ -18,8 +18,6 @@ from ..cells import Cells, by_cells, column_peaks, column_squares
 
 U8 = NDArray[np.uint8]
 
-#: What the rounding of bases is to leave, as a share of what the ranks leave.
-SHARE = 0.1
 #: Fewest and most bits of a column.
 FEWEST, MOST = 2, 8
 
@@ -46,7 +44,7 @@ def column_bits(cells: Cells, left: float) -> list[U8 | None]:
         numbers = cells.bases[n].size // cells.ranks[n]
         worth[n] = np.sqrt((rows * share * np.square(peaks)).sum(axis=0) / max(numbers, 1))
         count += cells.bases[n].size
-    step = sqrt(12 * SHARE * left / max(count, 1))
+    step = sqrt(12 * cells.spec.own_bits * left / max(count, 1))
     return [None if skip else _bits(worth[n], step) for n, skip in enumerate(cells.undecomposed)]
 
 

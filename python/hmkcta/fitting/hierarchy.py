@@ -366,7 +366,7 @@ def _refitted(old: Cells, residual: F32) -> Cells | None:
 
 def _rounded(cells: Cells, left: Callable[[], float]) -> Cells:
     """The cells as they will be stored, where columns have bits of their own by the squared error that is `left`."""
-    own = cells.spec.own_bits and max(cells.spec.mixture) == 1
+    own = cells.spec.own_bits > 0 and max(cells.spec.mixture) == 1
     return cells.rounded(column_bits(cells, left()) if own else None)
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..cells import zero_cells
 from ..errors import invalid
+from ..fitting.columns import FEWEST, MOST
 from ..fitting.fit import Labels
 from ..fitting.hierarchy import (
     Hierarchy,
@@ -30,7 +31,7 @@ from ..plan import LevelSpec
 from ..streaming.budget import MODEL, PROCESS
 from ..streaming.streamed import Streamed
 from ..support.memory import check_memory, format_bytes, give_back_freed_memory
-from .allocation import Allocation, Spectrum, allocate, merged, trimmed
+from .allocation import PACKED, Allocation, Spectrum, allocate, merged, trimmed
 from .examining import EXAMINING, Goal, Way, examined
 
 F32 = NDArray[np.float32]
@@ -43,6 +44,15 @@ ATTEMPTS = 16
 FEW_ATTEMPTS = 3
 #: How far above the goal a level of several nodes aims, in dB: its choices come in small steps.
 MARGIN = 0.05
+#: What the rounding of columns leaves, as a share of what the ranks leave: at first, and from the least to the most that
+#: suits a goal.
+SHARE, SHARES = 0.1, (0.03, 0.35)
+#: How often a fit is repeated at most with fewer bits that still reach the SNR, and how far above it they aim, in dB.
+SHARE_ATTEMPTS, TOUCHING = 2, 0.01
+#: Bits that a basis number takes on average: so many, and so many more for each dB.
+BITS_AT = 2.6, 0.1
+#: By how many bits all columns are changed at most at once.
+MOST_BITS = 2
 #: How often a fit to a size is repeated at most, the share of it that is enough, and that is aimed at.
 SIZE_ATTEMPTS, USED, AIMED = 5, 0.98, 0.99
 #: A plan is given up that promises more than so many times the bytes of another one: before the first fit, and after
@@ -93,10 +103,10 @@ def _parted_anew(
     return [(spec, lambda _, found=found: found) for found in by_subspaces(tree.residual, told, rng)]
 
 
-def _with_ranks(spec: LevelSpec, ranks: NDArray[np.int32]) -> LevelSpec:
-    """The level with these ranks instead of those it may choose among."""
+def _with_ranks(spec: LevelSpec, ranks: NDArray[np.int32], share: float = 0.0) -> LevelSpec:
+    """The level with these ranks instead of those it may choose among, and so much left by rounding (`own_bits`)."""
     given = tuple(None if most is None else int(rank) for rank, most in zip(ranks, spec.ranks, strict=True))
-    return replace(spec, ranks=given, own=False, own_bits=spec.bits == 8)
+    return replace(spec, ranks=given, own=False, own_bits=share)
 
 
 def _starts(tree: Hierarchy, spec: LevelSpec, labels: LabelsOf, run: Run) -> list[Way]:
@@ -144,7 +154,12 @@ class _LastLevel:
         self.residual = saved(tree)
         self.cells = [[node.cells for node in nodes] for nodes in tree.levels]
         #: What was fitted last.
-        self.fitted = b""
+        self.fitted: tuple[bytes, float] = b"", 0.0
+        #: What the rounding of columns is to leave, as a share of the error.
+        self._own_bits = ways[0][0].bits == 8
+        self.share = SHARE if self._own_bits else 0.0
+        #: By how many bits basis numbers were longer than was reckoned.
+        self.more_bits = 0.0
         #: Squared error outside the nodes that have choices, and bytes beside what the choices count.
         own = sum(float(choices.error[0]) for choices in self.spectra)
         self.elsewhere = tree.error - own + self._rounding(own)
@@ -153,11 +168,14 @@ class _LastLevel:
     def _rounding(self, energy: float) -> float:
         """What bytes will leave of so much energy, but no more than a share of what an SNR allows."""
         allowed = inf if self.goal.snr is None else noise_at(self.goal.snr, self.goal.energy)
-        return min(energy * LEFT, MOST_ROUNDING * allowed) if self.ways[0][0].bits == 8 else 0.0
+        if not self._own_bits:
+            return 0.0
+        of_columns = 0.0 if self.goal.snr is None else SHARE / (1 + SHARE) * allowed
+        return min(energy * LEFT, MOST_ROUNDING * allowed) + of_columns
 
     def to_size(self, size: int) -> None:
         """As much as fits into a file of `size` bytes; a little less is tried where the file turns out larger."""
-        if self.ways[0][0].bits == 8:
+        if self._own_bits:
             self._to_size_of_columns(size)
             return
         for budget in (size, 0.995 * size, 0.98 * size):
@@ -166,23 +184,64 @@ class _LastLevel:
                 return
 
     def _to_size_of_columns(self, size: int) -> None:
-        """The same where bits of columns are known after a fit only: the budget follows what the last fit took."""
-        budget, best, tried = float(size), None, set[bytes]()
+        """The same where columns have bits of their own, of which a fit tells how many they are.
+
+        Ranks are chosen again by what that told. Where it leads to ranks that were fitted before, all columns get more
+        bits, or fewer.
+        """
+        best, tried, chosen = None, set[tuple[bytes, float]](), self._filling(size)
         for _ in range(SIZE_ATTEMPTS):
-            chosen = allocate(self.spectra, nbytes=budget - self.beside)
-            if chosen.choice.tobytes() in tried:
+            if (chosen.choice.tobytes(), self.share) in tried or not self._stores(chosen):
                 break
-            tried.add(chosen.choice.tobytes())
+            tried.add((chosen.choice.tobytes(), self.share))
             self._fit(chosen)
             taken = self.goal.file_bytes(self.tree)
-            if taken <= size and (best is None or chosen.nbytes > best.nbytes):
-                best = chosen
+            if taken <= size and (best is None or taken > best[1]):
+                best = chosen, taken, self.share
             if USED * size <= taken <= size:
                 break
-            budget = self.beside + chosen.nbytes * (AIMED * size - self.beside) / max(taken - self.beside, 1.0)
-        best = best or self._within(size)
-        if best.choice.tobytes() != self.fitted:
-            self._fit(best)
+            other = self._filling(AIMED * size)
+            if self.share == SHARE and (other.choice.tobytes(), SHARE) not in tried:
+                chosen = other
+                continue
+            fewer = 8 * (taken - AIMED * size) / max(self._numbers(chosen), 1)  # bits of each number
+            self.share = min(max(self.share * 4.0 ** min(fewer, MOST_BITS), SHARES[0]), SHARES[1])
+        chosen, _, self.share = best or (self._within(size), 0, 0.0)
+        if self.fitted != (chosen.choice.tobytes(), self.share):
+            self._fit(chosen)
+
+    def _filling(self, size: float) -> Allocation:
+        """The choices that should make a file of so many bytes, by what columns have taken so far."""
+        low, high = 0.0, 2.0 * size
+        while high - low > 0.002 * size:
+            middle = (low + high) / 2
+            enough = self._bytes_of(allocate(self.spectra, nbytes=middle - self.beside)) > size
+            low, high = (low, middle) if enough else (middle, high)
+        return allocate(self.spectra, nbytes=low - self.beside)
+
+    def _bytes_of(self, chosen: Allocation) -> float:
+        """Bytes of the file that the choices should make."""
+        counted = self.beside + chosen.nbytes
+        if not self._own_bits:
+            return counted
+        return counted + (self._mean_bits(chosen) / 8 - PACKED) * self._numbers(chosen)
+
+    def _mean_bits(self, chosen: Allocation) -> float:
+        """Bits of a basis number that the choices should take: more for a higher SNR, as of the fits before."""
+        return min(max(BITS_AT[0] + BITS_AT[1] * self._promised(chosen) + self.more_bits, FEWEST), MOST)
+
+    def _numbers(self, chosen: Allocation) -> float:
+        """Basis numbers of the choices."""
+        nodes, numbers = self.tree.levels[-1], 0.0
+        for (s, choices), choice in zip(self.found, chosen.choice, strict=True):
+            spec = self.ways[int(choices.way[int(choice)])][0]
+            for size, rank, most, c in zip(nodes[s].sizes, choices.ranks[choice], spec.ranks, spec.clusters, strict=True):
+                numbers += 0 if most is None else float(size) * float(rank) * (spec.cells // c)
+        return numbers
+
+    def _stores(self, chosen: Allocation) -> bool:
+        """Whether there will be anything in the file."""
+        return len(self.tree.levels) > 1 or bool(chosen.choice.any())
 
     def to_snr(self, snr: float) -> None:
         """Fit the level again and again until it just reaches `snr` dB, and keep the fit of fewest bytes that does.
@@ -223,12 +282,30 @@ class _LastLevel:
                 break
             aim = _aimed(snr, now, poor, good) + (MARGIN if len(self.spectra) > 1 else 0.0)
         last = best or allocate(self.spectra, error=0.0)
-        if last.choice.tobytes() != self.fitted:
+        self._just_reaching(snr, last)
+
+    def _just_reaching(self, snr: float, last: Allocation) -> None:
+        """The last fit, its columns with as few bits as still reach the SNR."""
+        kept, attempts = self.share, 0
+        if self.fitted != (last.choice.tobytes(), kept):
+            self._fit(last)
+        reached = self.goal.snr_now(self.tree)
+        allowed = noise_at(snr + TOUCHING - reached)  # times what is left
+        while self._own_bits and allowed > 1 and attempts < SHARE_ATTEMPTS:
+            share = min(allowed * (1 + kept) - 1, SHARES[1]) * 0.5**attempts
+            if share < 1.2 * kept:
+                break
+            attempts, self.share = attempts + 1, share
+            self._fit(last)
+            if self.goal.snr_now(self.tree) >= snr:
+                return
+        if self.share != kept:
+            self.share = kept
             self._fit(last)
 
     def _refuse_more(self, chosen: Allocation, sure: float) -> None:
         """Give up a plan that takes so many times the bytes of another: what is fitted would not be kept."""
-        nbytes, most = chosen.nbytes + self.beside, self.goal.most
+        nbytes, most = self._bytes_of(chosen), self.goal.most
         if nbytes > sure * most:
             allowed = f"at most {most:.0f}, which another plan takes"
             raise invalid("size-too-small", "bytes for the SNR", int(nbytes), allowed)
@@ -238,7 +315,7 @@ class _LastLevel:
         return snr_db(self.goal.energy, max(self.elsewhere + chosen.error, 0.0))
 
     def _fit(self, chosen: Allocation) -> None:
-        self.fitted = chosen.choice.tobytes()
+        self.fitted = chosen.choice.tobytes(), self.share
         if isinstance(self.tree.residual, Streamed):
             give_back_freed_memory()  # of the fit before, which lies where large arrays of this one do not
         if isinstance(self.tree.residual, Streamed) and self.goal.memory is not None:
@@ -259,13 +336,16 @@ class _LastLevel:
         fit_nodes(self.tree, self._specs(chosen), self.run, labels_of)
         for _ in range(self.run.effort.backfits if len(self.tree.levels) > 1 else 0):
             backfit(self.tree, self.run)
+        if self._own_bits and self.share == SHARE and (numbers := self._numbers(chosen)):
+            taken = self.goal.file_bytes(self.tree) - self._bytes_of(chosen)
+            self.more_bits += 8 * taken / numbers
 
     def _specs(self, chosen: Allocation) -> list[LevelSpec | None]:
         """Each node's chosen way and ranks."""
         specs: list[LevelSpec | None] = [None] * len(self.tree.levels[-1])
         for (s, choices), choice in zip(self.found, chosen.choice, strict=True):
             if choice:
-                specs[s] = _with_ranks(self.ways[int(choices.way[int(choice)])][0], choices.ranks[choice])
+                specs[s] = _with_ranks(self.ways[int(choices.way[int(choice)])][0], choices.ranks[choice], self.share)
         return specs
 
     def _within(self, size: float) -> Allocation:
@@ -289,9 +369,9 @@ class _LastLevel:
         return fitting
 
     def _dressed(self, chosen: Allocation) -> Hierarchy:
-        """The hierarchy as it will be shaped, its last level all zeros: enough to count bytes."""
+        """The hierarchy as it will be shaped, its last level all zeros: enough to count bytes, at most."""
         last = [
-            replace(node, cells=None if spec is None else zero_cells(node.sizes, spec))
+            replace(node, cells=None if spec is None else zero_cells(node.sizes, replace(spec, own_bits=0.0)))
             for node, spec in zip(self.tree.levels[-1], self._specs(chosen), strict=True)
         ]
         return Hierarchy(self.tree.residual, [*self.tree.levels[:-1], last], self.tree.schemes)
