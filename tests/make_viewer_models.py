@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmkcta import Axis, Model, compress, synthetic
-from hmkcta.narrow import BASIS_NUMBERS, CORE_NUMBERS, narrowed, widened
-from hmkcta.packed import F16, PackedLevel
+from hmkcta.narrow import BASIS_NUMBERS, CORE_NUMBERS, U8, largest_in, narrowed, widened
+from hmkcta.packed import F16, PackedLevel, number_bits
 from hmkcta.render import Camera, Compare, Light, Look, Renderer, Scene, Surface, Viewpoint
 from hmkcta.render.layout import value_range
 
@@ -128,6 +128,27 @@ def _nearest(values: NDArray[Any], numbers: F16) -> F16:
     return widened(narrowed(values, numbers), numbers)
 
 
+def volume_packed() -> tuple[Model, Any]:
+    """The volume in bytes with packed bases, but for those of time."""
+    model, values = volume_in_bytes()
+    return Model(model.metadata, [with_widths(level) for level in model.levels]), values
+
+
+def with_widths(level: PackedLevel) -> PackedLevel:
+    """A level in bytes whose bases, but for the first mode's, have columns of 8 to 3 bits by turns."""
+    width: list[U8 | None] = [None] * level.order
+    basis = list(level.basis)
+    for n, (numbers, offsets) in enumerate(zip(level.basis, level.basis_offset, strict=True)):
+        if n == 0 or numbers is None or offsets is None:
+            continue
+        ranks = level.shape[:, 2, n]
+        columns = (8 - np.arange(int(ranks.sum())) % 6).astype(np.uint8)
+        bits = number_bits(columns, ranks, np.diff(offsets.astype(np.int64)))
+        steps, largest = np.exp2(bits.astype(np.float64) - 1), largest_in(bits)
+        width[n], basis[n] = columns, np.clip(np.rint(numbers * steps) / steps, -largest, largest).astype(np.float16)
+    return replace(level, width=tuple(width), basis=tuple(basis))
+
+
 def stack() -> tuple[Model, Any]:
     """Axes of no known role, with negative values, behind a value transform."""
     rng = np.random.default_rng(3)
@@ -175,8 +196,8 @@ def renamed() -> tuple[Model, Any]:
 
 
 MAKERS = {"material": material, "ageing": ageing, "merged": merged, "grids": grids,
-          "lightfield": light_field, "volume": volume, "bytes": volume_in_bytes, "stack": stack, "bare": bare,
-          "series": series, "renamed": renamed, "wide": wide,
+          "lightfield": light_field, "volume": volume, "bytes": volume_in_bytes, "packed": volume_packed,
+          "stack": stack, "bare": bare, "series": series, "renamed": renamed, "wide": wide,
           "constant": constant}
 
 
@@ -219,6 +240,8 @@ def _cases() -> list[Case]:
         Case("volume", "volume", Scene()),
         Case("volume-bytes", "bytes", Scene()),
         Case("volume-bytes-level-1", "bytes", Scene(level=1), low),
+        Case("volume-packed", "packed", Scene()),
+        Case("volume-packed-level-1", "packed", Scene(level=1), low),
         Case("volume-turned", "volume", Scene(camera=Camera(azimuth=50, elevation=33), time=2),
              {"Frame": "2"}, (-50, 20)),
         Case("volume-iso", "volume", Scene(volume=Look("iso", "viridis", iso=0.4), level=1),

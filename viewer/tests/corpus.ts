@@ -34,6 +34,9 @@ export interface Case {
   expect: { kind: string; reason: string; where?: string };
 }
 
+/** The fixtures of all versions. */
+export const FIXTURES = readdirSync(join(TESTS, "fixtures")).filter((name) => name.endsWith(".hmk"));
+
 /** The bytes of a fixture of the format. */
 export function fixture(name: string): Buffer {
   return readFileSync(join(TESTS, "fixtures", name));
@@ -200,7 +203,7 @@ class Parts {
       delete metadata.arrays[name];
     } else {
       const checksum = crc32(array.data);
-      metadata.arrays[name] = metadata.version === "1.2" ? checksum
+      metadata.arrays[name] = ["1.2", "1.3"].includes(metadata.version) ? checksum
         : { dtype: array.dtype, shape: array.shape, crc32: checksum };
     }
     this.text = JSON.stringify(metadata);

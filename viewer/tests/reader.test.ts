@@ -9,7 +9,7 @@ import { BASIS_NUMBERS, CORE_NUMBERS } from "../src/reader/narrow";
 import { Reading, loads } from "../src/reader/read";
 import { asProblem } from "../src/problem";
 import { HmkError, REASONS } from "../src/reader/reasons";
-import { build, fixture, readCorpus } from "./corpus";
+import { FIXTURES, build, fixture, readCorpus } from "./corpus";
 
 const CASES = readCorpus();
 
@@ -103,7 +103,7 @@ describe("short tables", () => {
   });
 });
 
-describe.each(["v1.0-merged.hmk", "v1.1-eight.hmk", "v1.1-mixed.hmk", "v1.2-mixed.hmk", "v1.2-lone.hmk"])("reading in parts: %s", (name) => {
+describe.each(FIXTURES)("reading in parts: %s", (name) => {
   const file = bytes(name);
   const length = Number(new DataView(file.buffer).getBigUint64(0, true));
 

@@ -12,7 +12,7 @@ import { decoderUniform, prelude } from "../src/gpu/prelude";
 import { UniformLayout } from "../src/gpu/uniform";
 import { crc32 } from "../src/reader/digests";
 import { loads } from "../src/reader/read";
-import { fixture } from "./corpus";
+import { FIXTURES, fixture } from "./corpus";
 
 const TESTS = join(import.meta.dirname, "..", "..", "tests");
 
@@ -103,9 +103,9 @@ describe("frame contraction", () => {
 });
 
 describe("single elements", () => {
-  it.each(["v1.0-small", "v1.0-merged", "v1.1-eight", "v1.1-mixed", "v1.2-eight", "v1.2-mixed", "v1.2-lone"])("%s", (name) => {
-    const { levels } = model(`${name}.hmk`);
-    const expected = JSON.parse(fixture(`${name}.json`).toString("utf-8")) as
+  it.each(FIXTURES)("%s", (name) => {
+    const { levels } = model(name);
+    const expected = JSON.parse(fixture(name.replace(".hmk", ".json")).toString("utf-8")) as
       { indices: number[][]; values: number[][] };
     expected.indices.forEach((index, i) => {
       expected.values[i]!.forEach((value, l) => {

@@ -8,7 +8,7 @@
 
 import { checkReach, checkTables, largestFinite, levelReach } from "./check";
 import { crc32 } from "./digests";
-import { type Entry, type Header, LENGTH_BYTES, headerLength, parseHeader } from "./header";
+import { type Header, LENGTH_BYTES, headerLength, parseHeader } from "./header";
 import { parseJson } from "./json";
 import { DEFAULT_LIMITS, type Limits } from "./limits";
 import { type Coords, type Metadata, type Parsed, isShort, parseMetadata } from "./metadata";
@@ -58,18 +58,18 @@ export class Reading {
 
   /** Bytes from the start of the file after which all tables are there. */
   get tablesEnd(): number {
-    return this.endOf((_, entry) => !isNumbers(entry));
+    return this.endOf((name) => !isNumbers(name));
   }
 
   /** Bytes from the start of the file after which a level and all before it are there. */
   levelEnd(level: number): number {
-    return this.endOf((name, entry) => !isNumbers(entry) || Number(name.split("/")[1]) <= level);
+    return this.endOf((name) => !isNumbers(name) || Number(name.split("/")[1]) <= level);
   }
 
-  private endOf(wanted: (name: string, entry: Entry) => boolean): number {
+  private endOf(wanted: (name: string) => boolean): number {
     let end = 0;
     for (const [name, entry] of this.header.entries) {
-      end = wanted(name, entry) ? Math.max(end, entry.end) : end;
+      end = wanted(name) ? Math.max(end, entry.end) : end;
     }
     return this.header.dataStart + end;
   }
@@ -94,7 +94,7 @@ export class Reading {
   /** Check all tables; `file` is the memory of the whole file, filled at least up to `tablesEnd`. */
   readTables(file: Uint8Array<ArrayBuffer>, verify = true): void {
     if (verify) {
-      this.verify(file, this.names((_, entry) => !isNumbers(entry)));
+      this.verify(file, this.names((name) => !isNumbers(name)));
     }
     const array = this.arraysIn(file);
     for (const [n, name] of this.parsed.coords) {
@@ -111,10 +111,10 @@ export class Reading {
   /** Check the core and basis numbers of a level, in order from level 1; its bytes must be there. */
   readLevel(level: number, file: Uint8Array<ArrayBuffer>, verify = true): void {
     if (verify) {
-      this.verify(file, this.names((name, entry) => isNumbers(entry) && name.startsWith(`level/${level}/`)));
+      this.verify(file, this.names((name) => isNumbers(name) && name.startsWith(`level/${level}/`)));
     }
     const geometry = this.geometries[level - 1]!;
-    widenLevel(geometry.packed, this.arraysIn(file), level);
+    widenLevel(geometry, this.arraysIn(file));
     this.reach += levelReach(geometry);
     checkReach(this.reach, geometry);
   }
@@ -126,8 +126,8 @@ export class Reading {
     };
   }
 
-  private names(wanted: (name: string, entry: Entry) => boolean): string[] {
-    return [...this.header.entries].filter(([name, entry]) => wanted(name, entry)).map(([name]) => name);
+  private names(wanted: (name: string) => boolean): string[] {
+    return [...this.header.entries.keys()].filter(wanted);
   }
 }
 

@@ -1,11 +1,13 @@
 /** Which arrays a file holds, their number types and, where the tables do not decide them, their shapes. */
 
+import { fromStream } from "./bitstream";
 import type { Dtype, Entry } from "./header";
 import { type Limits, checkLimit } from "./limits";
-import { type ArrayRecord, MAX_COORD_DIMENSIONS, NUMBER_TYPES, type Parsed, isShort } from "./metadata";
+import { type ArrayRecord, MAX_COORD_DIMENSIONS, NUMBER_TYPES, type Parsed, isShort, mayPack } from "./metadata";
 import { BASIS_NUMBERS, CORE_NUMBERS, widen } from "./narrow";
 import type { PackedLevel } from "./packed";
 import { fault } from "./reasons";
+import { type Geometry, nameIn } from "./tables";
 
 const RAGGED = -1;
 
@@ -18,9 +20,9 @@ export type TypedArray = Float32Array | Float64Array | Int8Array | Uint8Array | 
 /** An array by its name; null if there is none. */
 export type Find = (name: string) => TypedArray | null;
 
-/** Whether an array holds core or basis numbers: no table is of these types. */
-export function isNumbers(entry: Entry): boolean {
-  return entry.dtype === "F16" || entry.dtype === "I8";
+/** Whether an array of this name holds core or basis numbers; all others are tables. */
+export function isNumbers(name: string): boolean {
+  return /^level\/\d+\/(core$|basis\/)/.test(name);
 }
 
 /** Names (without prefix) and infos of the arrays of a level with S = `nodes`; -1 for a ragged length. */
@@ -111,8 +113,21 @@ function expectedArrays({ metadata, version }: Parsed, entries: Map<string, Entr
         expected.set(`level/${level}/${part}`, info);
       }
     }
+    if (numbers === "I8" && mayPack(version)) {
+      expectPacked(expected, `level/${level}/`, modeSizes.length, entries);
+    }
   }
   return expected;
+}
+
+/** What is expected of the modes whose columns have a width each, and of their bases. */
+function expectPacked(expected: Map<string, Info>, level: string, order: number, entries: Map<string, Entry>): void {
+  for (let n = 0; n < order; n += 1) {
+    const [width, basis] = [`${level}width/${n}`, `${level}basis/${n}`];
+    if (entries.has(width) && expected.has(basis)) {
+      expected.set(width, { dtype: "U8", shape: [RAGGED] }).set(basis, { dtype: "U8", shape: [RAGGED] });
+    }
+  }
 }
 
 function checkCoords({ metadata, coords }: Parsed, entries: Map<string, Entry>): void {
@@ -153,7 +168,7 @@ export function checkOrder(entries: Map<string, Entry>): void {
     if (entry.shape.includes(0)) {
       continue; // an empty array stands nowhere in particular
     }
-    const its = isNumbers(entry) ? Number(name.split("/")[1]) : 0;
+    const its = isNumbers(name) ? Number(name.split("/")[1]) : 0;
     if (its < level) {
       throw fault("array-order", name, `after core or basis numbers of level ${level}`,
         "tables first, then core and basis numbers level by level");
@@ -178,7 +193,8 @@ export function viewOf(file: Uint8Array<ArrayBuffer>, dataStart: number, entry: 
 /**
  * The packed level made of a file's arrays, which `checkSchema` has let through.
  *
- * Where its core and basis numbers are bytes, there is room for what they stand for, which `widenLevel` fills.
+ * Where its core and basis numbers are bytes or fewer bits, there is room for what they stand for, which `widenLevel`
+ * fills.
  */
 export function levelOf(array: Find, level: number, order: number): PackedLevel {
   const find = <Type extends TypedArray>(name: string): Type | null => array(`level/${level}/${name}`) as Type | null;
@@ -192,7 +208,10 @@ export function levelOf(array: Find, level: number, order: number): PackedLevel 
   const numbers = (stored: Uint16Array | Int8Array): Uint16Array =>
     (stored instanceof Int8Array ? new Uint16Array(stored.length) : stored);
   const bases = (n: number): Uint16Array | null => {
-    const stored = find<Uint16Array | Int8Array>(`basis/${n}`);
+    const stored = find<Uint16Array | Int8Array | Uint8Array>(`basis/${n}`);
+    if (stored instanceof Uint8Array) { // offsets of short tables, which what the file holds has bounded
+      return new Uint16Array(get<Uint32Array>(`basis_offset/${n}`).at(-1)!);
+    }
     return stored === null ? null : numbers(stored);
   };
   const modes = Array.from({ length: order }, (_, n) => n);
@@ -207,14 +226,20 @@ export function levelOf(array: Find, level: number, order: number): PackedLevel 
   };
 }
 
-/** Fill a level of bytes with the numbers that they stand for. */
-export function widenLevel(packed: PackedLevel, array: Find, level: number): void {
-  const fill = (name: string, numbers: Uint16Array, into: Uint16Array | null): void => {
-    const stored = array(`level/${level}/${name}`);
-    if (stored instanceof Int8Array && into !== null) {
-      widen(stored, numbers, into);
+/** Fill a level of bytes, or of fewer bits, with the numbers that they stand for. */
+export function widenLevel(geometry: Geometry, array: Find): void {
+  const { packed, ranks } = geometry;
+  const core = array(nameIn(geometry, "core"));
+  if (core instanceof Int8Array) {
+    widen(core, CORE_NUMBERS, packed.core);
+  }
+  for (const n of geometry.decomposed) {
+    const [stored, basis] = [array(nameIn(geometry, `basis/${n}`)), packed.basis[n]!];
+    if (stored instanceof Int8Array) {
+      widen(stored, BASIS_NUMBERS, basis);
+    } else if (stored instanceof Uint8Array) {
+      const width = array(nameIn(geometry, `width/${n}`)) as Uint8Array;
+      fromStream(stored, { width, ranks: ranks[n]!, offsets: packed.basisOffset[n]! }, BASIS_NUMBERS, basis);
     }
-  };
-  fill("core", CORE_NUMBERS, packed.core);
-  packed.basis.forEach((basis, n) => fill(`basis/${n}`, BASIS_NUMBERS, basis));
+  }
 }
