@@ -1,30 +1,18 @@
-"""Numbers of fewer than eight bits one after the other, without gaps (`docs/format.md`, section 3, packed bases).
-
-A number of w bits is a byte whose lower 8 - w bits are zero, of which the upper w are stored, the lowest of them first.
-"""
+"""Whole numbers of few bits one after the other, without gaps (`docs/format.md`, section 3, packed levels)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .narrow import I8, U8
+U8 = NDArray[np.uint8]
+I32 = NDArray[np.int32]
 
 #: Numbers looked at together: what is made of them on the way, some 40 bytes of each, stays in the cache.
 _TOGETHER = 1 << 14
-
-
-def bits_needed(stored: I8) -> U8:
-    """Bits of a number of each column `[R]` of the bytes `[.., R]`: of so many the lowest is not always 0.
-
-    >>> bits_needed(np.array([[64, 3, 0], [-64, 1, 0]], np.int8)).tolist()
-    [2, 8, 1]
-    """
-    used = np.bitwise_or.reduce(stored.reshape(-1, stored.shape[-1]).view(np.uint8), axis=0).astype(np.int16)
-    lowest = used & -used
-    return np.where(used == 0, 1, 8 - np.log2(np.maximum(lowest, 1)).astype(np.int16)).astype(np.uint8)
 
 
 def stream_bytes(bits: int) -> int:
@@ -32,17 +20,17 @@ def stream_bytes(bits: int) -> int:
     return -(-bits // 8)
 
 
-def to_stream(stored: I8, bits: U8) -> U8:
-    """The numbers, each in its `bits`, as bytes; what is left of the last one is 0.
+def to_stream(numbers: NDArray[Any], bits: U8) -> U8:
+    """The numbers in two's complement, each in its `bits`, as bytes; what is left of the last one is 0.
 
-    >>> to_stream(np.array([64, -64, 32], np.int8), np.array([2, 2, 3], np.uint8)).tolist()  # 01, 11, 001
+    >>> to_stream(np.array([1, -1, 1]), np.array([2, 2, 3], np.uint8)).tolist()  # 01, 11, 001
     [29]
     """
     pieces, rest = list[U8](), np.zeros(0, np.uint8)
     for begin, end, starts in _chunks(bits):
         own, offset = bits[begin:end], starts - starts[:1] + rest.size
-        values = stored[begin:end].view(np.uint8) >> (8 - own)
-        ones = np.concatenate([rest, np.zeros(int(own.sum()), np.uint8)])
+        values = numbers[begin:end].astype(np.int32).view(np.uint32)
+        ones = np.concatenate([rest, np.zeros(int(own.sum(dtype=np.int64)), np.uint8)])
         for bit in range(int(own.max(initial=0))):
             has = own > bit
             ones[offset[has] + bit] = (values[has] >> bit) & 1
@@ -52,21 +40,22 @@ def to_stream(stored: I8, bits: U8) -> U8:
     return np.concatenate([*pieces, np.packbits(rest, bitorder="little")])
 
 
-def from_stream(stream: U8, bits: U8) -> I8:
-    """The bytes that numbers of so many `bits` each stand for.
+def from_stream(stream: U8, bits: U8) -> I32:
+    """The numbers of so many `bits` each.
 
     >>> from_stream(np.array([29], np.uint8), np.array([2, 2, 3], np.uint8)).tolist()
-    [64, -64, 32]
+    [1, -1, 1]
     """
-    stored = np.zeros(bits.size, np.uint8)
+    numbers = np.zeros(bits.size, np.int32)
     for begin, end, starts in _chunks(bits):
         own, first = bits[begin:end], int(starts[0]) // 8
         last = stream_bytes(int(starts[-1]) + int(own[-1]))
-        ones, offset = np.unpackbits(stream[first:last], bitorder="little"), starts - 8 * first
+        ones, offset = np.unpackbits(stream[first:last], bitorder="little").astype(np.int32), starts - 8 * first
         for bit in range(int(own.max(initial=0))):
             has = own > bit
-            stored[begin:end][has] |= ones[offset[has] + bit] << (8 - own[has] + bit)
-    return stored.view(np.int8)
+            weight = np.where(own[has] == bit + 1, -1, 1) << bit  # the highest bit counts below zero
+            numbers[begin:end][has] += ones[offset[has] + bit] * weight
+    return numbers
 
 
 def _chunks(bits: U8) -> Iterator[tuple[int, int, NDArray[np.int64]]]:

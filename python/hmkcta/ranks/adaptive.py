@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import inf, isfinite, prod
+from math import inf, isfinite, log, log2, prod
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,9 +44,10 @@ ATTEMPTS = 16
 FEW_ATTEMPTS = 3
 #: How far above the goal a level of several nodes aims, in dB: its choices come in small steps.
 MARGIN = 0.05
-#: What the rounding of columns leaves, as a share of what the ranks leave: at first, and from the least to the most that
-#: suits a goal.
-SHARE, SHARES = 0.1, (0.03, 0.35)
+#: What the rounding of columns leaves, as a share of what the ranks leave: where nothing tells, and the least and most.
+SHARE, SHARES = 0.1, (0.05, 0.6)
+#: How many times the bytes tell what more of them would save of the error.
+FURTHER = 1.2
 #: How often a fit is repeated at most with fewer bits that still reach the SNR, and how far above it they aim, in dB.
 SHARE_ATTEMPTS, TOUCHING = 2, 0.01
 #: Bits that a basis number takes on average: so many, and so many more for each dB.
@@ -190,6 +191,7 @@ class _LastLevel:
         bits, or fewer.
         """
         best, tried, chosen = None, set[tuple[bytes, float]](), self._filling(size)
+        usual = self.share = self._share_of(chosen)
         for _ in range(SIZE_ATTEMPTS):
             if (chosen.choice.tobytes(), self.share) in tried or not self._stores(chosen):
                 break
@@ -201,7 +203,7 @@ class _LastLevel:
             if USED * size <= taken <= size:
                 break
             other = self._filling(AIMED * size)
-            if self.share == SHARE and (other.choice.tobytes(), SHARE) not in tried:
+            if self.share == usual and (other.choice.tobytes(), usual) not in tried:
                 chosen = other
                 continue
             fewer = 8 * (taken - AIMED * size) / max(self._numbers(chosen), 1)  # bits of each number
@@ -228,7 +230,20 @@ class _LastLevel:
 
     def _mean_bits(self, chosen: Allocation) -> float:
         """Bits of a basis number that the choices should take: more for a higher SNR, as of the fits before."""
-        return min(max(BITS_AT[0] + BITS_AT[1] * self._promised(chosen) + self.more_bits, FEWEST), MOST)
+        fewer = log2(self.share / SHARE) / 2
+        return min(max(BITS_AT[0] + BITS_AT[1] * self._promised(chosen) + self.more_bits - fewer, FEWEST), MOST)
+
+    def _share_of(self, chosen: Allocation) -> float:
+        """What rounding should leave, as a share of the error: as much as makes bits of columns and ranks pay alike.
+
+        Half a bit less of each number leaves twice as much, and so does, of the ranks, whatever saves as many bytes.
+        """
+        other = allocate(self.spectra, nbytes=FURTHER * chosen.nbytes)
+        if other.nbytes <= chosen.nbytes or not chosen.error or not self._own_bits:
+            return self.share
+        saved = (chosen.error - other.error) / (other.nbytes - chosen.nbytes)
+        share = self._numbers(chosen) / (16 * log(2)) * saved / (self.elsewhere + chosen.error)
+        return min(max(share, SHARES[0]), SHARES[1])
 
     def _numbers(self, chosen: Allocation) -> float:
         """Basis numbers of the choices."""
@@ -263,6 +278,8 @@ class _LastLevel:
         for attempt in range(ATTEMPTS):
             error = max(noise_at(aim, self.goal.energy) - self.elsewhere, 0.0)
             chosen = trimmed(self.spectra, allocate(self.spectra, error=error), error)
+            if attempt == 0:
+                self.share = self._share_of(chosen)
             if chosen.choice.tobytes() in tried:
                 if best is not None:
                     break
@@ -336,7 +353,7 @@ class _LastLevel:
         fit_nodes(self.tree, self._specs(chosen), self.run, labels_of)
         for _ in range(self.run.effort.backfits if len(self.tree.levels) > 1 else 0):
             backfit(self.tree, self.run)
-        if self._own_bits and self.share == SHARE and (numbers := self._numbers(chosen)):
+        if self._own_bits and (numbers := self._numbers(chosen)):
             taken = self.goal.file_bytes(self.tree) - self._bytes_of(chosen)
             self.more_bits += 8 * taken / numbers
 
