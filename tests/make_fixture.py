@@ -2,8 +2,8 @@
 
 Run as ``python tests/make_fixture.py`` after a new version is released. Later code must decode them to the values
 that were written down beside them, so they are evidence only as long as nobody regenerates them. Those of version 1.0
-were made of `small_model` and `merged_model`, those of 1.1 of `eight_model` and `mixed_model`, those of 1.2 of these and
-`lone_model`.
+were made of `small_model` and `merged_model`, those of 1.1 of `eight_model` and `mixed_model`, those of 1.2 also
+of `lone_model`.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def lone_model() -> tuple[Metadata, tuple[PackedLevel, ...]]:
 
 
 def packed_model() -> tuple[Metadata, tuple[PackedLevel, ...]]:
-    """Two modes, one of them undecomposed, two levels of packed bases: columns of 1 to 8 bits, and spare bits at the end.
+    """Two modes, one of them undecomposed, two levels of packed bases: columns of 1 to 8 bits, spare bits at the end.
 
     Nodes of one level have different ranks, and one of them is zero.
     """

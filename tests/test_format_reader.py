@@ -80,8 +80,8 @@ def test_a_reader_by_the_text_alone_agrees_on_fixtures(path: Path) -> None:
     for mode_index, values in zip(expected["indices"], expected["values"], strict=True):
         place: dict[str, int] = {}
         for mode, i in zip(reader.modes, mode_index, strict=True):
-            inside = np.unravel_index(i, [reader.sizes[axis] for axis in mode])
-            place |= {axis: int(position) for axis, position in zip(mode, inside, strict=True)}
+            for axis in reversed(mode):
+                i, place[axis] = divmod(i, reader.sizes[axis])
         for level, value in enumerate(values, 1):
             assert reader.value([place[axis] for axis in reader.sizes], level) == pytest.approx(value, abs=1e-9)
 

@@ -61,7 +61,7 @@ def test_fixtures_of_bytes_have_them(name: str, bits: list[int]) -> None:
 
 
 def test_fixtures_of_packed_bases_have_them() -> None:
-    """Columns from one bit to all eight, nodes of different ranks and of none, bases that are not packed beside them."""
+    """Columns from one bit to all eight, nodes of different ranks and of none, other bases beside packed ones."""
     _, levels = load(FIXTURES / "v1.3-packed.hmk")
     widths = [level.width[0] for level in levels]
     assert [None if width is None else width.tolist() for width in widths] == [[1, 8], [5, 4, 6, 3, 3]]

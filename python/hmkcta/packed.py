@@ -129,7 +129,7 @@ def number_bits(width: U8, ranks: NDArray[np.integer[Any]], numbers: NDArray[np.
     bits = np.empty(int(ends[-1]) if ends.size else 0, np.uint8)
     for begin in range(0, bits.size, _TOGETHER):  # of nodes there can be a million, of numbers more
         end = min(begin + _TOGETHER, bits.size)
-        first, last = np.searchsorted(ends, [begin, end - 1], side="right")
+        first, last = (int(np.searchsorted(ends, at, side="right")) for at in (begin, end - 1))
         edges = np.clip(np.append(starts[first : last + 1], ends[last]), begin, end)
         node = np.repeat(np.arange(first, last + 1), np.diff(edges))
         bits[begin:end] = width[columns[node] + (np.arange(begin, end) - starts[node]) % ranks[node]]
