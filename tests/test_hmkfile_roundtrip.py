@@ -26,6 +26,7 @@ from hmkcta.hmkfile import (
     encoded_size,
     file_size,
     level_schema,
+    level_sizes,
     load,
     loads,
     prefix,
@@ -230,7 +231,9 @@ def test_the_version_hangs_on_number_types(
     (tmp_path / "a.hmk").write_bytes(data)
     tables = table_bytes(tmp_path / "a.hmk")
     assert len(tables) == len(model[1])
-    assert payload(data) == sum(tables) + sum(level.number_bytes for level in model[1])
+    numbers = [level.number_bytes for level in model[1]]
+    assert payload(data) == sum(tables) + sum(numbers)
+    assert level_sizes(model[1]) == [own + count for own, count in zip(tables, numbers, strict=True)]
 
 
 def test_what_follows_is_left_out() -> None:

@@ -1,4 +1,4 @@
-"""Short tables (`docs/format.md`, section 3): version 1.2 leaves out what follows from other arrays.
+"""Short tables (`docs/format.md`, section 3): from version 1.2 on, what follows from other arrays is left out.
 
 The writer leaves it out by the same rules by which the reader makes it again, so that decoders know one layout.
 """
