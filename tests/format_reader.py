@@ -39,6 +39,19 @@ def of_bytes(name: str, stored: Sequence[int]) -> tuple[float, ...]:
     return tuple(struct.unpack("<e", struct.pack("<e", q * abs(q) / 16129))[0] for q in stored)
 
 
+def of_bits(stored: Sequence[int], widths: Sequence[int]) -> tuple[float, ...]:
+    """Section 3, packed bases: numbers of so many bits each, which take up all the bytes."""
+    sequence, done, numbers = int.from_bytes(bytes(stored), "little"), 0, list[float]()
+    for width in widths:
+        assert 1 <= width <= 8
+        whole = (sequence >> done) % 2**width
+        whole -= 2**width if whole >= 2 ** (width - 1) else 0
+        numbers.append(whole / 2 ** (width - 1))
+        done += width
+    assert len(stored) == math.ceil(done / 8)
+    return tuple(numbers)
+
+
 class Reader:
     """Sections 1, 5 and 6: the header, its metadata, the arrays."""
 
@@ -57,8 +70,7 @@ class Reader:
             raw, count = data[start + begin : start + last], prod(entry["shape"])
             assert (begin, last - begin, (start + begin) % size) == (end, count * size, 0)
             record = {"dtype": entry["dtype"], "shape": entry["shape"], "crc32": zlib.crc32(raw)}
-            short = self.metadata["version"] == "1.2"
-            assert self.metadata["arrays"].pop(name) == (record["crc32"] if short else record)
+            assert self.metadata["arrays"].pop(name) == (record["crc32"] if self._is_short else record)
             numbers, end = struct.unpack(f"<{count}{letter}", raw), last
             self.arrays[name] = of_bytes(name, numbers) if entry["dtype"] == "I8" else numbers
         assert not self.metadata["arrays"]
@@ -67,13 +79,23 @@ class Reader:
         self.sizes = {axis["name"]: axis["size"] for axis in self.metadata["axes"]}
         self.modes: list[list[str]] = self.metadata["organisation"]
         self.undecomposed: list[int] = self.metadata["undecomposed"]
-        if self.metadata["version"] == "1.2":
+        if self._is_short:
             self._complete([prod(self.sizes[a] for a in mode) for mode in self.modes])
 
+    @property
+    def _is_short(self) -> bool:
+        return self.metadata["version"] in ("1.2", "1.3")
+
     def _check_types(self, header: dict[str, Any]) -> None:
-        """Section 3, types: one for the numbers of a level, and after I8 no other."""
+        """Section 3, types: one for the numbers of a level, and after I8 no other; U8 where a basis is packed."""
+        types = {name: entry["dtype"] for name, entry in header.items()}
+        packed = {name.replace("/width/", "/basis/") for name in types if "/width/" in name}
+        assert not packed or self.metadata["version"] == "1.3"
+        for name in packed:
+            assert types[name] == "U8"
+            types[name] = "I8"  # of a level of I8 alone
         level_types = [
-            {entry["dtype"] for name, entry in header.items() if re.match(rf"level/{level}/(core$|basis/)", name)}
+            {dtype for name, dtype in types.items() if re.match(rf"level/{level}/(core$|basis/)", name)}
             for level, _ in enumerate(self.metadata["levels"], 1)
         ]
         allowed = {"1.0": [{"F16"}]}.get(self.metadata["version"], [{"F16"}, {"I8"}])
@@ -107,6 +129,7 @@ class Reader:
         self._sums(level, "cluster", entries, f"/{n}")
         bases = [e * o * node.ranks[n] for e, o, node in zip(entries, others, nodes, strict=True)]
         self._sums(level, "basis", bases, f"/{n}")
+        self._unpack(level, n, nodes, bases)
         cluster, part, local = (f"level/{level}/{name}/{n}" for name in ("cluster", "part", "local"))
         self.arrays.setdefault(cluster, (0,) * sum(entries))
         if level == len(self.metadata["levels"]):
@@ -129,6 +152,18 @@ class Reader:
             for node in inner
             for choice in product(*map(range, node.clusters))
         ]
+
+    def _unpack(self, level: int, n: int, nodes: Sequence[Node], counts: Sequence[int]) -> None:
+        """Section 3, packed bases: the numbers of a mode's, of which each node has so many."""
+        if f"level/{level}/width/{n}" not in self.arrays:
+            return
+        columns, widths = list(self.arrays[f"level/{level}/width/{n}"]), list[int]()
+        for node, count in zip(nodes, counts, strict=True):
+            own = [columns.pop(0) for _ in range(node.ranks[n])]
+            widths += [own[i % len(own)] for i in range(count)]
+        assert not columns
+        basis = f"level/{level}/basis/{n}"
+        self.arrays[basis] = of_bits(self.arrays[basis], widths)
 
     def value(self, index: Sequence[int], levels: int) -> float:
         """Section 4: one element, by its index in the source array, up to a level."""

@@ -2,7 +2,8 @@
 
 Run as ``python tests/make_fixture.py`` after a new version is released. Later code must decode them to the values
 that were written down beside them, so they are evidence only as long as nobody regenerates them. Those of version 1.0
-were made of `small_model` and `merged_model`, those of 1.1 of `eight_model` and `mixed_model`.
+were made of `small_model` and `merged_model`, those of 1.1 of `eight_model` and `mixed_model`, those of 1.2 also
+of `lone_model`.
 """
 
 from __future__ import annotations
@@ -72,6 +73,28 @@ def lone_model() -> tuple[Metadata, tuple[PackedLevel, ...]]:
     return replace(metadata, kind="volume", seed=12), levels
 
 
+def packed_model() -> tuple[Metadata, tuple[PackedLevel, ...]]:
+    """Two modes, one of them undecomposed, two levels of packed bases: columns of 1 to 8 bits, spare bits at the end.
+
+    Nodes of one level have different ranks, and one of them is zero.
+    """
+    axes = (Axis("x", 5, "space", np.array([0.0, 0.5, 1.0, 2.5, 3.0]), "mm"), Axis("t", 3, "time"))
+    metadata, levels = random_model(np.random.default_rng(1997), (5, 3), 2, (1,), axes=axes,
+                                    organisation=(("x",), ("t",)), eight_from=1, packed_share=1.0,
+                                    shapes=Shapes(max_rank=3, zero=0.3, leaf=0.0))
+    return replace(metadata, kind="volume", seed=13), levels
+
+
+def partly_model() -> tuple[Metadata, tuple[PackedLevel, ...]]:
+    """As the mixed model, but of levels 2 and 3 the bases of one mode each are packed."""
+    axes = (Axis("light", 8, "light"), Axis("texel", 7, "space"), Axis("frame", 2, "time"), Axis("rgb", 3, "channel"))
+    organisation = (("light", "rgb"), ("texel",), ("frame",))
+    metadata, levels = random_model(np.random.default_rng(29), mode_sizes(axes, organisation), 3, (2,), axes=axes,
+                                    organisation=organisation, eight_from=2, packed_share=0.5,
+                                    shapes=Shapes(2, 2, 2, 4, 0.15, 0.25))
+    return replace(metadata, kind="svbrdf"), levels
+
+
 def expectations(metadata: Metadata, levels: tuple[PackedLevel, ...]) -> dict[str, Any]:
     """What a reader of any language must find: some elements up to each level, by section 4 of the specification."""
     sizes = mode_sizes(metadata.axes, metadata.organisation)
@@ -88,7 +111,7 @@ def write_fixtures(folder: Path) -> None:
     Raises:
         HmkctaError: ``output-exists``, as a fixture once written stays as it is.
     """
-    for name, model in (("eight", eight_model()), ("mixed", mixed_model()), ("lone", lone_model())):
+    for name, model in (("packed", packed_model()), ("partly", partly_model())):
         path = folder / f"v{VERSION}-{name}.hmk"
         save(path, *model)
         path.with_suffix(".json").write_text(json.dumps(expectations(*model)) + "\n", encoding="utf-8")

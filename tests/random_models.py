@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmkcta.axes import Axis, Organisation, name_axes, separate
-from hmkcta.narrow import BASIS_NUMBERS, CORE_NUMBERS, widened
+from hmkcta.narrow import BASIS_NUMBERS, CORE_NUMBERS, U8, widened
 from hmkcta.packed import F16, U16, U32, LevelBounds, LevelQuality, Metadata, PackedLevel
 
 Sizes = tuple[int, ...]
@@ -50,12 +50,13 @@ class Node:
 
 def random_model(rng: np.random.Generator, sizes: Sequence[int], levels: int = 2, undecomposed: Sequence[int] = (), *,
                  shapes: Shapes = Shapes(), axes: tuple[Axis, ...] | None = None,
-                 organisation: Organisation | None = None, eight_from: int | None = None
+                 organisation: Organisation | None = None, eight_from: int | None = None, packed_share: float = 0.0
                  ) -> tuple[Metadata, tuple[PackedLevel, ...]]:
     """A random model of a tensor with these mode sizes; every choice the format leaves open is drawn from `rng`.
 
     The quality in the metadata is made up. With `axes` and `organisation` modes can be merged axes, of these sizes.
-    Core and basis numbers of the levels from `eight_from` on are stored in eight bits.
+    Core and basis numbers of the levels from `eight_from` on are stored in eight bits; of these levels, that share of
+    the decomposed modes has packed bases.
     """
     axes = axes if axes is not None else name_axes(sizes)
     packed: list[PackedLevel] = []
@@ -67,6 +68,8 @@ def random_model(rng: np.random.Generator, sizes: Sequence[int], levels: int = 2
         rows = [child for node in nodes for child in node.children]
     if eight_from is not None:
         packed[eight_from - 1:] = [_in_bytes(rng, level) for level in packed[eight_from - 1:]]
+        if packed_share:
+            packed[eight_from - 1:] = [_in_columns(rng, level, packed_share) for level in packed[eight_from - 1:]]
     quality = tuple(LevelQuality(float(snr), float(1 / snr), float(2 / snr)) for snr in 10.0 + 8.0 * np.arange(levels))
     metadata = Metadata("float32", axes, organisation or separate(axes), tuple(map(bounds_of, packed)),
                         tuple(undecomposed), quality=quality, source={"sha256": "0" * 64}, writer="random_models")
@@ -80,6 +83,22 @@ def _in_bytes(rng: np.random.Generator, level: PackedLevel) -> PackedLevel:
 
     basis = tuple(None if array is None else drawn(array, BASIS_NUMBERS) for array in level.basis)
     return replace(level, core=drawn(level.core, CORE_NUMBERS), basis=basis, bits=8)
+
+
+def _in_columns(rng: np.random.Generator, level: PackedLevel, share: float) -> PackedLevel:
+    """The level with packed bases of a share of its modes, the columns of each node of any width."""
+    width: list[U8 | None] = [None] * level.order
+    bases = list(level.basis)
+    for n, (basis, starts) in enumerate(zip(level.basis, level.basis_offset, strict=True)):
+        if basis is None or starts is None or rng.random() >= share:
+            continue
+        own = [rng.integers(1, 9, int(rank)).astype(np.uint8) for rank in level.shape[:, 2, n]]
+        ones = [np.resize(2.0 ** (bits - 1.0), end - begin)
+                for bits, begin, end in zip(own, starts[:-1].tolist(), starts[1:].tolist(), strict=True)]
+        each = np.concatenate([np.zeros(0), *ones])
+        bases[n] = (np.floor(basis * each) / each).astype(np.float16)
+        width[n] = np.concatenate([np.zeros(0, np.uint8), *own])
+    return replace(level, basis=tuple(bases), width=tuple(width) if any(w is not None for w in width) else ())
 
 
 def bounds_of(level: PackedLevel) -> LevelBounds:

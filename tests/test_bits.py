@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 import hmkcta
 from cli_tools import refused, report, run, smooth
+from hmk_corpus import FIXTURES, Parts
 from hmkcta import HmkctaError, Model, choose_plan, compress, parse_plan
 from hmkcta.backends import reference
 from hmkcta.cells import Cells, round_cores
@@ -347,3 +348,23 @@ def test_what_memory_does_not_hold_has_bytes(monkeypatch: pytest.MonkeyPatch) ->
     scarce = budget.PROCESS + budget.WORKING * jet().values.size // 4
     plan = choose_plan(jet().values, axes=jet().axes, max_memory=scarce, **options)
     assert {level.bits for level in plan.levels} == {8}
+
+
+def test_info_counts_the_bits_of_packed_bases() -> None:
+    path = FIXTURES / "v1.3-partly.hmk"
+    arrays = Parts.split(path.read_bytes()).arrays
+    sizes = {name: len(data) for name, (_, _, data) in arrays.items()}
+    numbers = {name: size for name, size in sizes.items() if name.endswith("/core") or "/basis/" in name}
+    told = report("info", path)
+    assert told["bytes"]["numbers"] == sum(numbers.values())
+    assert told["bytes"]["tables"] == sum(sizes.values()) - sum(numbers.values())
+    assert sum(told["bytes"][part] for part in ("header", "numbers", "tables")) == path.stat().st_size
+    assert [level["bytes"] for level in told["levels"]] == [
+        sum(size for name, size in sizes.items() if name.startswith(f"level/{level}/")) for level in (1, 2, 3)
+    ]
+    for number, (level, stored) in enumerate(zip(told["levels"], hmkcta.open(path).levels, strict=True), 1):
+        count = sum(basis.size for basis in stored.basis if basis is not None)
+        size = sum(size for name, size in numbers.items() if name.startswith(f"level/{number}/basis"))
+        assert level["basis_bits"] == pytest.approx(8 * size / count)
+    assert [level["basis_bits"] < level["bits"] for level in told["levels"]] == [False, True, True]
+    assert run("verify", path).stdout.endswith("as they should be.\n")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,8 @@ import numpy as np
 import pytest
 
 import hmkcta
-from format_reader import Reader
+from format_reader import Reader, of_bits
+from hmk_corpus import FIXTURES
 from hmkcta.model import Model
 from hmkcta.transform import TRANSFORMS
 from literal_decode import element
@@ -49,14 +51,20 @@ def test_a_reader_by_the_text_alone_agrees(options: dict[str, Any], tmp_path: Pa
             assert reader.value(index, level) == pytest.approx(float(decoded[tuple(index)]), abs=1e-5)
 
 
+@pytest.mark.parametrize("packed_share", [0.0, 0.6, 1.0])
 @pytest.mark.parametrize("eight_from", [1, 2, 3])
 @pytest.mark.parametrize("shapes", [Shapes(leaf=0.0, zero=0.0), Shapes(3, 1, 3, zero=0.1, leaf=0.1, tidy=True)])
-def test_a_reader_by_the_text_alone_agrees_on_bytes(eight_from: int, shapes: Shapes, tmp_path: Path) -> None:
+def test_a_reader_by_the_text_alone_agrees_on_bytes(
+    eight_from: int, shapes: Shapes, packed_share: float, tmp_path: Path
+) -> None:
     sizes, rng = (5, 4, 6), np.random.default_rng(eight_from)
-    model = Model(*random_model(rng, sizes, 3, (1,), shapes=shapes, eight_from=eight_from))
+    model = Model(
+        *random_model(rng, sizes, 3, (1,), shapes=shapes, eight_from=eight_from, packed_share=packed_share)
+    )
     model.save(tmp_path / "a.hmk")
     reader, opened = Reader(tmp_path / "a.hmk"), hmkcta.open(tmp_path / "a.hmk")
-    assert reader.metadata["version"] == "1.2"
+    assert reader.metadata["version"] == ("1.3" if packed_share else "1.2")
+    assert bool(packed_share) == any("/width/" in name for name in reader.arrays)
     for level in range(1, 4):
         decoded = np.asarray(opened.at_level(level))
         assert np.abs(decoded).max() > 0.1
@@ -64,6 +72,26 @@ def test_a_reader_by_the_text_alone_agrees_on_bytes(eight_from: int, shapes: Sha
             value = reader.value(index, level)
             assert value == pytest.approx(element(model.levels, index, level), abs=1e-9)
             assert value == pytest.approx(float(decoded[index]), abs=1e-4)
+
+
+@pytest.mark.parametrize("path", sorted(FIXTURES.glob("v*.json")), ids=lambda path: path.stem)
+def test_a_reader_by_the_text_alone_agrees_on_fixtures(path: Path) -> None:
+    reader, expected = Reader(path.with_suffix(".hmk")), json.loads(path.read_text(encoding="utf-8"))
+    for mode_index, values in zip(expected["indices"], expected["values"], strict=True):
+        place: dict[str, int] = {}
+        for mode, i in zip(reader.modes, mode_index, strict=True):
+            for axis in reversed(mode):
+                i, place[axis] = divmod(i, reader.sizes[axis])
+        for level, value in enumerate(values, 1):
+            assert reader.value([place[axis] for axis in reader.sizes], level) == pytest.approx(value, abs=1e-9)
+
+
+def test_the_example_of_the_text_is_packed_so() -> None:
+    """The bytes and the numbers are those of section 3, packed bases."""
+    text = FORMAT.read_text(encoding="utf-8").replace("\n", " ")
+    assert "columns of 2 and 3 bits and the numbers 0.5, -0.75, -0.5, 0.25 of two rows" in text
+    assert "are the bytes 0xF5 and 0x00" in text
+    assert of_bits([0xF5, 0x00], [2, 3, 2, 3]) == (0.5, -0.75, -0.5, 0.25)
 
 
 def test_the_text_says_how_every_transform_is_undone() -> None:

@@ -27,6 +27,8 @@ MIXED = (FIXTURES / "v1.1-mixed.hmk").read_bytes()
 SHORT_EIGHT = (FIXTURES / "v1.2-eight.hmk").read_bytes()
 SHORT_MIXED = (FIXTURES / "v1.2-mixed.hmk").read_bytes()
 LONE = (FIXTURES / "v1.2-lone.hmk").read_bytes()
+PACKED = (FIXTURES / "v1.3-packed.hmk").read_bytes()
+PARTLY = (FIXTURES / "v1.3-partly.hmk").read_bytes()
 PYTHON = Path(__file__).parent.parent / "python"
 
 
@@ -40,8 +42,9 @@ def verdict(data: bytes | bytearray) -> HmkctaError | None:
 
 
 @pytest.mark.parametrize(("data", "step"),
-                         [(SMALL, 1), (EIGHT, 1), (MERGED, 7), (MIXED, 7), (LONE, 1), (SHORT_MIXED, 7)],
-                         ids=["small", "eight", "merged", "mixed", "lone", "short mixed"])
+                         [(SMALL, 1), (EIGHT, 1), (MERGED, 7), (MIXED, 7), (LONE, 1), (SHORT_MIXED, 7), (PACKED, 1),
+                          (PARTLY, 7)],
+                         ids=["small", "eight", "merged", "mixed", "lone", "short mixed", "packed", "partly"])
 def test_every_truncation_is_insufficient_data(data: bytes, step: int) -> None:
     for size in range(0, len(data), step):
         error = verdict(data[:size])
@@ -58,7 +61,8 @@ def test_truncated_and_empty_files(tmp_path: Path) -> None:
         assert caught.value.kind is Kind.INSUFFICIENT_DATA
 
 
-@pytest.mark.parametrize("small", [SMALL, EIGHT, SHORT_EIGHT, LONE], ids=["small", "eight", "short eight", "lone"])
+@pytest.mark.parametrize("small", [SMALL, EIGHT, SHORT_EIGHT, LONE, PACKED],
+                         ids=["small", "eight", "short eight", "lone", "packed"])
 def test_every_flipped_bit_is_reported(small: bytes) -> None:
     assert 2048 <= len(small) <= 8192
     data = bytearray(small)
@@ -73,7 +77,8 @@ def test_every_flipped_bit_is_reported(small: bytes) -> None:
     assert verdict(data) is None
 
 
-@pytest.mark.parametrize("whole", [MERGED, MIXED, SHORT_MIXED, LONE], ids=["merged", "mixed", "short mixed", "lone"])
+@pytest.mark.parametrize("whole", [MERGED, MIXED, SHORT_MIXED, LONE, PARTLY],
+                         ids=["merged", "mixed", "short mixed", "lone", "partly"])
 @pytest.mark.parametrize("width", [1, 4, 16])
 def test_sliding_damage_is_reported(width: int, whole: bytes) -> None:
     rng = np.random.default_rng(width)
@@ -94,7 +99,8 @@ def test_extra_byte_is_reported() -> None:
 
 
 @pytest.mark.parametrize(("base", "sizes"), [(MERGED, (72, 6, 2)), (MIXED, (24, 7, 2)), (SHORT_MIXED, (24, 7, 2)),
-                                            (LONE, (9, 7, 2))], ids=["merged", "mixed", "short mixed", "lone"])
+                                            (LONE, (9, 7, 2)), (PACKED, (5, 3)), (PARTLY, (24, 7, 2))],
+                         ids=["merged", "mixed", "short mixed", "lone", "packed", "partly"])
 @pytest.mark.parametrize("seed", range(3))
 def test_forged_files_are_refused_or_decode(seed: int, base: bytes, sizes: tuple[int, ...]) -> None:
     """With checksums made anew, whatever the reader takes must decode everywhere to finite numbers."""

@@ -17,7 +17,7 @@ from hmkcta.errors import HmkctaError
 from hmkcta.hmkfile import VERSION, encode, load
 from hmkcta.packed import Metadata, PackedLevel
 from literal_decode import element
-from make_fixture import eight_model, lone_model, mixed_model, write_fixtures
+from make_fixture import eight_model, lone_model, mixed_model, packed_model, partly_model, write_fixtures
 
 #: SHA-256 of every committed fixture: a fixture that changes is no evidence any more.
 DIGESTS = {
@@ -28,6 +28,8 @@ DIGESTS = {
     "v1.2-eight.hmk": "c40d21a3d4cb6a7827eea81e2f39cd7e4bc81deb6fa7c2609da7a37f07668945",
     "v1.2-lone.hmk": "2de87a0a64e0c6e424e9787dc78872efe08404d450e3148c85b00aa1d3a55f22",
     "v1.2-mixed.hmk": "dfa07b4c27dddb781bf943f708b18d16672f6115bcae8131d7eba8e0f8fe79d9",
+    "v1.3-packed.hmk": "a0ab56a4bdb2eebd0de3f0d3488d29cfa3fc11348bf52062611d80b3b07407ec",
+    "v1.3-partly.hmk": "03bcfce830a2e6a2272b1ece96ad6d5dc1249cb06470524b5f41895f50ab3889",
 }
 
 
@@ -50,17 +52,34 @@ def test_fixture_decodes_to_its_expectations(name: str) -> None:
 
 @pytest.mark.parametrize(("name", "bits"), [("v1.0-merged", [16] * 3), ("v1.1-eight", [8, 8]),
                                             ("v1.1-mixed", [16, 8, 8]), ("v1.2-eight", [8, 8]),
-                                            ("v1.2-mixed", [16, 8, 8]), ("v1.2-lone", [8] * 3)])
+                                            ("v1.2-mixed", [16, 8, 8]), ("v1.2-lone", [8] * 3),
+                                            ("v1.3-packed", [8, 8]), ("v1.3-partly", [16, 8, 8])])
 def test_fixtures_of_bytes_have_them(name: str, bits: list[int]) -> None:
     _, levels = load(FIXTURES / f"{name}.hmk")
     assert [level.bits for level in levels] == bits
     assert all(level.core.dtype == np.float16 and not level.core.flags.writeable for level in levels)
 
 
-@pytest.mark.parametrize("model", [eight_model(), mixed_model(), lone_model()], ids=["eight", "mixed", "lone"])
-def test_fixtures_of_the_newest_version_are_written_as_they_are(model: tuple[Metadata, tuple[PackedLevel, ...]]
-                                                                ) -> None:
-    assert b"".join(encode(*model)) in [path.read_bytes() for path in FIXTURES.glob(f"v{VERSION}-*.hmk")]
+def test_fixtures_of_packed_bases_have_them() -> None:
+    """Columns from one bit to all eight, nodes of different ranks and of none, other bases beside packed ones."""
+    _, levels = load(FIXTURES / "v1.3-packed.hmk")
+    widths = [level.width[0] for level in levels]
+    assert [None if width is None else width.tolist() for width in widths] == [[1, 8], [5, 4, 6, 3, 3]]
+    assert levels[1].shape[:, 2, 0].tolist() == [3, 2, 0]
+    assert [int(bits.sum()) % 8 for level in levels if (bits := level.stored_bits(0)) is not None] == [2, 2]
+    _, levels = load(FIXTURES / "v1.3-partly.hmk")
+    assert [[width is not None for width in level.width] for level in levels] == [
+        [], [True, False, False], [False, True, False]]
+
+
+@pytest.mark.parametrize(("version", "name", "model"), [
+    ("1.2", "eight", eight_model()), ("1.2", "mixed", mixed_model()), ("1.2", "lone", lone_model()),
+    ("1.3", "packed", packed_model()), ("1.3", "partly", partly_model())],
+    ids=["eight", "mixed", "lone", "packed", "partly"])  # fmt: skip
+def test_fixtures_of_versions_that_are_written_are_written_as_they_are(
+    version: str, name: str, model: tuple[Metadata, tuple[PackedLevel, ...]]
+) -> None:
+    assert b"".join(encode(*model)) == (FIXTURES / f"v{version}-{name}.hmk").read_bytes()
 
 
 @pytest.mark.parametrize("name", ["eight", "mixed"])

@@ -26,6 +26,7 @@ from hmkcta.hmkfile import (
     encoded_size,
     file_size,
     level_schema,
+    level_sizes,
     load,
     loads,
     prefix,
@@ -35,7 +36,15 @@ from hmkcta.hmkfile import (
 )
 from hmkcta.hmkfile.metadata import to_json
 from hmkcta.packed import LevelQuality, Metadata, PackedLevel
-from make_fixture import eight_model, lone_model, merged_model, mixed_model, small_model
+from make_fixture import (
+    eight_model,
+    lone_model,
+    merged_model,
+    mixed_model,
+    packed_model,
+    partly_model,
+    small_model,
+)
 from random_models import Shapes, bounds_of, random_model
 
 Model = tuple[Metadata, tuple[PackedLevel, ...]]
@@ -51,7 +60,9 @@ def models(draw: st.DrawFn) -> Model:
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     levels = draw(st.integers(1, 3))
     eight_from = draw(st.none() | st.integers(1, levels))
-    return random_model(rng, sizes, levels, undecomposed, shapes=shapes, eight_from=eight_from)
+    packed_share = draw(st.sampled_from([0.0, 0.5, 1.0])) if eight_from else 0.0
+    return random_model(rng, sizes, levels, undecomposed, shapes=shapes, eight_from=eight_from,
+                        packed_share=packed_share)
 
 
 def encoded(model: Model) -> bytes:
@@ -99,9 +110,12 @@ def test_order_1_and_one_element() -> None:
         assert_same(loads(encoded(model)), model)
 
 
-def test_level_without_nodes() -> None:
-    model = random_model(np.random.default_rng(0), (4, 3), 3, shapes=Shapes(leaf=1.0))
+@pytest.mark.parametrize(("eight_from", "packed_share"), [(None, 0.0), (1, 0.0), (1, 1.0)])
+def test_level_without_nodes(eight_from: int | None, packed_share: float) -> None:
+    model = random_model(np.random.default_rng(0), (4, 3), 3, shapes=Shapes(leaf=1.0), eight_from=eight_from,
+                         packed_share=packed_share)
     assert [level.nodes for level in model[1]] == [1, 0, 0]
+    assert all(bool(level.width) == (packed_share > 0) for level in model[1])
     assert_same(loads(encoded(model)), model)
 
 
@@ -128,13 +142,15 @@ def test_loaded_arrays_are_read_only(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="read-only"):
         levels[0].core[0] = 0
     save(tmp_path / "b.hmk", *lone_model())
-    for level in load(tmp_path / "b.hmk")[1]:
+    save(tmp_path / "c.hmk", *packed_model())
+    for level in (*load(tmp_path / "b.hmk")[1], *load(tmp_path / "c.hmk")[1]):
         for name, array in (*level.tables(), *level.wide()):
             assert not array.flags.writeable, name
 
 
-def test_safetensors_opens_bytes() -> None:
-    _, levels = model = mixed_model()
+@pytest.mark.parametrize("make", [mixed_model, partly_model])
+def test_safetensors_opens_bytes(make: Callable[[], Model]) -> None:
+    _, levels = model = make()
     found: dict[str, NDArray[Any]] = safetensors_load(encoded(model))
     assert {name: array.dtype for name, array in found.items() if name.endswith("/core")} == {
         "level/1/core": np.float16, "level/2/core": np.int8, "level/3/core": np.int8}
@@ -164,17 +180,21 @@ def header_of(data: bytes) -> tuple[int, dict[str, Any]]:
     return length, json.loads(data[8:8 + length])
 
 
-@pytest.mark.parametrize("make", [merged_model, eight_model, mixed_model, lone_model])
+@pytest.mark.parametrize("make", [merged_model, eight_model, mixed_model, lone_model, packed_model, partly_model])
 def test_order_on_disk(make: Callable[[], Model]) -> None:
     data = encoded(make())
     length, header = header_of(data)
     del header["__metadata__"]
     names = list(header)
-    kinds = ["tables 4" if header[name]["dtype"] in ("U32", "F32") else header[name]["dtype"] for name in names]
-    assert kinds == sorted(kinds, key=["U8", "tables 4", "U16", "F16", "I8"].index)
-    numbers = [name for name in names if header[name]["dtype"] in ("F16", "I8")]
-    assert [name.split("/")[1] for name in numbers] == sorted(name.split("/")[1] for name in numbers)
-    assert (length + sum(prod(header[name]["shape"]) for name in names if header[name]["dtype"] == "U8")) % 8 == 0
+    numbers = [name for name in names if name.endswith("/core") or "/basis/" in name]
+    tables = names[:-len(numbers)]
+    assert names == tables + numbers
+    kinds = ["4 bytes" if header[name]["dtype"] in ("U32", "F32") else header[name]["dtype"] for name in tables]
+    assert kinds == sorted(kinds, key=["U8", "4 bytes", "U16"].index)
+    assert numbers == sorted(numbers, key=lambda name: (name.split("/")[1], "basis" in name, name))
+    types = [header[name]["dtype"] for name in numbers]
+    assert types == sorted(types, key=lambda dtype: ["F16", "I8", "U8"].index(dtype) > 0)
+    assert (length + sum(prod(header[name]["shape"]) for name in tables if header[name]["dtype"] == "U8")) % 8 == 0
     for entry in header.values():
         item = (entry["data_offsets"][1] - entry["data_offsets"][0]) // max(prod(entry["shape"]), 1)
         assert item == 0 or (8 + length + entry["data_offsets"][0]) % item == 0
@@ -200,15 +220,20 @@ def payload(data: bytes) -> int:
     return len(data) - 8 - header_of(data)[0]
 
 
-@pytest.mark.parametrize(("eight_from", "version"), [(None, "1.0"), (1, "1.2"), (2, "1.2")])
-def test_the_version_hangs_on_number_types(eight_from: int | None, version: str, tmp_path: Path) -> None:
-    model = random_model(np.random.default_rng(0), (4, 5), 2, eight_from=eight_from)
+@pytest.mark.parametrize(("eight_from", "packed_share", "version"), [
+    (None, 0.0, "1.0"), (1, 0.0, "1.2"), (2, 0.0, "1.2"), (1, 1.0, "1.3"), (2, 1.0, "1.3")])  # fmt: skip
+def test_the_version_hangs_on_number_types(
+    eight_from: int | None, packed_share: float, version: str, tmp_path: Path
+) -> None:
+    model = random_model(np.random.default_rng(0), (4, 5), 2, eight_from=eight_from, packed_share=packed_share)
     data = encoded(model)
     assert json.loads(header_of(data)[1]["__metadata__"]["hmkcta"])["version"] == version
     (tmp_path / "a.hmk").write_bytes(data)
     tables = table_bytes(tmp_path / "a.hmk")
     assert len(tables) == len(model[1])
-    assert payload(data) == sum(tables) + sum(level.number_bytes for level in model[1])
+    numbers = [level.number_bytes for level in model[1]]
+    assert payload(data) == sum(tables) + sum(numbers)
+    assert level_sizes(model[1]) == [own + count for own, count in zip(tables, numbers, strict=True)]
 
 
 def test_what_follows_is_left_out() -> None:

@@ -19,7 +19,7 @@ from hmkcta.axes import Axis
 from hmkcta.errors import HmkctaError, Kind
 from hmkcta.hmkfile import Limits, encode, load, save
 from hmkcta.packed import LevelQuality, Metadata, PackedLevel
-from make_fixture import eight_model, merged_model, small_model
+from make_fixture import eight_model, merged_model, packed_model, small_model
 
 TESTS = Path(__file__).parent
 
@@ -141,6 +141,20 @@ def with_eight(index: int, **changes: Any) -> tuple[Metadata, tuple[PackedLevel,
     return metadata, tuple(replace(level, **changes) if n == index else level for n, level in enumerate(levels))
 
 
+def with_widths(*widths: list[Any] | None, **changes: Any) -> tuple[Metadata, tuple[PackedLevel, ...]]:
+    """The packed model, of whose first level the columns of each mode have so many bits; 1 and 8 of mode 0 fit."""
+    metadata, (first, *others) = packed_model()
+    width = tuple(None if own is None else np.array(own, np.uint8) for own in widths)
+    return metadata, (replace(first, width=width, **changes), *others)
+
+
+def of_halves(*widths: list[int] | None) -> tuple[Metadata, tuple[PackedLevel, ...]]:
+    """A model of 16-bit numbers with widths."""
+    metadata, levels = small_model()
+    width = tuple(None if own is None else np.array(own, np.uint8) for own in widths)
+    return metadata, tuple(replace(level, width=width) for level in levels)
+
+
 def with_metadata(**values: Any) -> tuple[Metadata, tuple[PackedLevel, ...]]:
     """The small model with some metadata replaced."""
     metadata, levels = small_model()
@@ -173,6 +187,27 @@ INVALID: dict[str, tuple[Callable[[], tuple[Metadata, tuple[PackedLevel, ...]]],
     "cluster of bytes missing": (lambda: with_eight(0, cluster=(None, None)), "array-missing"),
     "basis of bytes missing": (lambda: with_eight(0, basis=(None, None)), "array-missing"),
     "row offsets of bytes missing": (lambda: with_eight(0, row_offset=(np.zeros(0, np.uint32),) * 2), "array-shape"),
+    "width too short": (lambda: with_widths([8], None), "array-shape"),
+    "width too long": (lambda: with_widths([1, 8, 8], None), "array-shape"),
+    "width of two dimensions": (lambda: with_widths([[1, 8]], None), "array-shape"),
+    "width without numbers": (lambda: with_widths([], None), "array-shape"),
+    "widths of a mode too few": (lambda: with_widths([1, 8]), "array-shape"),
+    "widths of a mode too many": (lambda: with_widths([1, 8], None, None), "array-shape"),
+    "column of no bits": (lambda: with_widths([0, 8], None), "width-range"),
+    "column of nine bits": (lambda: with_widths([1, 9], None), "width-range"),
+    "column narrower than its numbers": (lambda: with_widths([1, 7], None), "array-dtype"),
+    "width is int64": (lambda: with_eight(0, width=(np.array([8, 8]), None)), "array-dtype"),
+    "width of an undecomposed mode": (lambda: with_widths([1, 8], [8, 8, 8]), "array-unexpected"),
+    "width beside 16-bit numbers": (lambda: of_halves([8, 8], None), "array-unexpected"),
+    "width above bytes beside 16-bit numbers": (lambda: with_eight(0, bits=16, width=(np.full(2, 8, np.uint8), None)),
+                                                "array-unexpected"),
+    "packed basis missing": (lambda: with_widths([1, 8], None, basis=(None, None)), "array-unexpected"),
+    "packed basis too short": (lambda: with_widths([1, 8], None, basis=(np.zeros(19, np.float16), None)),
+                               "offset-end"),
+    "packed basis is none of the bytes": (lambda: with_widths([8, 8], None, basis=(np.full(20, 0.3, np.float16), None)),
+                                          "array-dtype"),
+    "packed basis is infinite": (lambda: with_widths([8, 8], None, basis=(np.full(20, np.inf, np.float16), None)),
+                                 "not-finite"),
     "no levels": (lambda: with_metadata(levels=()), "field-value"),
     "unknown kind": (lambda: with_metadata(kind="brdf"), "field-value"),
     "quality missing": (lambda: with_metadata(quality=()), "field-value"),
@@ -199,6 +234,15 @@ def test_invalid_model_is_refused(name: str, tmp_path: Path) -> None:
     model, reason = INVALID[name]
     error = refusal(tmp_path / "a.hmk", *model())
     assert (error.kind, error.reason) == (Kind.INVALID_ARGUMENT, reason), error
+
+
+def test_columns_may_be_wider_than_need_be(tmp_path: Path) -> None:
+    for width in ([1, 8], [3, 8], [8, 8]):
+        model = with_widths(width, None)
+        save(tmp_path / "a.hmk", *model, overwrite=True)
+        level = load(tmp_path / "a.hmk")[1][0]
+        assert [None if own is None else own.tolist() for own in level.width] == [width, None]
+        np.testing.assert_array_equal(level.basis[0], model[1][0].basis[0])
 
 
 def test_limits_bind_the_writer(tmp_path: Path) -> None:

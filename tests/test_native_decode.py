@@ -53,7 +53,9 @@ def models(draw: st.DrawFn) -> tuple[tuple[int, ...], Levels]:
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     depth = draw(st.integers(1, 3))
     eight_from = draw(st.none() | st.integers(1, depth))
-    return sizes, random_model(rng, sizes, depth, undecomposed, shapes=shapes, eight_from=eight_from)[1]
+    packed_share = draw(st.sampled_from([0.0, 0.5])) if eight_from else 0.0
+    return sizes, random_model(rng, sizes, depth, undecomposed, shapes=shapes, eight_from=eight_from,
+                               packed_share=packed_share)[1]
 
 
 def some_model(name: str) -> tuple[tuple[int, ...], Levels]:

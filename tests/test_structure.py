@@ -19,7 +19,7 @@ PACKAGE = ROOT / "python" / "hmkcta"
 LAYERS = (
     ("arrays",),
     ("_version", "errors", "metrics", "narrow", "_native"),
-    ("support",),
+    ("bitstream", "support"),
     ("axes", "conventions", "goals", "grids", "transform", "indexing"),
     ("plan", "packed"),
     ("plan_checks",),
@@ -67,7 +67,7 @@ WITHIN = {
         ("projection", "subspaces"),
         ("memberships",),
         ("search",),
-        ("fit", "subdivision"),
+        ("columns", "fit", "subdivision"),
         ("run", "workset"),
         ("disjoint",),
         ("hierarchy",),

@@ -152,7 +152,7 @@ def in_bits(basis: F32, bits: U8 | None) -> F32 | F16:
     if bits is None or not basis.size:
         return widened(narrowed(basis, BASIS_NUMBERS), BASIS_NUMBERS)
     ones = np.exp2(bits.astype(np.float32) - 1)
-    return np.rint(basis * ones) / ones
+    return np.asarray(np.rint(basis * ones) / ones, np.float32)
 
 
 def round_cores(cores: F32, bits: int = 16) -> tuple[NDArray[np.float16], F32]:

@@ -22,6 +22,9 @@ U16 = NDArray[np.uint16]
 U32 = NDArray[np.uint32]
 F16 = NDArray[np.float16]
 
+#: Numbers looked at together: what is made of them on the way, some 40 bytes of each, stays in the cache.
+_TOGETHER = 1 << 14
+
 
 @dataclass(frozen=True, eq=False)
 class PackedLevel:
@@ -63,10 +66,14 @@ class PackedLevel:
     @property
     def number_bytes(self) -> int:
         """Bytes of the core and basis numbers in the file."""
-        packed = (self.stored_bits(n) for n in range(self.order))
-        saved = sum(basis.size - stream_bytes(int(bits.sum(dtype=np.int64)))
-                    for basis, bits in zip(self.basis, packed, strict=True) if basis is not None and bits is not None)
-        return self.bits // 8 * self.numbers() - saved
+        return self.bits // 8 * self.core.size + sum(self.basis_bytes(n) for n in range(self.order))
+
+    def basis_bytes(self, n: int) -> int:
+        """Bytes of the basis numbers of a mode in the file."""
+        basis, bits = self.basis[n], self.stored_bits(n)
+        if bits is not None:
+            return stream_bytes(int(bits.sum(dtype=np.int64)))
+        return 0 if basis is None else self.bits // 8 * basis.size
 
     def stored_bits(self, n: int) -> U8 | None:
         """Bits of each number of a packed basis; None where it is not packed."""
@@ -117,9 +124,16 @@ def number_bits(width: U8, ranks: NDArray[np.integer[Any]], numbers: NDArray[np.
     >>> number_bits(np.array([8, 3, 5], np.uint8), np.array([2, 1]), np.array([4, 3])).tolist()
     [8, 3, 8, 3, 5, 5, 5]
     """
-    ends = np.cumsum(ranks.astype(np.int64))
-    nodes = zip(ends - ranks, ends, numbers, strict=True)
-    return np.concatenate([np.zeros(0, np.uint8), *(np.resize(width[begin:end], count) for begin, end, count in nodes)])
+    ranks, ends = ranks.astype(np.int64), np.cumsum(numbers.astype(np.int64))
+    starts, columns = ends - numbers, np.cumsum(ranks) - ranks
+    bits = np.empty(int(ends[-1]) if ends.size else 0, np.uint8)
+    for begin in range(0, bits.size, _TOGETHER):  # of nodes there can be a million, of numbers more
+        end = min(begin + _TOGETHER, bits.size)
+        first, last = (int(np.searchsorted(ends, at, side="right")) for at in (begin, end - 1))
+        edges = np.clip(np.append(starts[first : last + 1], ends[last]), begin, end)
+        node = np.repeat(np.arange(first, last + 1), np.diff(edges))
+        bits[begin:end] = width[columns[node] + (np.arange(begin, end) - starts[node]) % ranks[node]]
+    return bits
 
 
 @dataclass(frozen=True)

@@ -199,15 +199,10 @@ class LevelSpec:
         """The spec for a node of these mode sizes: C_n <= I_n, K_n <= C_n, R_n <= I_n, and R of its own <= 1024."""
         most = HIGHEST_RANK if self.own else max(1, *sizes)
         clusters = tuple(min(c, max(i, 1)) for c, i in zip(self.clusters, sizes, strict=True))
+        mixture = tuple(min(k, c) for k, c in zip(self.mixture, clusters, strict=True))
+        ranks = tuple(None if r is None else min(r, most, max(i, 1)) for r, i in zip(self.ranks, sizes, strict=True))
         return LevelSpec(
-            tuple(None if r is None else min(r, most, max(i, 1)) for r, i in zip(self.ranks, sizes, strict=True)),
-            clusters,
-            tuple(min(k, c) for k, c in zip(self.mixture, clusters, strict=True)),
-            self.scheme,
-            self.grid,
-            self.own,
-            bits=self.bits,
-            own_bits=self.own_bits,
+            ranks, clusters, mixture, self.scheme, self.grid, self.own, bits=self.bits, own_bits=self.own_bits
         )
 
     def __str__(self) -> str:

@@ -65,13 +65,24 @@ def _level(model: Model, number: int, own: int, upto: int) -> dict[str, Any]:
     cells, zero_cells = cells_of(level)
     return {
         "level": number, "R": list(bounds.ranks), "C": list(bounds.clusters), "K": list(bounds.mixture),
-        "bits": level.bits, "subdivision": bounds.scheme,
+        "bits": level.bits, "basis_bits": basis_bits(level), "subdivision": bounds.scheme,
         "nodes": level.nodes, "nodes_that_carry_nothing": int((~level.shape.any(axis=(1, 2))).sum()),
         "clusters": cells, "clusters_that_carry_nothing": zero_cells,
         "bytes": own, "bytes_upto": upto,
         "snr_db": quality.snr_db, "transformed_snr_db": model.metadata.transformed_snr_db[number - 1],
         "rmse": quality.rmse, "max_abs_error": quality.max_abs_error,
     }
+
+
+def basis_bits(level: PackedLevel) -> float | None:
+    """Bits that a basis number has in the file, on average: fewer than the level's where bases are packed.
+
+    >>> from hmkcta._example import example_level
+    >>> basis_bits(example_level())
+    16.0
+    """
+    numbers = level.numbers() - level.core.size
+    return 8 * sum(level.basis_bytes(n) for n in range(level.order)) / numbers if numbers else None
 
 
 def cells_of(level: PackedLevel) -> tuple[int, int]:

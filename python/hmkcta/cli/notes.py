@@ -62,8 +62,7 @@ def _share_of_longest(model: Model) -> float:
     """The share of a file that the bases of the mode with the longest axis take, a row each for every row."""
     longest = max(model.metadata.axes, key=lambda axis: axis.size).name
     n = next(n for n, mode in enumerate(model.metadata.organisation) if longest in mode)
-    bases = ((level.bits, level.basis[n]) for level in model.levels)
-    return sum(bits // 8 * basis.size for bits, basis in bases if basis is not None) / model.nbytes
+    return sum(level.basis_bytes(n) for level in model.levels) / model.nbytes
 
 
 def _why_large(model: Model, array: NDArray[Any], planned: bool) -> str:

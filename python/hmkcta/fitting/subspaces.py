@@ -59,7 +59,7 @@ def subspace_clusters(
 
 
 def _coordinates(rows: F32, count: int, rng: np.random.Generator) -> F32:
-    """So many coordinates of the rows, in about the subspace that holds most of them; of fewer rows in their own span."""
+    """So many coordinates of the rows, in about the subspace that holds most of them; of fewer rows those they have."""
     rows = rows / np.float32(max(np.abs(rows).max(initial=0.0), 1e-30))
     if rows.shape[1] <= count:
         return rows

@@ -41,7 +41,7 @@ _FIELDS = ("version", "source_dtype", "axes", "organisation", "levels", "undecom
 
 @dataclass(frozen=True)
 class ArrayRecord:
-    """What the metadata says of an array: CRC-32 of its bytes, and number type and shape, but for version 1.2."""
+    """What the metadata says of an array: CRC-32 of its bytes, and number type and shape up to version 1.1."""
 
     crc32: int
     info: ArrayInfo | None = None

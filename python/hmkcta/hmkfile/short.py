@@ -1,4 +1,4 @@
-"""Short tables (`docs/format.md`, section 3): version 1.2 leaves out what follows from other arrays.
+"""Short tables (`docs/format.md`, section 3): from version 1.2 on, what follows from other arrays is left out.
 
 The writer leaves it out by the same rules by which the reader makes it again, so that decoders know one layout.
 """
@@ -16,12 +16,10 @@ from ..packed import U16, U32, PackedLevel, number_bits
 from .check_tree import check_children, check_part_range, slot_of_child, slots_of
 from .reasons import fault
 from .schema import LEVEL_TYPES, NUMPY_TYPES, prefix
-from .tables import Ints, check_shapes, first
+from .tables import Ints, check_shapes, check_widths
 
 Arrays = Mapping[str, NDArray[Any]]
 _MAX_U32 = 2**32 - 1
-#: Most bits of a number of a packed basis.
-MOST_BITS = 8
 
 
 def narrowest(largest: int) -> str:
@@ -126,12 +124,9 @@ class _Level:
     def _unpack(self, n: int, numbers: NDArray[np.float64]) -> None:
         """The bytes of a packed basis, whose nodes have so many `numbers`."""
         name, width = f"{self.name}width/{n}", self.whole[f"{self.name}width/{n}"]
-        if width.size != self.ranks[:, n].sum():
-            raise fault("array-shape", name, [width.size], [int(self.ranks[:, n].sum())])
-        if (bad := first((width < 1) | (width > MOST_BITS))) is not None:
-            raise fault("width-range", name, f"{width[bad]} at {bad[0]}", f"1 to {MOST_BITS} bits")
-        stream = self.whole[f"{self.name}basis/{n}"]
-        ranks, columns = self.ranks[:, n], np.add.reduceat(np.append(width, 0).astype(np.float64), self._starts(n))
+        ranks, stream = self.ranks[:, n], self.whole[f"{self.name}basis/{n}"]
+        check_widths(name, width, ranks)
+        columns = np.add.reduceat(np.append(width, 0).astype(np.float64), self._starts(n))
         bits = float((numbers / np.maximum(ranks, 1) * np.where(ranks > 0, columns, 0)).sum())
         if stream.size != -(-bits // 8):
             raise fault("array-shape", f"{self.name}basis/{n}", [stream.size], [int(-(-bits // 8))])

@@ -12,11 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..narrow import U8
 from ..packed import U32, PackedLevel
 from .reasons import fault
 from .schema import prefix
 
 Ints = NDArray[np.int64]
+#: Most bits of a number of a packed basis.
+MOST_BITS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,3 +94,12 @@ def check_shapes(shape: Ints, rows: Ints, undecomposed: Sequence[int], name: str
                     allowed)
     if (bad := first((rows == 0) & ~zero[:, None])) is not None:
         raise fault("node-empty", name, f"node {bad[0]} without rows in mode {bad[1]} has a shape", "a shape of zeros")
+
+
+def check_widths(name: str, width: U8, ranks: NDArray[np.integer[Any]]) -> None:
+    """Bits of the columns of a mode's bases: as many as the nodes have ranks, each from 1 to 8."""
+    columns = int(ranks.sum(dtype=np.int64))
+    if width.shape != (columns,):
+        raise fault("array-shape", name, list(width.shape), [columns])
+    if (bad := first((width < 1) | (width > MOST_BITS))) is not None:
+        raise fault("width-range", name, f"{width[bad]} at {bad[0]}", f"1 to {MOST_BITS} bits")

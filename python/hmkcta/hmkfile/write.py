@@ -38,6 +38,7 @@ from .schema import (
     prefix,
 )
 from .short import shortened
+from .tables import check_widths
 
 Piece: TypeAlias = bytes | memoryview
 
@@ -208,12 +209,25 @@ def _check_bytes(arrays: Mapping[str, NDArray[Any]], levels: Sequence[PackedLeve
 
 
 def _check_types(levels: Sequence[PackedLevel]) -> None:
-    """A wrong type is refused first, as it would also spoil the order in the file."""
+    """Wrong types and widths are refused first, as they would also spoil the order and the sizes in the file."""
     for level, packed in enumerate(levels, 1):
         for name, array in (*packed.tables(), *packed.wide()):
             allowed = LEVEL_TYPES[name.split("/")[0]]
             if TYPE_NAMES.get(array.dtype.newbyteorder("<")) != allowed:
                 raise fault("array-dtype", prefix(level) + name, array.dtype, NUMPY_TYPES[allowed])
+        _check_columns(packed, prefix(level))
+
+
+def _check_columns(packed: PackedLevel, level: str) -> None:
+    """Without sound widths there is no telling how long the arrays of packed bases are."""
+    if packed.width and len(packed.width) != packed.order:
+        raise fault("array-shape", f"{level}width", f"of {len(packed.width)} modes", f"of {packed.order}, or of none")
+    for n, width in enumerate(packed.width):
+        if width is None:
+            continue
+        if packed.bits != 8 or packed.basis[n] is None:
+            raise fault("array-unexpected", f"{level}width/{n}", "an array", "one beside a basis of bytes alone")
+        check_widths(f"{level}width/{n}", width, packed.shape[:, 2, n])
 
 
 def _bytes_of(array: NDArray[Any], dtype: str) -> Piece:
