@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from .arrays import F32, F64
 from .errors import invalid
-from .narrow import BASIS_NUMBERS, CORE_NUMBERS, F16, LARGEST_BASIS, U8, largest_in, narrowed, widened
+from .narrow import BASIS_NUMBERS, CORE_NUMBERS, LARGEST_BASIS, U8, narrowed, widened
 from .plan import LevelSpec
 
 #: Inner products of the bases of all pairs of cells: `[R_m, PC, R_m, PC]`.
@@ -74,15 +74,14 @@ class Cells:
         bases = [basis.copy() for basis in self.bases]
         return Cells(self.sizes, self.spec, list(self.members), bases, self.cores.copy())
 
-    def rounded(self, column_bits: Sequence[U8 | None] | None = None) -> Cells:
+    def rounded(self) -> Cells:
         """The cells as they will be stored: numbers of the spec's bits, cores with a float32 factor a cell.
 
-        Of eight bits, columns of bases go as far as a byte does, and cores take their lengths. `column_bits`: how many
-        each column `[R_n]` has instead; None: eight.
+        Of eight bits, columns of bases go as far as a byte does, and cores take their lengths.
         """
         if self.spec.bits == 8:
-            bases, cores = scaled_columns(self, column_bits)
-            bases = [in_bits(basis, None if column_bits is None else column_bits[n]) for n, basis in enumerate(bases)]
+            bases, cores = scaled_columns(self)
+            bases = [widened(narrowed(basis, BASIS_NUMBERS), BASIS_NUMBERS) for basis in bases]
         else:
             bases, cores = self.bases, self.cores
         stored, scale = round_cores(cores, self.spec.bits)
@@ -101,8 +100,10 @@ def check_shape(tensor: F32, cells: Cells) -> None:
         raise invalid("wrong-shape", "tensor", tensor.shape, str(cells.sizes))
 
 
-def scaled_columns(cells: Cells, column_bits: Sequence[U8 | None] | None = None) -> tuple[list[F32], F32]:
-    """Bases whose columns, cell by cell, reach up to the largest number of their bits, and cores that make up for it.
+def scaled_columns(cells: Cells, bits: Sequence[U8 | None] | None = None) -> tuple[list[F32], F32]:
+    """Bases whose columns, cell by cell, reach up to the largest number of a byte, and cores that make up for it.
+
+    With `bits`, of each column `[R_n]` of every mode, up to the largest number of these.
 
     Columns that do already stay as they are, bit by bit.
     """
@@ -110,8 +111,8 @@ def scaled_columns(cells: Cells, column_bits: Sequence[U8 | None] | None = None)
     for n, basis in enumerate(cells.bases):
         if cells.undecomposed[n]:
             continue
-        bits = None if column_bits is None else column_bits[n]
-        most = LARGEST_BASIS if bits is None else largest_in(bits)
+        own = None if bits is None else bits[n]
+        most = LARGEST_BASIS if own is None else 1 - np.exp2(1 - own.astype(np.float64))
         peak = column_peaks(cells, n)
         factor = np.where(peak > 0, peak, most).astype(np.float64) / most
         bases[n] = (basis / factor[cells.members[n]]).astype(np.float32)
@@ -145,14 +146,6 @@ def by_cells(cells: Cells, n: int, columns: NDArray[Any]) -> NDArray[Any]:
     clusters = cells.spec.clusters
     before, after = prod(clusters[:n]), prod(clusters[n + 1 :])
     return columns.reshape(clusters[n], before, after, -1).swapaxes(0, 1).reshape(cells.spec.cells, -1)
-
-
-def in_bits(basis: F32, bits: U8 | None) -> F32 | F16:
-    """The nearest numbers of so many bits, by column; None: of a byte."""
-    if bits is None or not basis.size:
-        return widened(narrowed(basis, BASIS_NUMBERS), BASIS_NUMBERS)
-    ones = np.exp2(bits.astype(np.float32) - 1)
-    return np.asarray(np.rint(basis * ones) / ones, np.float32)
 
 
 def round_cores(cores: F32, bits: int = 16) -> tuple[NDArray[np.float16], F32]:

@@ -36,15 +36,6 @@ LEFT = 8e-5
 LARGEST_BASIS = LARGEST / 128
 
 
-def largest_in(bits: U8) -> NDArray[np.float64]:
-    """The largest number that is written of a basis in so many bits.
-
-    >>> largest_in(np.array([2, 8], np.uint8)).tolist()
-    [0.5, 0.9921875]
-    """
-    return 1 - np.exp2(1 - bits.astype(np.float64))
-
-
 def widened(stored: I8, numbers: F16) -> F16:
     """The numbers of bytes.
 

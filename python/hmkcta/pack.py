@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .bitstream import bits_needed, stream_bytes
+from .arrays import F32
 from .cells import round_cores
 from .fitting.hierarchy import Node
-from .narrow import BASIS_NUMBERS, U8, narrowed
-from .packed import F16, U32, LevelBounds, PackedLevel, number_bits
+from .narrow import U8
+from .packed import F16, LevelBounds, PackedLevel
 from .streaming.pieces import places_of
+from .widths import from_whole, most_core_bits, whole_of_core, widths_of
 
 Ragged = list[NDArray[Any]]
 
@@ -45,9 +46,11 @@ def _pack(nodes: Sequence[Node], undecomposed: Sequence[int], unit: float, bits:
     for s, node in enumerate(nodes):
         if node.cells is not None:
             shape[s] = node.cells.spec.clusters, node.cells.spec.mixture, node.cells.ranks
-    rounded = [None if node.cells is None else round_cores(node.cells.cores, bits) for node in nodes]
-    core, core_offset = _ragged([np.zeros(0) if r is None else r[0] for r in rounded], np.float16)
-    scale, cell_offset = _ragged([np.zeros(0) if r is None else r[1] for r in rounded], np.float32)
+    fewer = any(node.cells is not None and node.cells.spec.packed for node in nodes)
+    columns = [_columns(node, undecomposed) if fewer else [] for node in nodes]
+    rounded = [_cores(node, bits, own) for node, own in zip(nodes, columns, strict=True)]
+    core, core_offset = _ragged([numbers for numbers, _ in rounded], np.float16)
+    scale, cell_offset = _ragged([factors for _, factors in rounded], np.float32)
     scale = (scale * unit).astype(np.float32)
     cluster = [
         _ragged([_members(node, n) for node in nodes], np.uint16) if stored[n] else (None, None) for n in range(order)
@@ -56,7 +59,6 @@ def _pack(nodes: Sequence[Node], undecomposed: Sequence[int], unit: float, bits:
         _ragged([_basis(node, n) for node in nodes], np.float16) if stored[n] else (None, None) for n in range(order)
     ]
     inner = [stored[n] and not last for n in range(order)]
-    fewer = any(node.cells is not None and node.cells.spec.own_bits > 0 for node in nodes)
     return PackedLevel(
         shape=shape,
         child=None if last else _offsets([len(node.children) for node in nodes]),
@@ -74,19 +76,30 @@ def _pack(nodes: Sequence[Node], undecomposed: Sequence[int], unit: float, bits:
             _joined([_local(node, n) for node in nodes], np.uint32) if inner[n] else None for n in range(order)
         ),
         bits=bits,
-        width=tuple(_widths(b, o, shape[:, 2, n]) for n, (b, o) in enumerate(basis)) if fewer else (),
+        width=tuple(_joined([own[n] for own in columns], np.uint8) if stored[n] else None for n in range(order))
+        if fewer else (),
     )
 
 
-def _widths(basis: F16 | None, offsets: U32 | None, ranks: U32) -> U8 | None:
-    """Bits of each node's columns; None where packing them saves nothing."""
-    if basis is None or offsets is None or not basis.size:
-        return None
-    stored = narrowed(basis, BASIS_NUMBERS)
-    parts = zip(offsets[:-1], offsets[1:], ranks, strict=True)
-    width = np.concatenate([bits_needed(stored[begin:end].reshape(-1, rank)) for begin, end, rank in parts if rank])
-    packed = int(number_bits(width, ranks, np.diff(offsets.astype(np.int64))).sum(dtype=np.int64))
-    return width if stream_bytes(packed) + width.size < basis.size else None
+def _cores(node: Node, bits: int, columns: Sequence[U8 | None]) -> tuple[F16, F32]:
+    """Core numbers of a node, and the factor of each of its cells; `columns`: widths, of a packed level."""
+    if node.cells is None:
+        return np.zeros(0, np.float16), np.zeros(0, np.float32)
+    if not columns:
+        return round_cores(node.cells.cores, bits)
+    numbers, step = whole_of_core(node.cells.cores)
+    most = most_core_bits(columns, np.array([node.cells.ranks]))
+    scale = np.full(node.cells.spec.cells, step * 2.0 ** (int(most[0]) - 1), np.float32)
+    return from_whole(numbers, most), scale
+
+
+def _columns(node: Node, undecomposed: Sequence[int]) -> list[U8 | None]:
+    """Widths of the columns of a node of a packed level; None of an undecomposed mode."""
+    none = np.zeros(0, np.uint8)
+    if node.cells is None:
+        return [None if n in undecomposed else none for n in range(len(node.rows))]
+    bases = [None if n in undecomposed else own for n, own in enumerate(node.cells.bases)]
+    return widths_of(whole_of_core(node.cells.cores)[0], bases)
 
 
 def _members(node: Node, n: int) -> NDArray[np.uint16]:

@@ -15,16 +15,13 @@ from numpy.typing import NDArray
 
 from .arrays import F32
 from .axes import Axis, Organisation
-from .bitstream import stream_bytes, to_stream
+from .bitstream import from_stream, stream_bytes, to_stream
 from .narrow import BASIS_NUMBERS, CORE_NUMBERS, I8, U8, narrowed
+from .widths import basis_number_bits, core_number_bits, from_whole, most_core_bits, whole
 
 U16 = NDArray[np.uint16]
 U32 = NDArray[np.uint32]
 F16 = NDArray[np.float16]
-
-#: Numbers looked at together: what is made of them on the way, some 40 bytes of each, stays in the cache.
-_TOGETHER = 1 << 14
-
 
 @dataclass(frozen=True, eq=False)
 class PackedLevel:
@@ -47,7 +44,7 @@ class PackedLevel:
     part: tuple[U16 | None, ...]  # [rows]; None at the last level and for undecomposed modes
     local: tuple[U32 | None, ...]  # [rows]; likewise
     bits: int = 16  # of a core or basis number in the file; of 8 the arrays hold what the bytes stand for (`narrow.py`)
-    width: tuple[U8 | None, ...] = ()  # per node [R_n]: bits of each column of a packed basis; empty: none is packed
+    width: tuple[U8 | None, ...] = ()  # of a packed level: per node [R_n], see `widths`; else empty
 
     @property
     def nodes(self) -> int:
@@ -66,21 +63,32 @@ class PackedLevel:
     @property
     def number_bytes(self) -> int:
         """Bytes of the core and basis numbers in the file."""
-        return self.bits // 8 * self.core.size + sum(self.basis_bytes(n) for n in range(self.order))
+        return self.core_bytes + sum(self.basis_bytes(n) for n in range(self.order))
+
+    @property
+    def core_bytes(self) -> int:
+        """Bytes of the core numbers in the file."""
+        if self.width:
+            return stream_bytes(int(self.core_bits().sum(dtype=np.int64)))
+        return self.bits // 8 * self.core.size
 
     def basis_bytes(self, n: int) -> int:
         """Bytes of the basis numbers of a mode in the file."""
-        basis, bits = self.basis[n], self.stored_bits(n)
-        if bits is not None:
-            return stream_bytes(int(bits.sum(dtype=np.int64)))
+        if self.width:
+            return stream_bytes(int(self.basis_bits(n).sum(dtype=np.int64)))
+        basis = self.basis[n]
         return 0 if basis is None else self.bits // 8 * basis.size
 
-    def stored_bits(self, n: int) -> U8 | None:
-        """Bits of each number of a packed basis; None where it is not packed."""
-        width, offsets = self.width[n] if self.width else None, self.basis_offset[n]
+    def core_bits(self) -> U8:
+        """Bits of each core number of a packed level."""
+        return core_number_bits(self.width, self.shape)
+
+    def basis_bits(self, n: int) -> U8:
+        """Bits of each basis number of a mode of a packed level; none where it is undecomposed."""
+        width, offsets = self.width[n], self.basis_offset[n]
         if width is None or offsets is None:
-            return None
-        return number_bits(width, self.shape[:, 2, n], np.diff(offsets.astype(np.int64)))
+            return np.zeros(0, np.uint8)
+        return basis_number_bits(width, self.shape[:, 2, n], np.diff(offsets.astype(np.int64)))
 
     def tables(self) -> Iterator[tuple[str, NDArray[Any]]]:
         """Names (without ``level/<l>/``) and arrays of the small integer and scale tables."""
@@ -108,32 +116,30 @@ class PackedLevel:
         yield from ((f"basis/{n}", basis) for n, basis in enumerate(self.basis) if basis is not None)
 
     def coefficients(self) -> Iterator[tuple[str, F16 | I8 | U8]]:
-        """The same as the file has them: of eight bits the bytes, of packed bases their bits."""
+        """The same as the file has them: bytes, or in a packed level the bits of all."""
         for name, array in self.wide():
-            if self.bits != 8:
-                yield name, array
-                continue
-            stored = narrowed(array, CORE_NUMBERS if name == "core" else BASIS_NUMBERS)
-            bits = None if name == "core" else self.stored_bits(int(name.split("/")[1]))
-            yield name, stored if bits is None else to_stream(stored, bits)
+            if self.width:
+                yield name, self._stream(name, array)
+            else:
+                table = CORE_NUMBERS if name == "core" else BASIS_NUMBERS
+                yield name, narrowed(array, table) if self.bits == 8 else array
 
+    def _stream(self, name: str, array: F16) -> U8:
+        bits, ones = self._bits(name)
+        return to_stream(whole(array, ones), bits)
 
-def number_bits(width: U8, ranks: NDArray[np.integer[Any]], numbers: NDArray[np.integer[Any]]) -> U8:
-    """Bits of each number of a mode's bases, by those of each node's columns, its rank and how many numbers it has.
+    def unpacked(self, name: str, stream: U8) -> F16:
+        """The numbers of an array of a packed level, of their bits in the file."""
+        bits, ones = self._bits(name)
+        return from_whole(from_stream(stream, bits), ones)
 
-    >>> number_bits(np.array([8, 3, 5], np.uint8), np.array([2, 1]), np.array([4, 3])).tolist()
-    [8, 3, 8, 3, 5, 5, 5]
-    """
-    ranks, ends = ranks.astype(np.int64), np.cumsum(numbers.astype(np.int64))
-    starts, columns = ends - numbers, np.cumsum(ranks) - ranks
-    bits = np.empty(int(ends[-1]) if ends.size else 0, np.uint8)
-    for begin in range(0, bits.size, _TOGETHER):  # of nodes there can be a million, of numbers more
-        end = min(begin + _TOGETHER, bits.size)
-        first, last = (int(np.searchsorted(ends, at, side="right")) for at in (begin, end - 1))
-        edges = np.clip(np.append(starts[first : last + 1], ends[last]), begin, end)
-        node = np.repeat(np.arange(first, last + 1), np.diff(edges))
-        bits[begin:end] = width[columns[node] + (np.arange(begin, end) - starts[node]) % ranks[node]]
-    return bits
+    def _bits(self, name: str) -> tuple[U8, U8]:
+        """Of each number of an array the bits that it has in the file, and of how many bits it would be near 1."""
+        if name != "core":
+            bits = self.basis_bits(int(name.split("/")[1]))
+            return bits, bits
+        most = most_core_bits(self.width, self.shape[:, 2])
+        return self.core_bits(), np.repeat(most, np.diff(self.core_offset.astype(np.int64)))
 
 
 @dataclass(frozen=True)

@@ -191,6 +191,11 @@ class LevelSpec:
         ones = (1,) * self.order
         return replace(self, clusters=ones, mixture=ones, grid=()).clamped(sizes)
 
+    @property
+    def packed(self) -> bool:
+        """Whether columns have bits of their own."""
+        return self.own_bits > 0 and any(self.ranks)
+
     def decode_cost(self) -> int:
         """Multiply-adds for one scattered element, prod R_n K_n (paper, section 4.3) over the decomposed modes."""
         return prod(r * k for r, k in zip(self.ranks, self.mixture, strict=True) if r is not None)

@@ -7,7 +7,8 @@ for a column of each mode, has the least of these.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -18,13 +19,15 @@ from .bitstream import U8
 
 F16 = NDArray[np.float16]
 I32 = NDArray[np.int32]
+U32 = NDArray[np.uint32]
 
+#: Numbers looked at together: what is made of them on the way stays in the cache.
+_TOGETHER = 1 << 14
 #: Most bits of a basis number: float16 holds all of these.
 MOST_OF_BASIS = 12
+_MOST = np.array(MOST_OF_BASIS, np.uint8)
 #: The same of a core number, of which float16 keeps the upper ones.
 MOST_OF_CORE = 16
-#: Bits that float16 keeps.
-KEPT = 11
 
 
 def widths(basis: U8, core: U8) -> U8:
@@ -54,28 +57,63 @@ def core_bits(width: U8) -> U8:
     return (width >> 4) + np.uint8(1)
 
 
-def bits_of_basis(width: U8, ranks: NDArray[np.integer[Any]], numbers: NDArray[np.integer[Any]]) -> U8:
+def basis_number_bits(width: U8, ranks: NDArray[np.integer[Any]], numbers: NDArray[np.integer[Any]]) -> U8:
     """Bits of each number of a mode's bases, by the widths of each node's columns, its rank and how many numbers it has.
 
-    >>> bits_of_basis(np.array([7, 2, 4], np.uint8), np.array([2, 1]), np.array([4, 3])).tolist()
+    >>> basis_number_bits(np.array([7, 2, 4], np.uint8), np.array([2, 1]), np.array([4, 3])).tolist()
     [8, 3, 8, 3, 5, 5, 5]
     """
-    bits, ends = basis_bits(width), np.cumsum(ranks.astype(np.int64))
-    nodes = zip(ends - ranks, ends, numbers, strict=True)
-    return np.concatenate([np.zeros(0, np.uint8), *(np.resize(bits[begin:end], count) for begin, end, count in nodes)])
-
-
-def bits_of_core(columns: Sequence[U8 | None], ranks: Sequence[int]) -> U8:
-    """Bits `[R_1, .., R_N]` of a cell's core numbers, by the core bits of each mode's columns; None: undecomposed.
-
-    >>> bits_of_core([np.array([9, 4], np.uint8), None, np.array([6, 5], np.uint8)], (2, 1, 2)).tolist()
-    [[[6, 5]], [[4, 4]]]
-    """
-    bits = np.full(tuple(ranks), MOST_OF_CORE, np.uint8)
-    for n, own in enumerate(columns):
-        if own is not None:
-            np.minimum(bits, own.reshape([-1 if m == n else 1 for m in range(len(ranks))]), out=bits)
+    ranks, ends = ranks.astype(np.int64), np.cumsum(numbers.astype(np.int64))
+    starts, columns, own = ends - numbers, np.cumsum(ranks) - ranks, basis_bits(width)
+    bits = np.empty(int(ends[-1]) if ends.size else 0, np.uint8)
+    for begin in range(0, bits.size, _TOGETHER):  # of nodes there can be a million, of numbers more
+        end = min(begin + _TOGETHER, bits.size)
+        first, last = (int(np.searchsorted(ends, at, side="right")) for at in (begin, end - 1))
+        edges = np.clip(np.append(starts[first : last + 1], ends[last]), begin, end)
+        node = np.repeat(np.arange(first, last + 1), np.diff(edges))
+        bits[begin:end] = own[columns[node] + (np.arange(begin, end) - starts[node]) % ranks[node]]
     return bits
+
+
+def core_number_bits(width: Sequence[U8 | None], shape: U32) -> U8:
+    """Bits of each core number of a level, by the widths of its columns and the shapes `[S, 3, N]` of its nodes.
+
+    >>> width = [np.array([128, 48], np.uint8), None, np.array([80, 64], np.uint8)]
+    >>> core_number_bits(width, np.array([[[1, 1, 1], [1, 1, 1], [2, 3, 2]]], np.uint32)).tolist()
+    [6, 5, 6, 5, 6, 5, 4, 4, 4, 4, 4, 4]
+    """
+    ranks, cells = shape[:, 2].astype(np.int64), shape[:, 0].prod(axis=1, dtype=np.int64)
+    sizes = cells * ranks.prod(axis=1)
+    begins, columns = np.cumsum(sizes) - sizes, np.cumsum(ranks, axis=0) - ranks
+    bits = np.empty(int(sizes.sum()), np.uint8)
+    alike, kind = np.unique(np.column_stack([cells, ranks]), axis=0, return_inverse=True)
+    order, counts = np.argsort(kind.reshape(-1), kind="stable"), np.bincount(kind.reshape(-1), minlength=len(alike))
+    for (count, *rank), nodes in zip(alike.tolist(), np.split(order, np.cumsum(counts)[:-1]), strict=True):
+        each = count * prod(rank)
+        for some in np.array_split(nodes, min(nodes.size, -(-nodes.size * each // _TOGETHER))) if each else ():
+            own = np.full((some.size, *rank), MOST_OF_CORE, np.uint8)
+            for n, of_mode in enumerate(width):
+                if of_mode is not None:
+                    found = core_bits(of_mode)[columns[some, n][:, None] + np.arange(rank[n])]
+                    np.minimum(own, found.reshape(some.size, *(rank[n] if m == n else 1 for m in range(len(rank)))),
+                               out=own)
+            bits[begins[some][:, None] + np.arange(each)] = np.tile(own.reshape(some.size, -1), (1, count))
+    return bits
+
+
+def most_core_bits(width: Sequence[U8 | None], ranks: NDArray[np.integer[Any]]) -> U8:
+    """Bits of the core number of each node that has most, `[S]`: the least, over the modes, of the most of its columns.
+
+    >>> most_core_bits([np.array([128, 48], np.uint8), np.array([80, 64], np.uint8)], np.array([[2, 2]])).tolist()
+    [6]
+    """
+    most = np.full(len(ranks), MOST_OF_CORE, np.uint8)
+    for own, rank in zip(width, ranks.astype(np.int64).T, strict=True):
+        if own is not None and own.size:
+            there = rank > 0
+            starts = (np.cumsum(rank) - rank)[there]
+            most[there] = np.minimum(most[there], np.maximum.reduceat(core_bits(own), starts))
+    return most
 
 
 def whole_of_core(cores: F32) -> tuple[I32, float]:
@@ -88,8 +126,8 @@ def whole_of_core(cores: F32) -> tuple[I32, float]:
     mantissa, exponent = np.frexp(cores[cores != 0])
     if not mantissa.size:
         return np.zeros(cores.shape, np.int32), 1.0
-    whole = (mantissa.astype(np.float64) * 2.0**24).astype(np.int64)
-    lowest = np.log2((whole & -whole).astype(np.float64)).astype(np.int64) + exponent - 24
+    digits = (mantissa.astype(np.float64) * 2.0**24).astype(np.int64)
+    lowest = np.log2((digits & -digits).astype(np.float64)).astype(np.int64) + exponent - 24
     step = 2.0 ** int(lowest.min())
     return np.rint(cores.astype(np.float64) / step).astype(np.int32), step
 
@@ -104,7 +142,7 @@ def bits_for(whole: I32) -> int:
     return most.bit_length() + 1
 
 
-def widths_of(whole: I32, bases: Sequence[F16 | None]) -> list[U8 | None]:
+def widths_of(cores: I32, bases: Sequence[F16 | None]) -> list[U8 | None]:
     """Widths of the columns of a node: of core numbers `[PC, R_1, .., R_N]` and of bases `[.., R_n]`; None: undecomposed.
 
     A column's numbers have the bits of which the lowest is not always 0, its core numbers those of the largest.
@@ -114,39 +152,26 @@ def widths_of(whole: I32, bases: Sequence[F16 | None]) -> list[U8 | None]:
         if basis is None:
             found.append(None)
             continue
-        used = np.bitwise_or.reduce(whole_of_basis(basis, None).reshape(-1, basis.shape[-1]), axis=0)
+        used = np.bitwise_or.reduce(whole(basis, _MOST).reshape(-1, basis.shape[-1]), axis=0)
         own = np.where(used == 0, 1, MOST_OF_BASIS - np.log2(np.maximum(used & -used, 1)).astype(np.int32))
-        slices = np.moveaxis(whole, n + 1, 0)
+        slices = np.moveaxis(cores, n + 1, 0)
         found.append(widths(own.astype(np.uint8), np.array([bits_for(each) for each in slices], np.uint8)))
     return found
 
 
-def whole_of_basis(basis: NDArray[Any], bits: U8 | None) -> I32:
-    """Basis numbers as whole ones of so many bits (None: of the most).
+def whole(numbers: F16, bits: U8) -> I32:
+    """Numbers of so many bits, of which the largest is near 1, as whole ones.
 
-    >>> whole_of_basis(np.array([0.5, -0.75], np.float16), np.array([2, 3], np.uint8)).tolist()
+    >>> whole(np.array([0.5, -0.75], np.float16), np.array([2, 3], np.uint8)).tolist()
     [1, -3]
     """
-    ones = np.exp2(float(MOST_OF_BASIS - 1) if bits is None else bits.astype(np.float64) - 1)
-    return np.rint(basis.astype(np.float64) * ones).astype(np.int32)
+    return np.rint(numbers.astype(np.float64) * np.exp2(bits.astype(np.float64) - 1)).astype(np.int32)
 
 
-def from_whole(whole: I32, bits: Any) -> F16:
-    """The float16 numbers nearest to whole ones of so many bits, of which the largest is near 1.
+def from_whole(whole: I32, bits: U8) -> F16:
+    """The float16 numbers nearest to whole ones of so many bits.
 
     >>> from_whole(np.array([1, -3]), np.array([2, 3], np.uint8)).tolist()
     [0.5, -0.75]
     """
-    return (whole / np.exp2(np.asarray(bits, np.float64) - 1)).astype(np.float16)
-
-
-def most_core_bits(columns: Sequence[U8 | None]) -> int:
-    """Bits of the core number of a node that has most: the least, over the modes, of the most of its columns."""
-    return min((int(own.max()) for own in columns if own is not None and own.size), default=MOST_OF_CORE)
-
-
-def columns_of_nodes(width: Sequence[U8 | None], ranks: NDArray[np.integer[Any]]) -> Iterator[list[U8 | None]]:
-    """For each node of a level the widths of its columns of every mode; `ranks` `[S, N]`."""
-    ends = np.cumsum(ranks.astype(np.int64), axis=0)
-    for node, after in zip(ranks, ends, strict=True):
-        yield [None if own is None else own[end - rank : end] for own, rank, end in zip(width, node, after, strict=True)]
+    return (whole / np.exp2(bits.astype(np.float64) - 1)).astype(np.float16)

@@ -8,18 +8,20 @@ together may leave is a share of what the ranks leave (`LevelSpec.own_bits`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import sqrt
+from functools import reduce
+from math import ceil, log2, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import F32, F64
-from ..cells import Cells, by_cells, column_peaks, column_squares
+from ..cells import Cells, by_cells, column_peaks, column_squares, scaled_columns
+from ..widths import MOST_OF_BASIS, MOST_OF_CORE
 
 U8 = NDArray[np.uint8]
 
-#: Fewest and most bits of a column.
-FEWEST, MOST = 2, 8
+#: Fewest bits of a column.
+FEWEST = 2
 
 
 def left_of(cells: Cells, energy: float) -> float:
@@ -27,25 +29,61 @@ def left_of(cells: Cells, energy: float) -> float:
     return max(energy - float(_held(cells, _squares(cells)).sum()), 0.0)
 
 
-def column_bits(cells: Cells, left: float) -> list[U8 | None]:
-    """Bits of a number of each column `[R_n]` of every mode, None where it is undecomposed, if so much error is `left`.
+def rounded_by_columns(cells: Cells, left: float) -> Cells:
+    """The cells as a packed level stores them, if so much error is `left` by their ranks (K = 1).
 
     Columns are taken to be orthogonal, as after a sweep over cells that share no element.
     """
-    squares, worth, count = _squares(cells), dict[int, F64](), 0
+    step = _step(cells, left)
+    bits = _column_bits(cells, step)
+    bases, cores = scaled_columns(cells, bits)
+    bases = [basis if own is None else _nearest(basis, own) for basis, own in zip(bases, bits, strict=True)]
+    scaled = Cells(cells.sizes, cells.spec, cells.members, bases, cores)
+    # A number of a core counts for as much as the columns that it stands for are long.
+    lengths = [np.ones(1) if own is None else own.mean(axis=1) for own in _squares(scaled)]
+    of_core = step / sqrt(max(float(np.mean(reduce(np.multiply, lengths))), 1e-300))
+    scaled.cores = _whole_steps(cores, of_core)
+    return scaled
+
+
+def _step(cells: Cells, left: float) -> float:
+    """The step between stored numbers, in what they count for, whose rounding leaves a share of what is `left`."""
+    numbers = cells.cores.size + sum(basis.size for basis in cells.bases)
+    return sqrt(12 * cells.spec.own_bits * left / numbers)
+
+
+def _column_bits(cells: Cells, step: float) -> list[U8 | None]:
+    """Bits of a number of each column `[R_n]` of every mode, None where it is undecomposed, for steps of about `step`."""
+    squares, bits = _squares(cells), list[U8 | None]()
     held = _held(cells, squares)
     for n, own in enumerate(squares):
         if own is None:
+            bits.append(None)
             continue
         others = tuple(m + 1 for m in range(cells.order) if m != n)
         share = held.sum(axis=others) / np.maximum(own, 1e-300)  # of a column of length 1, `[PC, R_n]`
         rows = by_cells(cells, n, _rows(cells, n))
         peaks = by_cells(cells, n, column_peaks(cells, n)).astype(np.float64)
         numbers = cells.bases[n].size // cells.ranks[n]
-        worth[n] = np.sqrt((rows * share * np.square(peaks)).sum(axis=0) / max(numbers, 1))
-        count += cells.bases[n].size
-    step = sqrt(12 * cells.spec.own_bits * left / max(count, 1))
-    return [None if skip else _bits(worth[n], step) for n, skip in enumerate(cells.undecomposed)]
+        worth = np.sqrt((rows * share * np.square(peaks)).sum(axis=0) / max(numbers, 1))
+        bits.append(_bits(worth, step))
+    return bits
+
+
+def _nearest(basis: F32, bits: U8) -> F32:
+    """The nearest numbers of each column's bits."""
+    ones = np.exp2(bits.astype(np.float32) - 1)
+    return np.rint(basis * ones) / ones
+
+
+def _whole_steps(cores: F32, step: float) -> F32:
+    """The nearest multiples of about the step, of which float16 holds how many steps they are; a power of two."""
+    peak = float(np.abs(cores).max(initial=0.0))
+    if not peak:
+        return cores
+    exponent = max(round(log2(max(step, 1e-300))), ceil(log2(peak)) + 1 - MOST_OF_CORE)
+    whole = np.rint(cores * 2.0**-exponent).astype(np.float16)
+    return whole.astype(np.float32) * np.float32(2.0**exponent)
 
 
 def _squares(cells: Cells) -> list[F64 | None]:
@@ -66,9 +104,8 @@ def _held(cells: Cells, squares: Sequence[F64 | None]) -> F64:
 
 def _bits(worth: F64, step: float) -> U8:
     """So many that the steps between a column's numbers, from -m to m of 2 m + 1 = 2^bits - 1, are about `step`."""
-    if step <= 0:
-        return np.full(worth.shape, MOST, np.uint8)
-    return np.clip(np.rint(1 + np.log2(worth / step + 1)), FEWEST, MOST).astype(np.uint8)
+    steps = worth / max(step, 1e-300)
+    return np.clip(np.rint(1 + np.log2(steps + 1)), FEWEST, MOST_OF_BASIS).astype(np.uint8)
 
 
 def _rows(cells: Cells, n: int) -> F64:

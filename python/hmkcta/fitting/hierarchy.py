@@ -25,7 +25,7 @@ from ..streaming.streamed import Streamed
 from ..support.executors import Queue, repeatedly
 from ..support.grouping import rows_of_parts
 from ..support.progress import Told
-from .columns import column_bits, left_of
+from .columns import left_of, rounded_by_columns
 from .disjoint import cut_as_fitted, fit_outside, refit_outside
 from .fit import Labels, fit_level, refit_level
 from .memberships import grid_blocks
@@ -366,8 +366,7 @@ def _refitted(old: Cells, residual: F32) -> Cells | None:
 
 def _rounded(cells: Cells, left: Callable[[], float]) -> Cells:
     """The cells as they will be stored, where columns have bits of their own by the squared error that is `left`."""
-    own = cells.spec.own_bits > 0 and max(cells.spec.mixture) == 1
-    return cells.rounded(column_bits(cells, left()) if own else None)
+    return rounded_by_columns(cells, left()) if cells.spec.packed else cells.rounded()
 
 
 def grid_labels(spec: LevelSpec, axes: Sequence[Axis], organisation: Organisation) -> LabelsOf:

@@ -28,7 +28,7 @@ NUMBER_TYPES: Mapping[str, tuple[str, ...]] = {
 }
 #: The versions that leave out what follows from other arrays (`short.py`), and the last that has all of them.
 SHORT, WHOLE = ("1.2", "1.3"), "1.1"
-#: The versions whose bases may be packed.
+#: The versions whose levels may be packed.
 PACKED = ("1.3",)
 #: Arrays that short versions may leave out, and the types that tables may have there, by the one in memory.
 OPTIONAL, NARROWER = ("cluster", "part", "local"), {"U32": ("U8", "U16", "U32"), "U16": ("U8", "U16")}
@@ -77,11 +77,11 @@ def _kind(name: str) -> str:
 
 
 def level_schema(order: int, undecomposed: Sequence[int], nodes: int, last: bool, bits: int = 16, *,
-                 short: bool = False) -> Iterator[tuple[str, ArrayInfo]]:
+                 short: bool = False, packed: bool = False) -> Iterator[tuple[str, ArrayInfo]]:
     """Names (without prefix) and infos of the arrays of a level with S = `nodes`; -1 for a ragged length.
 
     Core and basis numbers have that many `bits`. Arrays of one number type come in the order of the file. If `short`
-    without offsets, and with all that may be left out, in the types of memory.
+    without offsets, and with all that may be left out, in the types of memory. If `packed` with widths.
 
     >>> sum(1 for _ in level_schema(4, (), 12, last=False)), sum(1 for _ in level_schema(4, (3,), 12, last=True))
     (34, 21)
@@ -89,8 +89,12 @@ def level_schema(order: int, undecomposed: Sequence[int], nodes: int, last: bool
     20
     """
     for name, info in _whole_schema(order, undecomposed, nodes, last, bits):
-        if not (short and is_offset(name)):
+        if packed and name.split("/")[0] in ("core", "basis"):
+            yield name, ArrayInfo("U8", info.shape)
+        elif not (short and is_offset(name)):
             yield name, info
+        if packed and name == "core_scale":
+            yield from ((f"width/{n}", ArrayInfo("U8", (_RAGGED,))) for n in range(order) if n not in undecomposed)
 
 
 def is_offset(name: str) -> bool:
@@ -141,12 +145,13 @@ def check_schema(metadata: Metadata, version: str, coords: Mapping[int, str], ar
         nodes += count
         check_limit("nodes-limit", name, nodes, limits.nodes)
         core = arrays.get(prefix(level) + "core")
-        if core is not None and core.dtype == "I8" and "I8" in NUMBER_TYPES[version]:
+        packed = core is not None and core.dtype == "U8" and version in PACKED and len(metadata.undecomposed) < order
+        if packed or (core is not None and core.dtype == "I8" and "I8" in NUMBER_TYPES[version]):
             bits = 8
-        schema = level_schema(order, metadata.undecomposed, count, level == depth, bits, short=version in SHORT)
+        schema = level_schema(
+            order, metadata.undecomposed, count, level == depth, bits, short=version in SHORT, packed=packed
+        )
         expected.update((prefix(level) + part, info) for part, info in schema)
-        if bits == 8 and version in PACKED:
-            expected.update(_packed_bases(expected, prefix(level), order, arrays))
     for name, info in expected.items():
         if version in SHORT and name not in arrays and name.split("/")[2] in OPTIONAL:
             continue
@@ -161,15 +166,6 @@ def check_schema(metadata: Metadata, version: str, coords: Mapping[int, str], ar
         if width and not 1 <= width[0] <= MOST_COORDS:
             raise fault("array-shape", name, list(arrays[name].shape), f"1 to {MOST_COORDS} numbers an index")
     _check_names(arrays, {*expected, *coords.values()})
-
-
-def _packed_bases(
-    expected: Mapping[str, ArrayInfo], level: str, order: int, arrays: Mapping[str, ArrayInfo]
-) -> Iterator[tuple[str, ArrayInfo]]:
-    """What is expected of the modes whose columns have a width each, and of their bases."""
-    for n in range(order):
-        if f"{level}width/{n}" in arrays and f"{level}basis/{n}" in expected:
-            yield from ((name, ArrayInfo("U8", (_RAGGED,))) for name in (f"{level}width/{n}", f"{level}basis/{n}"))
 
 
 def _require(name: str, arrays: Mapping[str, ArrayInfo]) -> None:
@@ -212,7 +208,7 @@ def _turn(name: str, itemsize: int) -> int:
 
 
 def level_of(arrays: Mapping[str, NDArray[Any]], level: int, order: int) -> PackedLevel:
-    """The packed level made of a file's arrays, which `check_schema` has let through; bytes become their numbers."""
+    """The level made of a file's arrays, which `check_schema` has let through; bytes become their numbers."""
     def get(name: str) -> NDArray[Any]:
         return arrays[prefix(level) + name]
 
@@ -222,15 +218,15 @@ def level_of(arrays: Mapping[str, NDArray[Any]], level: int, order: int) -> Pack
     def modes(name: str) -> tuple[NDArray[Any] | None, ...]:
         return tuple(find(f"{name}/{n}") for n in range(order))
 
-    narrow = get("core").dtype == np.int8
+    narrow, packed = get("core").dtype == np.int8, any(find(f"width/{n}") is not None for n in range(order))
     core = _numbers(get("core"), CORE_NUMBERS) if narrow else get("core")
     bases = tuple(_numbers(basis, BASIS_NUMBERS) if narrow and basis is not None else basis for basis in modes("basis"))
     return PackedLevel(
         shape=get("shape"), child=find("child"), row_offset=tuple(get(f"row_offset/{n}") for n in range(order)),
         core=core, core_offset=get("core_offset"), core_scale=get("core_scale"), cell_offset=get("cell_offset"),
         cluster=modes("cluster"), cluster_offset=modes("cluster_offset"), basis=bases,
-        basis_offset=modes("basis_offset"), part=modes("part"), local=modes("local"), bits=8 if narrow else 16,
-        width=modes("width") if any(find(f"width/{n}") is not None for n in range(order)) else (),
+        basis_offset=modes("basis_offset"), part=modes("part"), local=modes("local"), bits=8 if narrow or packed else 16,
+        width=modes("width") if packed else (),
     )
 
 

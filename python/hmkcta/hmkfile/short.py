@@ -6,13 +6,14 @@ The writer leaves it out by the same rules by which the reader makes it again, s
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bitstream import from_stream
-from ..packed import U16, U32, PackedLevel, number_bits
+from ..bitstream import U8, from_stream, stream_bytes
+from ..packed import U16, U32, PackedLevel
+from ..widths import basis_number_bits, core_number_bits, from_whole, most_core_bits
 from .check_tree import check_children, check_part_range, slot_of_child, slots_of
 from .reasons import fault
 from .schema import LEVEL_TYPES, NUMPY_TYPES, prefix
@@ -102,16 +103,18 @@ class _Level:
         self.decomposed = [n for n in range(rows.shape[1]) if n not in undecomposed]
 
     def complete_ragged(self) -> None:
-        """Offsets, by what the shapes of nodes need, and clusters where each mode has one."""
-        self._own("core_offset", "core", self.cells * self.ranks.prod(1, np.float64))
+        """Offsets, by what the shapes of nodes need, and clusters where each mode has one; numbers of a packed level."""
+        numbers = {"core": self.cells * self.ranks.prod(1, np.float64)}
+        for n in self.decomposed:
+            others = np.delete(self.clusters, n, axis=1).prod(1, np.float64)
+            numbers[f"basis/{n}"] = (self.rows[:, n] * self.mixture[:, n] * self.ranks[:, n]).astype(np.float64) * others
+        if any(f"{self.name}width/{n}" in self.whole for n in self.decomposed):
+            self._unpack(numbers)
+        self._own("core_offset", "core", numbers["core"])
         self._own("cell_offset", "core_scale", self.cells)
         for n in self.decomposed:
             entries = (self.rows[:, n] * self.mixture[:, n]).astype(np.float64)
-            others = np.delete(self.clusters, n, axis=1).prod(1, np.float64)
-            numbers = entries * others * self.ranks[:, n]
-            if f"{self.name}width/{n}" in self.whole:
-                self._unpack(n, numbers)
-            self._own(f"basis_offset/{n}", f"basis/{n}", numbers)
+            self._own(f"basis_offset/{n}", f"basis/{n}", numbers[f"basis/{n}"])
             # Bases have as many entries at the least, so that this is bounded by what the file holds.
             if (name := f"{self.name}cluster/{n}") not in self.whole:
                 if self.clusters[:, n].max(initial=0) > 1:
@@ -121,20 +124,23 @@ class _Level:
         for n in range(self.rows.shape[1]):
             self.whole[f"{self.name}row_offset/{n}"] = self._sums(self.rows[:, n].astype(np.float64), "shape")
 
-    def _unpack(self, n: int, numbers: NDArray[np.float64]) -> None:
-        """The bytes of a packed basis, whose nodes have so many `numbers`."""
-        name, width = f"{self.name}width/{n}", self.whole[f"{self.name}width/{n}"]
-        ranks, stream = self.ranks[:, n], self.whole[f"{self.name}basis/{n}"]
-        check_widths(name, width, ranks)
-        columns = np.add.reduceat(np.append(width, 0).astype(np.float64), self._starts(n))
-        bits = float((numbers / np.maximum(ranks, 1) * np.where(ranks > 0, columns, 0)).sum())
-        if stream.size != -(-bits // 8):
-            raise fault("array-shape", f"{self.name}basis/{n}", [stream.size], [int(-(-bits // 8))])
-        self.whole[f"{self.name}basis/{n}"] = from_stream(stream, number_bits(width, ranks, numbers.astype(np.int64)))
-
-    def _starts(self, n: int) -> Ints:
-        """Where the columns of each node begin among all of the level."""
-        return np.cumsum(self.ranks[:, n]) - self.ranks[:, n]
+    def _unpack(self, numbers: Mapping[str, NDArray[np.float64]]) -> None:
+        """The float16 numbers of a packed level, whose nodes have so many of each array."""
+        width = [self.whole.get(f"{self.name}width/{n}") for n in range(self.rows.shape[1])]
+        for n, own in enumerate(width):
+            if own is not None:
+                check_widths(f"{self.name}width/{n}", own, self.ranks[:, n])
+        for name, count in numbers.items():
+            stream = self.whole[self.name + name]
+            if count.sum() > 8 * stream.size:  # no number has less than a bit: nothing larger is made than that allows
+                raise fault("array-shape", self.name + name, [stream.size], f"the bits of {count.sum():.0f} numbers")
+            of_mode = None if name == "core" else int(name.split("/")[1])
+            bits = core_number_bits(width, self.whole[self.name + "shape"]) if of_mode is None else basis_number_bits(
+                cast("U8", width[of_mode]), self.ranks[:, of_mode], count.astype(np.int64))
+            if stream.size != (needed := stream_bytes(int(bits.sum(dtype=np.int64)))):
+                raise fault("array-shape", self.name + name, [stream.size], [needed])
+            each = bits if of_mode is not None else np.repeat(most_core_bits(width, self.ranks), count.astype(np.int64))
+            self.whole[self.name + name] = from_whole(from_stream(stream, bits), each)
 
     def _own(self, offsets: str, array: str, needed: NDArray[np.float64]) -> None:
         found = self.whole[self.name + array]

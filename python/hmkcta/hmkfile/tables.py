@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 
 from ..narrow import U8
 from ..packed import U32, PackedLevel
+from ..widths import MOST_OF_BASIS, basis_bits
 from .reasons import fault
 from .schema import prefix
 
 Ints = NDArray[np.int64]
-#: Most bits of a number of a packed basis.
-MOST_BITS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,9 +96,10 @@ def check_shapes(shape: Ints, rows: Ints, undecomposed: Sequence[int], name: str
 
 
 def check_widths(name: str, width: U8, ranks: NDArray[np.integer[Any]]) -> None:
-    """Bits of the columns of a mode's bases: as many as the nodes have ranks, each from 1 to 8."""
+    """Widths of the columns of a mode's bases: as many as the nodes have ranks, of bases of at most 12 bits."""
     columns = int(ranks.sum(dtype=np.int64))
     if width.shape != (columns,):
         raise fault("array-shape", name, list(width.shape), [columns])
-    if (bad := first((width < 1) | (width > MOST_BITS))) is not None:
-        raise fault("width-range", name, f"{width[bad]} at {bad[0]}", f"1 to {MOST_BITS} bits")
+    if (bad := first(basis_bits(width) > MOST_OF_BASIS)) is not None:
+        found = f"{width[bad]} at {bad[0]}, {basis_bits(width)[bad]} bits"
+        raise fault("width-range", name, found, f"at most {MOST_OF_BASIS} bits of a basis number")

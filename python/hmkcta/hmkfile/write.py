@@ -14,7 +14,6 @@ from typing import Any, TypeAlias, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bitstream import from_stream, stream_bytes
 from ..errors import HmkctaError, Kind, invalid
 from ..narrow import BASIS_NUMBERS, CORE_NUMBERS, widened
 from ..packed import Metadata, PackedLevel
@@ -187,9 +186,9 @@ def _infos(levels: Sequence[PackedLevel], coords: Mapping[str, NDArray[Any]], *,
              for name, array in _arrays(levels, coords, short=short, wide=True).items()}
     for level, packed in enumerate(levels, 1):
         for name, array in packed.wide() if packed.bits == 8 else ():
-            bits = None if name == "core" or not short else packed.stored_bits(int(name.split("/")[1]))
-            length = array.size if bits is None else stream_bytes(int(bits.sum(dtype=np.int64)))
-            infos[prefix(level) + name] = ArrayInfo("I8" if bits is None else "U8", (length,))
+            stored = packed.core_bytes if name == "core" else packed.basis_bytes(int(name.split("/")[1]))
+            is_packed = short and bool(packed.width)
+            infos[prefix(level) + name] = ArrayInfo("U8" if is_packed else "I8", (stored if is_packed else array.size,))
     return infos
 
 
@@ -197,15 +196,14 @@ def _check_bytes(arrays: Mapping[str, NDArray[Any]], levels: Sequence[PackedLeve
     """The bytes of a level must stand for the very numbers that it holds."""
     for level, packed in enumerate(levels, 1):
         for name, numbers in packed.wide() if packed.bits == 8 else ():
-            table = CORE_NUMBERS if name == "core" else BASIS_NUMBERS
             stored = arrays[prefix(level) + name]
-            bits = None if name == "core" else packed.stored_bits(int(name.split("/")[1]))
-            differ = widened(stored if bits is None else from_stream(stored, bits), table) != numbers
+            table = CORE_NUMBERS if name == "core" else BASIS_NUMBERS
+            differ = (packed.unpacked(name, stored) if packed.width else widened(stored, table)) != numbers
             if not differ.any():
                 continue
             found = numbers[differ][0]
             raise fault("array-dtype" if np.isfinite(found) else "not-finite", prefix(level) + name, found,
-                        "numbers that a byte stands for" if bits is None else "numbers of the bits of their columns")
+                        "numbers of the bits of their columns" if packed.width else "numbers that a byte stands for")
 
 
 def _check_types(levels: Sequence[PackedLevel]) -> None:
@@ -219,15 +217,18 @@ def _check_types(levels: Sequence[PackedLevel]) -> None:
 
 
 def _check_columns(packed: PackedLevel, level: str) -> None:
-    """Without sound widths there is no telling how long the arrays of packed bases are."""
+    """Without sound widths there is no telling how long the arrays of a packed level are."""
     if packed.width and len(packed.width) != packed.order:
         raise fault("array-shape", f"{level}width", f"of {len(packed.width)} modes", f"of {packed.order}, or of none")
-    for n, width in enumerate(packed.width):
-        if width is None:
-            continue
-        if packed.bits != 8 or packed.basis[n] is None:
-            raise fault("array-unexpected", f"{level}width/{n}", "an array", "one beside a basis of bytes alone")
-        check_widths(f"{level}width/{n}", width, packed.shape[:, 2, n])
+    for n, (width, basis) in enumerate(zip(packed.width, packed.basis, strict=bool(packed.width))):
+        if width is not None and (packed.bits != 8 or basis is None):
+            raise fault("array-unexpected", f"{level}width/{n}", "an array", "one beside a basis of few bits alone")
+        if basis is not None and width is None:
+            raise fault("array-missing", f"{level}width/{n}", "no such array", "one for each decomposed mode")
+        if width is not None:
+            check_widths(f"{level}width/{n}", width, packed.shape[:, 2, n])
+    if packed.width and all(basis is None for basis in packed.basis):
+        raise fault("array-dtype", f"{level}core", "packed", "a level with bases")
 
 
 def _bytes_of(array: NDArray[Any], dtype: str) -> Piece:

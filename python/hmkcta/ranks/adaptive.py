@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..cells import zero_cells
 from ..errors import invalid
-from ..fitting.columns import FEWEST, MOST
+from ..fitting.columns import FEWEST
 from ..fitting.fit import Labels
 from ..fitting.hierarchy import (
     Hierarchy,
@@ -31,6 +31,7 @@ from ..plan import LevelSpec
 from ..streaming.budget import MODEL, PROCESS
 from ..streaming.streamed import Streamed
 from ..support.memory import check_memory, format_bytes, give_back_freed_memory
+from ..widths import MOST_OF_BASIS
 from .allocation import PACKED, Allocation, Spectrum, allocate, merged, trimmed
 from .examining import EXAMINING, Goal, Way, examined
 
@@ -231,7 +232,7 @@ class _LastLevel:
     def _mean_bits(self, chosen: Allocation) -> float:
         """Bits of a basis number that the choices should take: more for a higher SNR, as of the fits before."""
         fewer = log2(self.share / SHARE) / 2
-        return min(max(BITS_AT[0] + BITS_AT[1] * self._promised(chosen) + self.more_bits - fewer, FEWEST), MOST)
+        return min(max(BITS_AT[0] + BITS_AT[1] * self._promised(chosen) + self.more_bits - fewer, FEWEST), MOST_OF_BASIS)
 
     def _share_of(self, chosen: Allocation) -> float:
         """What rounding should leave, as a share of the error: as much as makes bits of columns and ranks pay alike.
@@ -246,10 +247,11 @@ class _LastLevel:
         return min(max(share, SHARES[0]), SHARES[1])
 
     def _numbers(self, chosen: Allocation) -> float:
-        """Basis numbers of the choices."""
+        """Core and basis numbers of the choices."""
         nodes, numbers = self.tree.levels[-1], 0.0
         for (s, choices), choice in zip(self.found, chosen.choice, strict=True):
             spec = self.ways[int(choices.way[int(choice)])][0]
+            numbers += spec.cells * float(np.prod(choices.ranks[choice].astype(np.float64)))
             for size, rank, most, c in zip(nodes[s].sizes, choices.ranks[choice], spec.ranks, spec.clusters, strict=True):
                 numbers += 0 if most is None else float(size) * float(rank) * (spec.cells // c)
         return numbers

@@ -24,7 +24,7 @@ FEW = 256
 CLOSE = 0.01
 #: A choice is left out that, taken by all nodes, leaves more than so many times the error of a cheaper one.
 ASIDE = 2.0
-#: What a number of a packed basis takes on average, in bytes.
+#: What a number of a packed level takes on average, in bytes.
 PACKED = 0.7
 #: Shapes of nodes whose choices are kept: those of a grid differ by a row along each mode.
 SHAPES = 16
@@ -74,9 +74,7 @@ def node_bytes(
     basis = sum(ranks[..., n] * (sizes[n] * cells / clusters[n]) for n in stored)
     numbers = cells * np.prod(ranks.astype(np.float64), axis=-1) + basis
     rows = sum(row_bytes(clusters[n], bits) * sizes[n] for n in stored)
-    if bits == 8:
-        numbers -= (1 - PACKED) * basis
-    return bits / 8 * numbers + 4.0 * cells + rows + empty_node_bytes(len(sizes), len(stored), bits)
+    return (PACKED if bits == 8 else bits / 8) * numbers + 4.0 * cells + rows + empty_node_bytes(len(sizes), len(stored), bits)
 
 
 def spectrum(
