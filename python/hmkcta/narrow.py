@@ -30,8 +30,6 @@ _BYTES = np.arange(256, dtype=np.uint8).view(np.int8).astype(np.float64)
 #: The number of each byte, by its bits: of a basis, and of a core before its factor.
 BASIS_NUMBERS: F16 = (_BYTES / 128).astype(np.float16)
 CORE_NUMBERS: F16 = (_BYTES * np.abs(_BYTES) / LARGEST**2).astype(np.float16)
-#: About what bytes leave of the energy of what a level of them is to hold.
-LEFT = 8e-5
 #: The largest basis number that is written.
 LARGEST_BASIS = LARGEST / 128
 

@@ -28,6 +28,8 @@ MOST_OF_BASIS = 12
 _MOST = np.array(MOST_OF_BASIS, np.uint8)
 #: The same of a core number, of which float16 keeps the upper ones.
 MOST_OF_CORE = 16
+#: About what the most bits leave of the energy of what a level is to hold.
+LEFT = 2e-7
 
 
 def widths(basis: U8, core: U8) -> U8:

@@ -11,12 +11,12 @@ from .clustered import clustered
 from .judging import Search, worth_of
 
 #: Below so many dB bytes leave next to nothing more than float16 numbers: these are not looked at.
-BYTES_DO = 38.0
+BYTES_DO = 60.0
 #: Where races with bytes end with more than so many dB, their rounding hides which blocks are best: the search with
 #: bytes goes on from there only if float16 numbers come to less.
-BYTES_HARDLY_DO = 44.5
+BYTES_HARDLY_DO = 64.0
 #: For an SNR goal above so many dB only float16 numbers are looked at.
-BYTES_FALL_SHORT = 52.0
+BYTES_FALL_SHORT = 72.0
 #: Bytes that are worth so much more than float16 numbers in the same blocks, in dB or octaves of bytes, are taken: no
 #: other blocks make up for it. Where rounding tells nothing they are worth an octave more, as they are half as many.
 SURELY_BETTER = 0.75

@@ -16,7 +16,7 @@ from ..axes import Organisation, mode_sizes
 from ..filesize import planned_bytes
 from ..grids import divisors
 from ..metrics import noise_at, snr_db
-from ..narrow import LEFT
+from ..widths import LEFT
 from ..plan import MOST_RANKS_ALONE
 from ..ranks.allocation import Choices, best_of_one, choices_of, pareto, plausible, ration
 from ..streaming.budget import is_precise

@@ -16,9 +16,9 @@ from ..plan import MOST_RANKS, LevelSpec, Plan
 from .finer import is_far_beyond
 
 #: From this SNR in dB on, the error of the numbers themselves, by their bits, is not small beside what a level leaves.
-ROUNDING_FROM = {16: 55.0, 8: 33.0}
+ROUNDING_FROM = {16: 55.0, 8: 55.0}
 #: Between these SNRs in dB either 8 or 16 bits a number may make the smaller file.
-EITHER = (36.0, 50.0)
+EITHER = (60.0, 72.0)
 #: Below a level of rank one the same holds up to so many dB.
 EITHER_BELOW = 80.0
 #: Blocks of a mode up to which clusters of the data take their place: finding more takes minutes.

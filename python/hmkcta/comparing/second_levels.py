@@ -18,7 +18,7 @@ from .follow import Task
 from .followed import Followed, best_of, further, is_verbatim, may_be
 
 #: SNR in dB at which a first level ends, by the bits of its numbers: about what their rounding lets one level keep.
-ROUNDED = {16: 68.0, 8: 43.0}
+ROUNDED = {16: 68.0, 8: 62.0}
 #: A first level that ends below so many dB gets no second one: that would have too much to do.
 SHORT = 40.0
 #: Below an SNR goal of so many dB, and for a size, the second level is tried with bytes as well.

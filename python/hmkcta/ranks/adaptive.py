@@ -26,12 +26,11 @@ from ..fitting.hierarchy import (
 from ..fitting.memberships import by_subspaces, start_candidates
 from ..goals import LEAST
 from ..metrics import noise_at, snr_db
-from ..narrow import LEFT
 from ..plan import LevelSpec
 from ..streaming.budget import MODEL, PROCESS
 from ..streaming.streamed import Streamed
 from ..support.memory import check_memory, format_bytes, give_back_freed_memory
-from ..widths import MOST_OF_BASIS
+from ..widths import LEFT, MOST_OF_BASIS
 from .allocation import PACKED, Allocation, Spectrum, allocate, merged, trimmed
 from .examining import EXAMINING, Goal, Way, examined
 
