@@ -91,7 +91,8 @@ def bytes_beside(source: Source, candidate: Candidate, seed: int) -> float:
     rows = sum(sizes[n] * nodes // clusters[n] for n in stored)
     number = candidate.bits / 8
     empty = empty_node_bytes(len(ranks), len(stored), candidate.bits)
-    each = number * float(np.prod(ranks, dtype=np.float64)) + 4 + empty
+    widths = 0 if candidate.bits == 16 else len(stored)
+    each = number * float(np.prod(ranks, dtype=np.float64)) + 4 + empty + widths
     return whole - nodes * each - (row_bytes(1, candidate.bits) + number) * rows
 
 

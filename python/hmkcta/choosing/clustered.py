@@ -156,7 +156,7 @@ def _judged(
     each = Candidate(organisation, ones, (1 - long,), carried=False, clusters=clusters, bits=trial.bits)
     limit = min(MOST_RANKS, trial.decode_cost, len(rows) // (2 * count), rows.shape[1])
     steps = tuple((1,) if flag else tuple(range(1, limit + 1)) for flag in flags)
-    choices = choices_of(steps, sizes, flags, trial.decode_cost, clusters, trial.bits)
+    choices = choices_of(steps, sizes, flags, trial.decode_cost, clusters, trial.stored_bits)
     least = float(choices.nbytes[1])
     if (needed := trial.beside(each) + least) > trial.size:
         return Scored(-OUT_OF_REACH - log2(needed), each)

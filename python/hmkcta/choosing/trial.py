@@ -18,7 +18,7 @@ from ..grids import divisors
 from ..metrics import noise_at, snr_db
 from ..widths import LEFT
 from ..plan import MOST_RANKS_ALONE
-from ..ranks.allocation import Choices, best_of_one, choices_of, pareto, plausible, ration
+from ..ranks.allocation import Choices, best_of_one, choices_of, pareto, plausible, ration, stored_bits
 from ..streaming.budget import is_precise
 from ..streaming.source import Source
 from ..support.executors import in_order
@@ -178,7 +178,7 @@ class Trial:
         core = cores(parts, chosen, self._precision)
         steps, meant = _steps(chosen, caps, len(parts), cut.growth_of(parts, core, way, edges))
         energy, table = energies(parts, self._precision), captured(core, steps)
-        choices = choices_of(meant, cut.edges, flags, max(1, self.decode_cost - 1), clusters, self.bits)
+        choices = choices_of(meant, cut.edges, flags, max(1, self.decode_cost - 1), clusters, self.stored_bits)
         together = (len(cut.batch), prod(way), -1)
         whole, tables = energy.reshape(together).sum(axis=(1, 2)), table.reshape(together).sum(axis=1)
         left = _left(whole, tables, choices, self.floor)
@@ -213,13 +213,18 @@ class Trial:
 
         A matrix has as many numbers of each row and of each column.
         """
-        elements, numbers = prod(float(rows) for rows in have), 8 * self.size / self.bits
+        elements, numbers = prod(float(rows) for rows in have), 8 * self.size / self.stored_bits
         most = min(self.decode_cost, HIGHEST[len(have) > 2])
         own = sum(edges) / min(1.0, MOST_OF_ONE / blocks) if len(have) == 2 else 0
         return tuple(
             int(max(1, min(rows, elements // rows, most, numbers // max(edge, own) + 1)))
             for rows, edge in zip(have, edges, strict=True)
         )
+
+    @property
+    def stored_bits(self) -> float:
+        """Bits of a number in the file, on average."""
+        return stored_bits(self.bits, self.ceiling)
 
     @property
     def _precision(self) -> Any:
@@ -242,7 +247,7 @@ class Trial:
         limits = [None if flag else limit for flag, limit in zip(flags, cut.limits, strict=True)]
         steps, meant = _steps(limits, caps, len(cut.batch), cut.growth)
         table = captured(self._core(cut, flags), steps).reshape(len(cut.batch), -1)
-        whole = choices_of(meant, cut.sizes, flags, self.decode_cost, cut.clusters, self.bits)
+        whole = choices_of(meant, cut.sizes, flags, self.decode_cost, cut.clusters, self.stored_bits)
         weights, nbytes = cut.blocks.weights, whole.nbytes
         left = _left((weights @ cut.energy)[None], (weights @ table)[None], whole, self.floor)[0]
         best = pareto(nbytes, left)
@@ -252,7 +257,7 @@ class Trial:
         found = [Scored(worth, one)]
         if self.decode_cost > 1 and (prod(cut.clusters) > 1 or (self.bits == 8 and not all(flags))):
             many = replace(one, carried=True)
-            nodes = choices_of(meant, cut.edges, flags, self.decode_cost - 1, (1,) * order, self.bits)
+            nodes = choices_of(meant, cut.edges, flags, self.decode_cost - 1, (1,) * order, self.stored_bits)
             left = _left(cut.energy, table, nodes, self.floor)
             below, least = _left_by_one(left, weights), float(nodes.nbytes[0] * weights.sum())
             path = partial(ration, left, nodes.nbytes, weights)

@@ -39,7 +39,7 @@ from .second_levels import ROUNDED, below_bytes, below_rounding, deeper, with_by
 #: SNR in dB above which plans of two levels are tried: one level of float16 numbers may not reach it.
 NEARLY = 64.0
 #: SNR in dB above which bytes are tried below a level of float16 numbers.
-BYTES_END = 40.0
+BYTES_END = 60.0
 #: Where a model of 16-bit numbers ends more than so many dB above an SNR goal, two levels of bytes are tried.
 BEYOND = 3.0
 #: These two levels of bytes are taken only if they need less than this share of its bytes.

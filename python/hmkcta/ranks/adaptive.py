@@ -31,7 +31,7 @@ from ..streaming.budget import MODEL, PROCESS
 from ..streaming.streamed import Streamed
 from ..support.memory import check_memory, format_bytes, give_back_freed_memory
 from ..widths import LEFT, MOST_OF_BASIS
-from .allocation import PACKED, Allocation, Spectrum, allocate, merged, trimmed
+from .allocation import Allocation, Spectrum, allocate, merged, stored_bits, trimmed
 from .examining import EXAMINING, Goal, Way, examined
 
 F32 = NDArray[np.float32]
@@ -46,12 +46,12 @@ FEW_ATTEMPTS = 3
 MARGIN = 0.05
 #: What the rounding of columns leaves, as a share of what the ranks leave: where nothing tells, and the least and most.
 SHARE, SHARES = 0.1, (0.05, 0.6)
+#: The most where ranks overshoot an SNR.
+MOST_SHARE = 3.0
 #: How many times the bytes tell what more of them would save of the error.
 FURTHER = 1.2
 #: How often a fit is repeated at most with fewer bits that still reach the SNR, and how far above it they aim, in dB.
 SHARE_ATTEMPTS, TOUCHING = 2, 0.01
-#: Bits that a basis number takes on average: so many, and so many more for each dB.
-BITS_AT = 2.6, 0.1
 #: By how many bits all columns are changed at most at once.
 MOST_BITS = 2
 #: How often a fit to a size is repeated at most, the share of it that is enough, and that is aimed at.
@@ -159,6 +159,8 @@ class _LastLevel:
         #: What the rounding of columns is to leave, as a share of the error.
         self._own_bits = ways[0][0].bits == 8
         self.share = SHARE if self._own_bits else 0.0
+        #: Bits that the choices count for each number.
+        self.counted_bits = stored_bits(ways[0][0].bits, goal.snr)
         #: By how many bits basis numbers were longer than was reckoned.
         self.more_bits = 0.0
         #: Squared error outside the nodes that have choices, and bytes beside what the choices count.
@@ -226,12 +228,13 @@ class _LastLevel:
         counted = self.beside + chosen.nbytes
         if not self._own_bits:
             return counted
-        return counted + (self._mean_bits(chosen) / 8 - PACKED) * self._numbers(chosen)
+        return counted + (self._mean_bits(chosen) - self.counted_bits) / 8 * self._numbers(chosen)
 
     def _mean_bits(self, chosen: Allocation) -> float:
         """Bits of a basis number that the choices should take: more for a higher SNR, as of the fits before."""
         fewer = log2(self.share / SHARE) / 2
-        return min(max(BITS_AT[0] + BITS_AT[1] * self._promised(chosen) + self.more_bits - fewer, FEWEST), MOST_OF_BASIS)
+        bits = stored_bits(8, self._promised(chosen)) + self.more_bits - fewer
+        return min(max(bits, FEWEST), MOST_OF_BASIS)
 
     def _share_of(self, chosen: Allocation) -> float:
         """What rounding should leave, as a share of the error: as much as makes bits of columns and ranks pay alike.
@@ -310,7 +313,7 @@ class _LastLevel:
         reached = self.goal.snr_now(self.tree)
         allowed = noise_at(snr + TOUCHING - reached)  # times what is left
         while self._own_bits and allowed > 1 and attempts < SHARE_ATTEMPTS:
-            share = min(allowed * (1 + kept) - 1, SHARES[1]) * 0.5**attempts
+            share = min(allowed * (1 + kept) - 1, MOST_SHARE) * 0.5**attempts
             if share < 1.2 * kept:
                 break
             attempts, self.share = attempts + 1, share

@@ -13,8 +13,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from ..widths import MOST_OF_BASIS
+
 F64 = NDArray[np.float64]
 
+#: Fewest bits that numbers take on average.
+FEWEST_BITS = 3.0
 #: How many choices are at most changed to some off the convex hulls, once the multiplier is found: the last step along
 #: the hulls leaves some of the goal unused.
 TRIMS = 8
@@ -24,18 +28,29 @@ FEW = 256
 CLOSE = 0.01
 #: A choice is left out that, taken by all nodes, leaves more than so many times the error of a cheaper one.
 ASIDE = 2.0
-#: What a number of a packed level takes on average, in bytes.
-PACKED = 0.7
+#: Bits that a number of a packed level takes on average at 0 dB, and how many more for each dB; and where no SNR tells.
+BITS_AT, BITS_UNTOLD = (2.4, 0.1), 5.6
 #: Shapes of nodes whose choices are kept: those of a grid differ by a row along each mode.
 SHAPES = 16
 
 
-def empty_node_bytes(order: int, stored: int, bits: int = 16) -> float:
+def stored_bits(bits: int, snr: float | None) -> float:
+    """Bits that a number takes, on average, of a level of ranks of its own with so many `bits`, for an SNR in dB.
+
+    >>> stored_bits(16, 30.0), stored_bits(8, 30.0)
+    (16, 5.4)
+    """
+    if bits == 16:
+        return bits
+    return BITS_UNTOLD if snr is None else min(max(BITS_AT[0] + BITS_AT[1] * snr, FEWEST_BITS), MOST_OF_BASIS)
+
+
+def empty_node_bytes(order: int, stored: int, bits: float = 16) -> float:
     """Table entries of every node, also one that carries nothing: shape and offsets; of short tables shape alone."""
-    return 3.0 * order if bits == 8 else 8.0 + 16 * order + 8 * stored
+    return 8.0 + 16 * order + 8 * stored if bits == 16 else 3.0 * order
 
 
-def row_bytes(clusters: int, bits: int = 16) -> float:
+def row_bytes(clusters: int, bits: float = 16) -> float:
     """Table entry of a row in a node with so many clusters and K_n = 1: its cluster number."""
     if bits == 16 or clusters > 256:
         return 2.0
@@ -66,15 +81,16 @@ def node_bytes(
     ranks: NDArray[np.int32],
     undecomposed: Sequence[bool],
     clusters: Sequence[int],
-    bits: int = 16,
+    bits: float = 16,
 ) -> F64:
-    """Bytes of a node with K_n = 1: numbers of so many bits, cluster numbers, scales, offsets; ranks `[.., N]`."""
+    """Bytes of a node with K_n = 1: numbers of so many bits, cluster numbers, scales, offsets or widths; ranks `[.., N]`."""
     stored = [n for n in range(len(sizes)) if not undecomposed[n]]
     cells = float(np.prod(clusters))
     basis = sum(ranks[..., n] * (sizes[n] * cells / clusters[n]) for n in stored)
     numbers = cells * np.prod(ranks.astype(np.float64), axis=-1) + basis
-    rows = sum(row_bytes(clusters[n], bits) * sizes[n] for n in stored)
-    return (PACKED if bits == 8 else bits / 8) * numbers + 4.0 * cells + rows + empty_node_bytes(len(sizes), len(stored), bits)
+    tables = sum(row_bytes(clusters[n], bits) * sizes[n] for n in stored) + empty_node_bytes(len(sizes), len(stored), bits)
+    widths = 0.0 if bits == 16 else ranks[..., stored].sum(axis=-1)
+    return bits / 8 * numbers + 4.0 * cells + tables + widths
 
 
 def spectrum(
@@ -86,7 +102,7 @@ def spectrum(
     clusters: Sequence[int] | None = None,
     *,
     hull: bool = True,
-    bits: int = 16,
+    bits: float = 16,
 ) -> Spectrum:
     """The choices among all ranks within the decode cost.
 
@@ -98,7 +114,7 @@ def spectrum(
         decode_cost: largest prod R_n over decomposed modes.
         clusters: cells of the node along each mode, which all get the same ranks; None: one cell.
         hull: steps are those on the lower convex hull of (bytes, error) only, else all of them.
-        bits: of a number in the file.
+        bits: of a number in the file, on average.
     """
     steps = tuple(tuple(range(1, extent + 1)) for extent in table.shape)
     cells = tuple(clusters or [1] * len(sizes))
@@ -139,7 +155,7 @@ def choices_of(
     undecomposed: tuple[bool, ...],
     decode_cost: int,
     clusters: tuple[int, ...],
-    bits: int = 16,
+    bits: float = 16,
 ) -> Choices:
     """What can be chosen of the ranks in a table, `steps` of each mode, and what it costs."""
     grid = np.meshgrid(*(np.array(own, np.int32) for own in steps), indexing="ij")

@@ -30,7 +30,7 @@ from ..streaming.streamed import Streamed
 from ..support.executors import in_order
 from ..support.grouping import rows_of_parts
 from ..support.progress import Told, share_of
-from .allocation import Spectrum, spectrum
+from .allocation import FEWEST_BITS, Spectrum, spectrum, stored_bits
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -104,22 +104,25 @@ def _spectrum_of(
 ) -> Spectrum | None:
     """A node's choices of ranks if it is fitted in this way; None where there is nothing to store."""
     (spec, labels), alone, nbytes = way, len(tree.levels[-1]) == 1, goal.size or inf
+    bits = stored_bits(spec.bits, goal.snr)
     part, outside = labels(node), streamed_for(tree, node)
     if outside is not None and part is not None and spec.disjoint:
         level = level_within(node, len(tree.levels))
-        return outside_spectrum(outside, level, spec, part, decode_cost, seed, told, alone=alone, nbytes=nbytes)
+        return outside_spectrum(
+            outside, level, spec, part, decode_cost, seed, told, alone=alone, nbytes=nbytes, bits=bits
+        )
     sample, untold = sampled(tree, node, spec), goal.untold / len(tree.levels[-1])
     if outside is None or sample is None:
         return node_spectrum(
             gather(tree.residual, node), spec, decode_cost, seed, part,
-            alone=alone, nbytes=nbytes, untold=untold, threads=threads,
+            alone=alone, nbytes=nbytes, bits=bits, untold=untold, threads=threads,
         )
     tensor, steps = sample
     part = None if part is None else [own[::step] for own, step in zip(part, steps, strict=True)]
     energy = goal.energy if len(tree.levels) == 1 else outside.error
     whole = (node.sizes, energy)
     return node_spectrum(
-        tensor, spec, decode_cost, seed, part, alone=alone, nbytes=nbytes, untold=untold, sample_of=whole
+        tensor, spec, decode_cost, seed, part, alone=alone, nbytes=nbytes, bits=bits, untold=untold, sample_of=whole
     )
 
 
@@ -134,10 +137,10 @@ def table_limits(
 
     `stored` are the sizes that bytes are counted by, where the node is thinned.
     """
-    limits: list[int | None] = []
+    limits, least = list[int | None](), spec.bits if spec.bits == 16 else FEWEST_BITS
     for n, rank in enumerate(spec.ranks):
         rest = int(min(prod(float(size) for m, size in enumerate(sizes) if m != n), 2.0**31))
-        affordable = int(min(nbytes / (spec.bits / 8 * (stored or sizes)[n]), HIGHEST_RANK)) + 1
+        affordable = int(min(8 * nbytes / (least * (stored or sizes)[n]), HIGHEST_RANK)) + 1
         limits.append(None if rank is None else min(rank, sizes[n], rest, HIGHEST_RANK, affordable))
     while prod(limit or 1 for limit in limits) > entries:
         longest = max(range(len(limits)), key=lambda n: limits[n] or 0)
@@ -154,13 +157,14 @@ def node_spectrum(
     *,
     alone: bool = False,
     nbytes: float = inf,
+    bits: float = 16,
     untold: float = 0.0,
     sample_of: tuple[Sequence[int], float] | None = None,
     threads: int = 1,
 ) -> Spectrum | None:
     """The node's choices of ranks, its cells' being the same; None where there is nothing to store.
 
-    `labels` are the disjoint memberships of its cells; a node that is `alone` in its level needs no convex choices.
+    `bits` are those of a number, on average. `labels` are the disjoint memberships of its cells; a node that is `alone` in its level needs no convex choices.
     The tensor may be a `sample_of` a node of these sizes and this squared norm. Errors below `untold` may be left out.
     """
     own = squared_norm(tensor)
@@ -182,13 +186,13 @@ def node_spectrum(
     undecomposed = [r is None for r in spec.ranks]
     return spectrum(
         table, energy, full, undecomposed, decode_cost, spec.clusters if labels else None, hull=not alone,
-        bits=spec.bits,
+        bits=bits,
     )
 
 
 def outside_spectrum(
     outside: Streamed, number: int, spec: LevelSpec, labels: Labels, decode_cost: int, seed: int, told: Told,
-    *, alone: bool, nbytes: float,
+    *, alone: bool, nbytes: float, bits: float,
 ) -> Spectrum | None:
     """As `node_spectrum`, of a node whose blocks, which share no element, are read one by one."""
 
@@ -198,7 +202,7 @@ def outside_spectrum(
     table, energy = energy_table(outside, number, spec, labels, limits, seed, told)
     undecomposed = [r is None for r in spec.ranks]
     choices = spectrum(
-        table, energy, outside.shape, undecomposed, decode_cost, spec.clusters, hull=not alone, bits=spec.bits
+        table, energy, outside.shape, undecomposed, decode_cost, spec.clusters, hull=not alone, bits=bits
     )
     return choices if energy else None
 
