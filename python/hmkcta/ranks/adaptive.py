@@ -47,11 +47,12 @@ MARGIN = 0.05
 #: What the rounding of columns leaves, as a share of what the ranks leave: where nothing tells, and the least and most.
 SHARE, SHARES = 0.1, (0.05, 0.6)
 #: The most where ranks overshoot an SNR.
-MOST_SHARE = 3.0
+MOST_SHARE = 10.0
 #: How many times the bytes tell what more of them would save of the error.
 FURTHER = 1.2
-#: How often a fit is repeated at most with fewer bits that still reach the SNR, and how far above it they aim, in dB.
-SHARE_ATTEMPTS, TOUCHING = 2, 0.01
+#: How often a fit is repeated at most with fewer bits that still reach the SNR, how far above it is near enough, in dB,
+#: and how many times the share is worth another fit.
+SHARE_ATTEMPTS, NEAR, MORE_SHARE = 3, 0.06, 1.15
 #: By how many bits all columns are changed at most at once.
 MOST_BITS = 2
 #: How often a fit to a size is repeated at most, the share of it that is enough, and that is aimed at.
@@ -307,21 +308,21 @@ class _LastLevel:
 
     def _just_reaching(self, snr: float, last: Allocation) -> None:
         """The last fit, its columns with as few bits as still reach the SNR."""
-        kept, attempts = self.share, 0
-        if self.fitted != (last.choice.tobytes(), kept):
+        if self.fitted != (last.choice.tobytes(), self.share):
             self._fit(last)
-        reached = self.goal.snr_now(self.tree)
-        allowed = noise_at(snr + TOUCHING - reached)  # times what is left
-        while self._own_bits and allowed > 1 and attempts < SHARE_ATTEMPTS:
-            share = min(allowed * (1 + kept) - 1, MOST_SHARE) * 0.5**attempts
-            if share < 1.2 * kept:
+        best, short, reached = self.share, inf, self.goal.snr_now(self.tree)
+        for _ in range(SHARE_ATTEMPTS if self._own_bits and reached > snr + NEAR else 0):
+            share = min(noise_at(snr + NEAR / 2 - reached) * (1 + self.share) - 1, MOST_SHARE, (best * short) ** 0.5)
+            if share < MORE_SHARE * best:
                 break
-            attempts, self.share = attempts + 1, share
+            self.share = share
             self._fit(last)
-            if self.goal.snr_now(self.tree) >= snr:
-                return
-        if self.share != kept:
-            self.share = kept
+            reached = self.goal.snr_now(self.tree)
+            best, short = (share, short) if reached >= snr else (best, share)
+            if snr <= reached <= snr + NEAR:
+                break
+        if self.share != best:
+            self.share = best
             self._fit(last)
 
     def _refuse_more(self, chosen: Allocation, sure: float) -> None:
