@@ -85,21 +85,23 @@ def core_number_bits(width: Sequence[U8 | None], shape: U32) -> U8:
     [6, 5, 6, 5, 6, 5, 4, 4, 4, 4, 4, 4]
     """
     ranks, cells = shape[:, 2].astype(np.int64), shape[:, 0].prod(axis=1, dtype=np.int64)
-    sizes = cells * ranks.prod(axis=1)
+    sizes, own = cells * ranks.prod(axis=1), [None if each is None else core_bits(each) for each in width]
     begins, columns = np.cumsum(sizes) - sizes, np.cumsum(ranks, axis=0) - ranks
     bits = np.empty(int(sizes.sum()), np.uint8)
-    alike, kind = np.unique(np.column_stack([cells, ranks]), axis=0, return_inverse=True)
-    order, counts = np.argsort(kind.reshape(-1), kind="stable"), np.bincount(kind.reshape(-1), minlength=len(alike))
-    for (count, *rank), nodes in zip(alike.tolist(), np.split(order, np.cumsum(counts)[:-1]), strict=True):
-        each = count * prod(rank)
-        for some in np.array_split(nodes, min(nodes.size, -(-nodes.size * each // _TOGETHER))) if each else ():
-            own = np.full((some.size, *rank), MOST_OF_CORE, np.uint8)
-            for n, of_mode in enumerate(width):
+    alike, kind, counts = np.unique(np.column_stack([cells, ranks]), axis=0, return_inverse=True, return_counts=True)
+    order, ends = np.argsort(kind.reshape(-1), kind="stable"), np.cumsum(counts)
+    for (count, *rank), begin, end in zip(alike.tolist(), ends - counts, ends, strict=True):
+        each = count * prod(rank)  # numbers of a node
+        together = max(1, _TOGETHER // max(1, each))
+        for first in range(begin, end if each else begin, together):
+            nodes = order[first : min(first + together, end)]
+            found = np.full((nodes.size, *rank), MOST_OF_CORE, np.uint8)
+            for n, of_mode in enumerate(own):
                 if of_mode is not None:
-                    found = core_bits(of_mode)[columns[some, n][:, None] + np.arange(rank[n])]
-                    np.minimum(own, found.reshape(some.size, *(rank[n] if m == n else 1 for m in range(len(rank)))),
-                               out=own)
-            bits[begins[some][:, None] + np.arange(each)] = np.tile(own.reshape(some.size, -1), (1, count))
+                    of_rows = of_mode[columns[nodes, n][:, None] + np.arange(rank[n])]
+                    along = (nodes.size, *(rank[n] if m == n else 1 for m in range(len(rank))))
+                    np.minimum(found, of_rows.reshape(along), out=found)
+            bits[begins[nodes][:, None] + np.arange(each)] = np.tile(found.reshape(nodes.size, -1), (1, count))
     return bits
 
 

@@ -59,13 +59,13 @@ def alternatives(plan: Plan, plain: Organisation, snr: float, nbytes: int) -> It
 
 
 def narrower(plan: Plan, snr: float) -> Iterator[Plan]:
-    """The plan with bytes instead of float16 numbers, where they may do, also below a level of rank one.
+    """The plan with packed numbers instead of float16, where they may do, also below a level of rank one.
 
     >>> from hmkcta import parse_plan
     >>> [str(each) for each in narrower(parse_plan("R<=8,*", (("y",), ("x",))), 45.0)]
     ['R<=8,* bits=8', 'R=1,* / R<=8,* bits=8']
     """
-    if plan.levels[-1].bits == min(BITS) or not EITHER[0] < _asked(plan, snr) < EITHER_BELOW:
+    if plan.levels[-1].bits == min(BITS) or _asked(plan, snr) >= EITHER_BELOW:
         return
     if len(plan.levels) > 1 or _asked(plan, snr) < EITHER[1]:
         yield with_bits(plan, min(BITS))

@@ -81,7 +81,8 @@ def _whole_steps(cores: F32, step: float) -> F32:
     peak = float(np.abs(cores).max(initial=0.0))
     if not peak:
         return cores
-    exponent = max(round(log2(max(step, 1e-300))), ceil(log2(peak)) + 1 - MOST_OF_CORE)
+    # Of float16, a number just below a power of two is that power, which takes a bit more.
+    exponent = max(round(log2(max(step, 1e-300))), ceil(log2(peak)) + 2 - MOST_OF_CORE)
     whole = np.rint(cores * 2.0**-exponent).astype(np.float16)
     return whole.astype(np.float32) * np.float32(2.0**exponent)
 
