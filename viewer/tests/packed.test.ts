@@ -45,7 +45,7 @@ function nearest(value: number): number {
   return (off > 0 || (off === 0 && low % 2 === 1) ? low + 1 : low) + (value < 0 ? 0x8000 : 0);
 }
 
-/** What a packed level of one mode holds whose only node has these columns; a number of a cell or row after the other. */
+/** What a packed level of one mode holds whose only node has these columns: numbers cell after cell, and row after row. */
 function unpacked(width: number[], core: number[], basis: number[]): { core: number[]; basis: number[] } {
   const rank = width.length;
   const columns = (upper: boolean): number[] => width.map((each) => 1 + (upper ? each >> 4 : each & 15));
@@ -73,13 +73,14 @@ function wholeNumbers(bits: number): number[] {
 describe("numbers of few bits", () => {
   it("are those of the specification's example", () => {
     const text = readFileSync(join(import.meta.dirname, "..", "..", "docs", "format.md"), "utf-8").replaceAll(/\s+/g, " ");
-    const found = /columns of (\d) and (\d) bits and the numbers ([-\d., ]+) of two rows.* numbers ([-\d, ]+), in .* the bytes 0x(..) and 0x(..)\./.exec(text)!;
-    const [bits, numbers, whole, bytes] = [[1, 2], [3], [4], [5, 6]].map((groups) => groups.flatMap((n) => found[n]!.split(","))) as
+    const found = /columns of (\d and \d) bits and the numbers ([-\d., ]+) of two .*? whole numbers ([-\d, ]+), in .*? bytes (.*?)\./
+      .exec(text)!;
+    const [bits, numbers, whole, bytes] = found.slice(1).map((list) => list.split(/, | and /)) as
       [string[], string[], string[], string[]];
     const each = [...bits, ...bits].map(Number);
-    const stream = new BitStream(Uint8Array.from(bytes, (byte) => parseInt(byte, 16)));
+    const stream = new BitStream(Uint8Array.from(bytes.map(Number)));
     expect(each.map((own) => stream.next(own))).toEqual(whole.map(Number));
-    expect(streamOf(whole.map(Number), each)).toEqual(bytes.map((byte) => parseInt(byte, 16)));
+    expect(streamOf(whole.map(Number), each)).toEqual(bytes.map(Number));
     expect(unpacked(bits.map((own) => Number(own) - 1), [0, 0], whole.map(Number)).basis)
       .toEqual(numbers.map((number) => nearest(Number(number))));
   });
@@ -102,8 +103,8 @@ describe("numbers of few bits", () => {
 
   it.each(Array.from({ length: 16 }, (_, at) => at + 1))("of a core are the nearest to such shares: at most %i bits", (most) => {
     for (let bits = 1; bits <= most; bits += 1) {
-      const whole = wholeNumbers(bits).flatMap((number, at, all) => [all[all.length - 1 - at]!, number]);
-      const widths = [(bits - 1) << 4, (most - 1) << 4]; // of the second column there are as many bits as of the first, and more
+      const whole = wholeNumbers(bits).flatMap((number) => [number, -number - 1]); // one of each column
+      const widths = [(bits - 1) << 4, (most - 1) << 4];
       expect(unpacked(widths, whole, [0, 0]).core).toEqual(whole.map((number) => nearest(number / 2 ** (most - 1))));
     }
   });
@@ -135,35 +136,40 @@ function packedLevel(
 ): { edits: Edits; level: PackedLevel } {
   const nodes = Array.from({ length: level.nodes }, (_, s) => s);
   const modes = Array.from({ length: level.order }, (_, n) => n);
-  const columns = nodes.map((s) => modes.map((n) =>
-    Array.from({ length: level.shape[(3 * s + 2) * level.order + n]! }, () => (decomposed(n) ? draw(12) + 16 * draw(16) : 0xf0))));
+  const columns = nodes.map((s) => modes.map((n) => Array.from({ length: level.shape[(3 * s + 2) * level.order + n]! },
+    () => (decomposed(n) ? draw(12) + 16 * draw(16) : 0xf0))));
   const edits: Edits = [];
   const put = (array: string, values: number[], first: boolean): void => {
     edits.push({ op: "array-set", name: name + array, dtype: "U8", shape: [values.length], values, first });
   };
   const drawn = (bits: number[]): number[] => bits.map((own) => draw(2 ** own) - 2 ** (own - 1));
-  const stored = (array: string, offsets: Uint32Array, bitsOf: (s: number) => number[], ones: (own: number[]) => number[]): Uint16Array => {
-    const bits = nodes.map((s) => Array.from({ length: offsets[s + 1]! - offsets[s]! }, (_, at) => bitsOf(s)[at % bitsOf(s).length]!));
-    const [numbers, whole] = [drawn(bits.flat()), bits.flatMap(ones)];
+  const stored = (
+    array: string, offsets: Uint32Array, bitsOf: (s: number) => number[], ofOne: (own: number[]) => number[],
+  ): Uint16Array => {
+    const bits = nodes.map((s) =>
+      Array.from({ length: offsets[s + 1]! - offsets[s]! }, (_, at) => bitsOf(s)[at % bitsOf(s).length]!));
+    const [numbers, ones] = [drawn(bits.flat()), bits.flatMap(ofOne)];
     put(array, streamOf(numbers, bits.flat(), rest), false);
-    return Uint16Array.from(numbers, (number, at) => nearest(number / 2 ** (whole[at]! - 1)));
+    return Uint16Array.from(numbers, (number, at) => nearest(number / 2 ** (ones[at]! - 1)));
   };
   modes.filter(decomposed).forEach((n) => put(`width/${n}`, columns.flatMap((own) => own[n]!), true));
-  const core = stored("core", level.coreOffset, (s) => leastBits(columns[s]!.map((own) => own.map((each) => 1 + (each >> 4)))),
-    (own) => own.map(() => Math.max(...own)));
-  const basis = modes.map((n) => (decomposed(n)
-    ? stored(`basis/${n}`, level.basisOffset[n]!, (s) => columns[s]![n]!.map((each) => 1 + (each & 15)), (own) => own) : null));
+  const ofCell = (s: number): number[] => leastBits(columns[s]!.map((own) => own.map((each) => 1 + (each >> 4))));
+  const core = stored("core", level.coreOffset, ofCell, (own) => own.map(() => Math.max(...own)));
+  const ofRow = (n: number) => (s: number): number[] => columns[s]![n]!.map((each) => 1 + (each & 15));
+  const basis = modes.map((n) =>
+    (decomposed(n) ? stored(`basis/${n}`, level.basisOffset[n]!, ofRow(n), (own) => own) : null));
   return { edits, level: { ...level, core, basis } };
 }
 
 /** A file whose levels of bytes are packed, and its levels. */
-function packed(name: string, seed: number, rest = "0"): { edits: Edits; levels: PackedLevel[] } {
-  const [draw, data] = [draws(seed), new Uint8Array(fixture(name))];
+function packed(base: string, seed: number, rest = "0"): { edits: Edits; levels: PackedLevel[] } {
+  const [draw, data] = [draws(seed), new Uint8Array(fixture(base))];
   const [{ metadata, levels }, { entries }] = [loads(data), headerOf(data)];
   const all = { edits: [{ op: "metadata", path: ["version"], value: "1.3" }] as Edits, levels: [] as PackedLevel[] };
   for (const [l, before] of levels.entries()) {
-    const { edits, level } = entries.get(`level/${l + 1}/core`)!.dtype === "I8"
-      ? packedLevel(before, `level/${l + 1}/`, draw, rest, (n) => !metadata.undecomposed.includes(n)) : { edits: [], level: before };
+    const name = `level/${l + 1}/`;
+    const { edits, level } = entries.get(`${name}core`)!.dtype === "I8"
+      ? packedLevel(before, name, draw, rest, (n) => !metadata.undecomposed.includes(n)) : { edits: [], level: before };
     all.edits.push(...edits);
     all.levels.push(level);
   }
@@ -198,7 +204,8 @@ describe("of a packed file", () => {
   const base = "v1.2-lone.hmk";
   const { edits } = packed(base, 7);
   const values = (name: string): number[] => edits.find((edit) => edit.name === name)!.values!;
-  const [width, core, basis] = ["width/0", "core", "basis/0"].map((name) => values(`level/1/${name}`)) as [number[], number[], number[]];
+  const [width, core, basis] = ["level/1/width/0", "level/1/core", "level/1/basis/0"].map(values) as
+    [number[], number[], number[]];
   const set = (name: string, numbers: number[], dtype = "U8"): Edits =>
     [{ op: "array-set", name, dtype, shape: [numbers.length], values: numbers }];
   const drop = (name: string): Edits => [{ op: "array-drop", name }];
@@ -241,7 +248,9 @@ describe("of a packed file", () => {
     ["array-order level/1/core", last("level/1/core")],
     ["array-dtype level/1/core", [{ op: "metadata", path: ["version"], value: "1.2" }]],
     ["array-dtype level/1/core", [{ op: "metadata", path: ["undecomposed"], value: [0, 1, 2] }]],
-    ["width-range level/1/width/1", [...set("level/1/width/1", values("level/1/width/1").with(-1, 15)), ...set("level/1/core", [])]],
+    ["width-range level/1/width/1", [
+      ...set("level/1/width/1", values("level/1/width/1").with(-1, 15)), ...set("level/1/core", []),
+    ]],
     ["array-shape level/1/core", [...set("level/1/basis/0", []), ...set("level/1/core", [])]],
   ])("is refused or not: %s", (reason, more) => {
     expect(refused(file(base, [...edits, ...more]))).toBe(reason);
