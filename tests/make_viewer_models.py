@@ -11,16 +11,18 @@ import sys
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hmkcta import Axis, Model, compress, synthetic
-from hmkcta.narrow import BASIS_NUMBERS, CORE_NUMBERS, U8, largest_in, narrowed, widened
-from hmkcta.packed import F16, PackedLevel, number_bits
+from hmkcta.bitstream import I32
+from hmkcta.narrow import BASIS_NUMBERS, CORE_NUMBERS, U8, narrowed, widened
+from hmkcta.packed import F16, U32, PackedLevel
 from hmkcta.render import Camera, Compare, Light, Look, Renderer, Scene, Surface, Viewpoint
 from hmkcta.render.layout import value_range
+from hmkcta.widths import from_whole, most_core_bits, widths_of
 
 SIZE = 64
 LEVELS = "R=3,3,4,4 / R=1,1,2,2 C=2 K=2"
@@ -129,24 +131,49 @@ def _nearest(values: NDArray[Any], numbers: F16) -> F16:
 
 
 def volume_packed() -> tuple[Model, Any]:
-    """The volume in bytes with packed bases, but for those of time."""
-    model, values = volume_in_bytes()
-    return Model(model.metadata, [with_widths(level) for level in model.levels]), values
+    """The volume with all of its levels packed."""
+    model, values = volume()
+    return Model(model.metadata, [in_columns(level) for level in model.levels]), values
 
 
-def with_widths(level: PackedLevel) -> PackedLevel:
-    """A level in bytes whose bases, but for the first mode's, have columns of 8 to 3 bits by turns."""
-    width: list[U8 | None] = [None] * level.order
-    basis = list(level.basis)
-    for n, (numbers, offsets) in enumerate(zip(level.basis, level.basis_offset, strict=True)):
-        if n == 0 or numbers is None or offsets is None:
+def in_columns(level: PackedLevel) -> PackedLevel:
+    """A packed level without undecomposed modes: columns of 12, 10, .. bits by turns, cores in steps of 1/8192."""
+    bases = [own.copy() for own in level.basis if own is not None]
+    width = [[np.zeros(0, np.uint8)] for _ in bases]
+    core, scale = level.core.copy(), level.core_scale.copy()
+    for s, ranks in enumerate(level.shape[:, 2]):
+        if not ranks.any():
             continue
-        ranks = level.shape[:, 2, n]
-        columns = (8 - np.arange(int(ranks.sum())) % 6).astype(np.uint8)
-        bits = number_bits(columns, ranks, np.diff(offsets.astype(np.int64)))
-        steps, largest = np.exp2(bits.astype(np.float64) - 1), largest_in(bits)
-        width[n], basis[n] = columns, np.clip(np.rint(numbers * steps) / steps, -largest, largest).astype(np.float16)
-    return replace(level, width=tuple(width), basis=tuple(basis))
+        for basis, starts, rank in zip(bases, level.basis_offset, ranks, strict=True):
+            own = _of_node(starts, s)
+            basis[own] = _by_turns(basis[own].reshape(-1, rank)).reshape(-1)
+        own, cells = _of_node(level.core_offset, s), _of_node(level.cell_offset, s)
+        numbers, steps = _in_steps(core[own].reshape(-1, *ranks))
+        columns = widths_of(numbers, [basis[_of_node(starts, s)].reshape(-1, rank)
+                                      for basis, starts, rank in zip(bases, level.basis_offset, ranks, strict=True)])
+        most = most_core_bits(columns, ranks[None])
+        core[own], scale[cells] = from_whole(numbers, most).reshape(-1), scale[cells] * steps * 2.0 ** (most - 1)
+        for told, each in zip(width, columns, strict=True):
+            told.append(cast("U8", each))
+    return replace(level, core=core, core_scale=scale, basis=tuple(bases), bits=8,
+                   width=tuple(np.concatenate(own) for own in width))
+
+
+def _of_node(offsets: U32 | None, s: int) -> slice:
+    first, end = cast("U32", offsets)[s : s + 2].tolist()
+    return slice(first, end)
+
+
+def _in_steps(cores: F16) -> tuple[I32, NDArray[np.float32]]:
+    """Whole numbers up to 8192, the largest of each cell, and how much one is."""
+    steps = np.abs(cores.reshape(len(cores), -1)).max(axis=1, initial=1e-4).astype(np.float32) / 8192
+    return np.rint((cores / steps.reshape(-1, *[1] * (cores.ndim - 1))).astype(np.float16)).astype(np.int32), steps
+
+
+def _by_turns(basis: F16) -> F16:
+    """The nearest numbers of as many bits as the column's turn is."""
+    ones = np.exp2(np.resize(np.array([11.0, 9, 7, 5, 3]), basis.shape[1]))
+    return (np.clip(np.rint(basis * ones), -ones, ones - 1) / ones).astype(np.float16)
 
 
 def stack() -> tuple[Model, Any]:

@@ -13,17 +13,14 @@ export function halfValues(): Float32Array {
   return table;
 }
 
-/** The pattern nearest to a number of 2^-14 to 2 in magnitude, or 0. */
+/** The pattern nearest to a number below 2 in magnitude. */
 export function halfBits(value: number): number {
   const size = Math.abs(value);
-  if (size === 0) {
-    return 0;
-  }
   let exponent = 0;
-  while (size < 2 ** exponent) {
+  while (size < 2 ** exponent && exponent > -14) {
     exponent -= 1;
   }
-  const fraction = size * 2 ** (10 - exponent); // 1024 to 2048, where its 1024 counts as one more of the exponent
+  const fraction = size * 2 ** (10 - exponent); // up to 2048; from 1024 on, that counts as one more of the exponent
   const rest = fraction % 2;
   const nearest = rest === 0.5 ? fraction - rest : Math.round(fraction); // ties to even
   return (value < 0 ? 0x8000 : 0) + ((exponent + 14) << 10) + nearest;

@@ -87,7 +87,7 @@ export function isShort(version: Version): boolean {
   return version === "1.2" || version === "1.3";
 }
 
-/** Whether bases of the version may be packed (`bitstream.ts`). */
+/** Whether levels of the version may be packed (`widths.ts`). */
 export function mayPack(version: Version): boolean {
   return version === "1.3";
 }

@@ -32,7 +32,7 @@ const CORRUPTION = {
   "offset-size": "The offsets give a node another number of values than its shape needs.",
   "offset-end": "The last offset is not the length of the array.",
   "child-order": "The children of the nodes are not none or PC each, numbered in order, covering the next level.",
-  "width-range": "A column of a packed basis has no bits, or more than eight.",
+  "width-range": "A column of a basis has more bits than the numbers of a basis may have.",
   "cluster-range": "A row names a cluster subset that its node does not have.",
   "cluster-order": "The cluster subsets of a row are not distinct and ascending.",
   "part-range": "A row goes to a part that its node does not have.",

@@ -1,6 +1,5 @@
 /** Which arrays a file holds, their number types and, where the tables do not decide them, their shapes. */
 
-import { fromStream } from "./bitstream";
 import type { Dtype, Entry } from "./header";
 import { type Limits, checkLimit } from "./limits";
 import { type ArrayRecord, MAX_COORD_DIMENSIONS, NUMBER_TYPES, type Parsed, isShort, mayPack } from "./metadata";
@@ -8,6 +7,7 @@ import { BASIS_NUMBERS, CORE_NUMBERS, widen } from "./narrow";
 import type { PackedLevel } from "./packed";
 import { fault } from "./reasons";
 import { type Geometry, nameIn } from "./tables";
+import { unpackLevel } from "./widths";
 
 const RAGGED = -1;
 
@@ -25,7 +25,7 @@ export function isNumbers(name: string): boolean {
   return /^level\/\d+\/(core$|basis\/)/.test(name);
 }
 
-/** Names (without prefix) and infos of the arrays of a level with S = `nodes`; -1 for a ragged length. */
+/** Names (without prefix) and infos of the arrays of a level with S = `nodes`; -1 for a ragged length. U8: it is packed. */
 function levelSchema(
   order: number, undecomposed: number[], nodes: number, last: boolean, numbers: Dtype,
 ): [string, Info][] {
@@ -36,6 +36,11 @@ function levelSchema(
     result.push(["child", offsets]);
   }
   result.push(["core", ragged(numbers)], ["core_offset", offsets], ["core_scale", ragged("F32")], ["cell_offset", offsets]);
+  for (let n = 0; n < order && numbers === "U8"; n += 1) {
+    if (!undecomposed.includes(n)) {
+      result.push([`width/${n}`, ragged("U8")]);
+    }
+  }
   for (let n = 0; n < order; n += 1) {
     result.push([`row_offset/${n}`, offsets]);
     if (undecomposed.includes(n)) {
@@ -99,35 +104,23 @@ function expectedArrays({ metadata, version }: Parsed, entries: Map<string, Entr
   const expected = new Map<string, Info>();
   const depth = metadata.levels.length;
   let nodes = 0;
-  let numbers: Dtype = "F16";
+  let bytes = false;
   for (let level = 1; level <= depth; level += 1) {
     const name = `level/${level}/shape`;
     const count = required(name, entries).shape[0] ?? 0;
     nodes += count;
     checkLimit("nodes-limit", name, nodes, limits.nodes);
-    if (entries.get(`level/${level}/core`)?.dtype === "I8" && NUMBER_TYPES[version].includes("I8")) {
-      numbers = "I8";
-    }
+    const core = entries.get(`level/${level}/core`)?.dtype;
+    const packed = core === "U8" && mayPack(version) && undecomposed.length < modeSizes.length;
+    bytes ||= packed || (core === "I8" && NUMBER_TYPES[version].includes("I8"));
+    const numbers = packed ? "U8" : bytes ? "I8" : "F16";
     for (const [part, info] of levelSchema(modeSizes.length, undecomposed, count, level === depth, numbers)) {
       if (!(isShort(version) && part.includes("_offset"))) {
         expected.set(`level/${level}/${part}`, info);
       }
     }
-    if (numbers === "I8" && mayPack(version)) {
-      expectPacked(expected, `level/${level}/`, modeSizes.length, entries);
-    }
   }
   return expected;
-}
-
-/** What is expected of the modes whose columns have a width each, and of their bases. */
-function expectPacked(expected: Map<string, Info>, level: string, order: number, entries: Map<string, Entry>): void {
-  for (let n = 0; n < order; n += 1) {
-    const [width, basis] = [`${level}width/${n}`, `${level}basis/${n}`];
-    if (entries.has(width) && expected.has(basis)) {
-      expected.set(width, { dtype: "U8", shape: [RAGGED] }).set(basis, { dtype: "U8", shape: [RAGGED] });
-    }
-  }
 }
 
 function checkCoords({ metadata, coords }: Parsed, entries: Map<string, Entry>): void {
@@ -193,7 +186,7 @@ export function viewOf(file: Uint8Array<ArrayBuffer>, dataStart: number, entry: 
 /**
  * The packed level made of a file's arrays, which `checkSchema` has let through.
  *
- * Where its core and basis numbers are bytes or fewer bits, there is room for what they stand for, which `widenLevel`
+ * Where its core and basis numbers are bytes, or it is packed, there is room for what they stand for, which `widenLevel`
  * fills.
  */
 export function levelOf(array: Find, level: number, order: number): PackedLevel {
@@ -205,41 +198,37 @@ export function levelOf(array: Find, level: number, order: number): PackedLevel 
     }
     return found;
   };
-  const numbers = (stored: Uint16Array | Int8Array): Uint16Array =>
-    (stored instanceof Int8Array ? new Uint16Array(stored.length) : stored);
+  const numbers = (stored: Uint16Array | Int8Array | Uint8Array, offsets: string): Uint16Array => {
+    if (stored instanceof Uint8Array) { // offsets of short tables, which what the file holds has bounded
+      return new Uint16Array(get<Uint32Array>(offsets).at(-1)!);
+    }
+    return stored instanceof Int8Array ? new Uint16Array(stored.length) : stored;
+  };
   const bases = (n: number): Uint16Array | null => {
     const stored = find<Uint16Array | Int8Array | Uint8Array>(`basis/${n}`);
-    if (stored instanceof Uint8Array) { // offsets of short tables, which what the file holds has bounded
-      return new Uint16Array(get<Uint32Array>(`basis_offset/${n}`).at(-1)!);
-    }
-    return stored === null ? null : numbers(stored);
+    return stored === null ? null : numbers(stored, `basis_offset/${n}`);
   };
   const modes = Array.from({ length: order }, (_, n) => n);
   const coreOffset = get<Uint32Array>("core_offset");
   return {
     order, coreOffset, nodes: coreOffset.length - 1,
     shape: get("shape"), child: find("child"), rowOffset: modes.map((n) => get(`row_offset/${n}`)),
-    core: numbers(get("core")), coreScale: get("core_scale"), cellOffset: get("cell_offset"),
+    core: numbers(get("core"), "core_offset"), coreScale: get("core_scale"), cellOffset: get("cell_offset"),
     cluster: modes.map((n) => find(`cluster/${n}`)), clusterOffset: modes.map((n) => find(`cluster_offset/${n}`)),
     basis: modes.map(bases), basisOffset: modes.map((n) => find(`basis_offset/${n}`)),
     part: modes.map((n) => find(`part/${n}`)), local: modes.map((n) => find(`local/${n}`)),
   };
 }
 
-/** Fill a level of bytes, or of fewer bits, with the numbers that they stand for. */
+/** Fill a level of bytes, or a packed one, with the numbers that are meant. */
 export function widenLevel(geometry: Geometry, array: Find): void {
-  const { packed, ranks } = geometry;
   const core = array(nameIn(geometry, "core"));
-  if (core instanceof Int8Array) {
-    widen(core, CORE_NUMBERS, packed.core);
-  }
-  for (const n of geometry.decomposed) {
-    const [stored, basis] = [array(nameIn(geometry, `basis/${n}`)), packed.basis[n]!];
-    if (stored instanceof Int8Array) {
-      widen(stored, BASIS_NUMBERS, basis);
-    } else if (stored instanceof Uint8Array) {
-      const width = array(nameIn(geometry, `width/${n}`)) as Uint8Array;
-      fromStream(stored, { width, ranks: ranks[n]!, offsets: packed.basisOffset[n]! }, BASIS_NUMBERS, basis);
+  if (core instanceof Uint8Array) {
+    unpackLevel(geometry, array);
+  } else if (core instanceof Int8Array) {
+    widen(core, CORE_NUMBERS, geometry.packed.core);
+    for (const n of geometry.decomposed) {
+      widen(array(nameIn(geometry, `basis/${n}`)) as Int8Array, BASIS_NUMBERS, geometry.packed.basis[n]!);
     }
   }
 }

@@ -1,11 +1,11 @@
 /** Short tables (`docs/format.md`, section 3): what files of versions 1.2 and 1.3 leave out, made again of the rest. */
 
-import { MOST_BITS } from "./bitstream";
 import { checkChildren, eachRow, rowsOfChildren, rowsOwned, slotStarts } from "./checkTree";
 import type { Metadata } from "./metadata";
 import { fault } from "./reasons";
 import type { Find, TypedArray } from "./schema";
 import { type Nodes, nameIn, nodesOf } from "./tables";
+import { checkPacked } from "./widths";
 
 const MAX_U32 = 2 ** 32 - 1;
 
@@ -48,50 +48,40 @@ class Completion {
 
   /** Offsets, by what the shapes of nodes need, and clusters where each mode has one. */
   completeRagged(): void {
-    const { clusters, mixture, ranks, rows, cells, decomposed } = this.nodes;
-    this.own("core_offset", "core", (s) => ranks.reduce((all, rank) => all * rank[s]!, cells[s]!));
+    const { rows, mixture, cells, decomposed } = this.nodes;
+    const numbers = this.numbers();
+    const packed = this.array(nameIn(this.nodes, "core")) instanceof Uint8Array;
+    if (packed) {
+      checkPacked(this.nodes, this.array, numbers);
+    }
+    const ownNumbers = (offsets: string, array: string): void => {
+      const needed = numbers.get(array)!;
+      if (packed) {
+        this.set(offsets, this.sums(array, needed));
+      } else {
+        this.own(offsets, array, needed);
+      }
+    };
+    ownNumbers("core_offset", "core");
     this.own("cell_offset", "core_scale", (s) => cells[s]!);
     for (const n of decomposed) {
       const entries = (s: number): number => rows[n]![s]! * mixture[n]![s]!;
-      const others = (s: number): number => clusters.reduce((all, each, m) => (m === n ? all : all * each[s]!), 1);
-      const numbers = (s: number): number => entries(s) * others(s) * ranks[n]![s]!;
-      if (this.array(nameIn(this.nodes, `width/${n}`)) === null) {
-        this.own(`basis_offset/${n}`, `basis/${n}`, numbers);
-      } else {
-        this.checkPacked(n, (s) => entries(s) * others(s));
-        this.set(`basis_offset/${n}`, this.sums(`basis/${n}`, numbers));
-      }
+      ownNumbers(`basis_offset/${n}`, `basis/${n}`);
       this.set(`cluster/${n}`, this.clusters(n, entries));
       this.own(`cluster_offset/${n}`, `cluster/${n}`, entries);
     }
     rows.forEach((own, n) => this.set(`row_offset/${n}`, this.sums("shape", (s) => own[s]!)));
   }
 
-  /** A packed basis, whose nodes have so many rows of numbers, is as long as the bits of their columns take. */
-  private checkPacked(n: number, rows: (s: number) => number): void {
-    const [name, basis] = [nameIn(this.nodes, `width/${n}`), nameIn(this.nodes, `basis/${n}`)];
-    const width = this.array(name) as Uint8Array;
-    const ranks = this.nodes.ranks[n]!;
-    const columns = ranks.reduce((all, each) => all + each, 0);
-    if (width.length !== columns) {
-      throw fault("array-shape", name, `[${width.length}]`, `[${columns}]`);
+  /** How many core and basis numbers a node has, by the names of their arrays. */
+  private numbers(): Map<string, (s: number) => number> {
+    const { clusters, mixture, ranks, rows, cells, decomposed } = this.nodes;
+    const numbers = new Map([["core", (s: number): number => ranks.reduce((all, rank) => all * rank[s]!, cells[s]!)]]);
+    for (const n of decomposed) {
+      const others = (s: number): number => clusters.reduce((all, each, m) => (m === n ? all : all * each[s]!), 1);
+      numbers.set(`basis/${n}`, (s) => rows[n]![s]! * mixture[n]![s]! * others(s) * ranks[n]![s]!);
     }
-    const bad = width.findIndex((bits) => bits < 1 || bits > MOST_BITS);
-    if (bad >= 0) {
-      throw fault("width-range", name, `${width[bad]} at ${bad}`, `1 to ${MOST_BITS} bits`);
-    }
-    let bits = 0;
-    for (let s = 0, column = 0; s < ranks.length; s += 1) {
-      let row = 0;
-      for (const end = column + ranks[s]!; column < end; column += 1) {
-        row += width[column]!;
-      }
-      bits += rows(s) * row;
-    }
-    const [found, needed] = [this.array(basis)!.length, Math.ceil(bits / 8)];
-    if (found !== needed) {
-      throw fault("array-shape", basis, `[${found}]`, `[${needed}]`);
-    }
+    return numbers;
   }
 
   /** Bases have as many entries at the least, so that clusters which are left out are bounded by what the file holds. */
