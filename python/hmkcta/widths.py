@@ -58,7 +58,7 @@ def core_bits(width: U8) -> U8:
 
 
 def basis_number_bits(width: U8, ranks: NDArray[np.integer[Any]], numbers: NDArray[np.integer[Any]]) -> U8:
-    """Bits of each number of a mode's bases, by the widths of each node's columns, its rank and how many numbers it has.
+    """Bits of each number of a mode's bases, by the widths of the nodes' columns, their ranks and how many numbers.
 
     >>> basis_number_bits(np.array([7, 2, 4], np.uint8), np.array([2, 1]), np.array([4, 3])).tolist()
     [8, 3, 8, 3, 5, 5, 5]
@@ -143,7 +143,7 @@ def bits_for(whole: I32) -> int:
 
 
 def widths_of(cores: I32, bases: Sequence[F16 | None]) -> list[U8 | None]:
-    """Widths of the columns of a node: of core numbers `[PC, R_1, .., R_N]` and of bases `[.., R_n]`; None: undecomposed.
+    """Widths of a node's columns, for core numbers `[PC, R_1, .., R_N]` and bases `[.., R_n]`; None: undecomposed.
 
     A column's numbers have the bits of which the lowest is not always 0, its core numbers those of the largest.
     """

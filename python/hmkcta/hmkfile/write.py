@@ -186,9 +186,11 @@ def _infos(levels: Sequence[PackedLevel], coords: Mapping[str, NDArray[Any]], *,
              for name, array in _arrays(levels, coords, short=short, wide=True).items()}
     for level, packed in enumerate(levels, 1):
         for name, array in packed.wide() if packed.bits == 8 else ():
-            stored = packed.core_bytes if name == "core" else packed.basis_bytes(int(name.split("/")[1]))
-            is_packed = short and bool(packed.width)
-            infos[prefix(level) + name] = ArrayInfo("U8" if is_packed else "I8", (stored if is_packed else array.size,))
+            if short and packed.width:  # of a whole file offsets are still to be checked, by which bits are counted
+                stored = packed.core_bytes if name == "core" else packed.basis_bytes(int(name.split("/")[1]))
+                infos[prefix(level) + name] = ArrayInfo("U8", (stored,))
+            else:
+                infos[prefix(level) + name] = ArrayInfo("I8", array.shape)
     return infos
 
 
@@ -218,6 +220,8 @@ def _check_types(levels: Sequence[PackedLevel]) -> None:
 
 def _check_columns(packed: PackedLevel, level: str) -> None:
     """Without sound widths there is no telling how long the arrays of a packed level are."""
+    if packed.width and packed.shape.ndim != 3:
+        raise fault("array-shape", f"{level}shape", list(packed.shape.shape), "[nodes, 3, modes]")
     if packed.width and len(packed.width) != packed.order:
         raise fault("array-shape", f"{level}width", f"of {len(packed.width)} modes", f"of {packed.order}, or of none")
     for n, (width, basis) in enumerate(zip(packed.width, packed.basis, strict=bool(packed.width))):
