@@ -87,8 +87,8 @@ def core_number_bits(width: Sequence[U8 | None], shape: U32) -> U8:
     begins, columns = np.cumsum(sizes) - sizes, np.cumsum(ranks, axis=0) - ranks
     bits = np.empty(int(sizes.sum()), np.uint8)
     alike, kind = np.unique(np.column_stack([cells, ranks]), axis=0, return_inverse=True)
-    order, counts = np.argsort(kind.reshape(-1), kind="stable"), np.bincount(kind.reshape(-1), minlength=len(alike))
-    for (count, *rank), nodes in zip(alike.tolist(), np.split(order, np.cumsum(counts)[:-1]), strict=True):
+    order, ends = np.argsort(kind.reshape(-1), kind="stable"), np.cumsum(np.bincount(kind.reshape(-1)))
+    for (count, *rank), nodes in zip(alike.tolist(), np.split(order, ends)[:-1], strict=True):
         each = count * prod(rank)
         for some in np.array_split(nodes, min(nodes.size, -(-nodes.size * each // _TOGETHER))) if each else ():
             own = np.full((some.size, *rank), MOST_OF_CORE, np.uint8)
@@ -154,8 +154,9 @@ def widths_of(cores: I32, bases: Sequence[F16 | None]) -> list[U8 | None]:
             continue
         used = np.bitwise_or.reduce(whole(basis, _MOST).reshape(-1, basis.shape[-1]), axis=0)
         own = np.where(used == 0, 1, MOST_OF_BASIS - np.log2(np.maximum(used & -used, 1)).astype(np.int32))
-        slices = np.moveaxis(cores, n + 1, 0)
-        found.append(widths(own.astype(np.uint8), np.array([bits_for(each) for each in slices], np.uint8)))
+        # 2^15 has 16 bits as well: in float16 it is the number of 2^15 - 1.
+        most = [min(bits_for(each), MOST_OF_CORE) for each in np.moveaxis(cores, n + 1, 0)]
+        found.append(widths(own.astype(np.uint8), np.array(most, np.uint8)))
     return found
 
 

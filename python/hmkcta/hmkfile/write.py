@@ -211,6 +211,8 @@ def _check_bytes(arrays: Mapping[str, NDArray[Any]], levels: Sequence[PackedLeve
 def _check_types(levels: Sequence[PackedLevel]) -> None:
     """Wrong types and widths are refused first, as they would also spoil the order and the sizes in the file."""
     for level, packed in enumerate(levels, 1):
+        if packed.shape.ndim != 3:
+            raise fault("array-shape", f"{prefix(level)}shape", list(packed.shape.shape), "[nodes, 3, modes]")
         for name, array in (*packed.tables(), *packed.wide()):
             allowed = LEVEL_TYPES[name.split("/")[0]]
             if TYPE_NAMES.get(array.dtype.newbyteorder("<")) != allowed:
@@ -220,8 +222,6 @@ def _check_types(levels: Sequence[PackedLevel]) -> None:
 
 def _check_columns(packed: PackedLevel, level: str) -> None:
     """Without sound widths there is no telling how long the arrays of a packed level are."""
-    if packed.width and packed.shape.ndim != 3:
-        raise fault("array-shape", f"{level}shape", list(packed.shape.shape), "[nodes, 3, modes]")
     if packed.width and len(packed.width) != packed.order:
         raise fault("array-shape", f"{level}width", f"of {len(packed.width)} modes", f"of {packed.order}, or of none")
     for n, (width, basis) in enumerate(zip(packed.width, packed.basis, strict=bool(packed.width))):
