@@ -15,6 +15,7 @@ from hmkcta.narrow import BASIS_NUMBERS, CORE_NUMBERS, U8, widened
 from hmkcta.packed import F16, U16, U32, LevelBounds, LevelQuality, Metadata, PackedLevel
 
 Sizes = tuple[int, ...]
+Ints = NDArray[np.int64]
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 
@@ -95,7 +96,7 @@ def _in_columns(rng: np.random.Generator, level: PackedLevel) -> PackedLevel:
     for s, (clusters, _, ranks) in enumerate(level.shape.tolist()):
         own = np.full(ranks, 16)
         for n in stored:
-            lower, upper = rng.integers(1, 13, ranks[n]), rng.integers(1, 17, ranks[n])
+            lower, upper = (_bits(rng, most, int(ranks[n])) for most in (12, 16))
             width[n].append((lower - 1 + 16 * (upper - 1)).astype(np.uint8))
             own = np.minimum(own, upper.reshape([-1 if m == n else 1 for m in range(level.order)]))
             count = _lengths(level.basis_offset[n])[s]
@@ -112,12 +113,16 @@ def _in_columns(rng: np.random.Generator, level: PackedLevel) -> PackedLevel:
     )
 
 
+def _bits(rng: np.random.Generator, most: int, columns: int) -> Ints:
+    return rng.integers(1, most + 1, columns)
+
+
 def _lengths(starts: U32 | None) -> list[int]:
     assert starts is not None
     return np.diff(starts.astype(np.int64)).tolist()
 
 
-def _drawn(rng: np.random.Generator, bits: NDArray[np.int_], ones: NDArray[np.int_]) -> F16:
+def _drawn(rng: np.random.Generator, bits: Ints, ones: Ints) -> F16:
     """Whole numbers of so many bits, each as likely as any, as shares of what so many `ones` would be near 1 in."""
     whole = rng.integers(-(1 << bits - 1), 1 << bits - 1)
     return (whole / 2.0 ** (ones - 1)).astype(np.float16)

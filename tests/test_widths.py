@@ -1,4 +1,4 @@
-"""Widths of packed levels: bits of each number, and the fewest that hold them, held against twins of one number each."""
+"""Widths of packed levels: bits of each number, and the fewest that hold them, against twins of one number each."""
 
 from __future__ import annotations
 
@@ -47,7 +47,8 @@ def test_a_width_is_two_halves_of_a_byte() -> None:
 
 
 @settings(max_examples=200, deadline=None)
-@given(st.lists(st.tuples(st.lists(st.integers(0, 255), max_size=4), st.integers(1, 5)), max_size=8), st.integers(1, 20))
+@given(st.lists(st.tuples(st.lists(st.integers(0, 255), max_size=4), st.integers(1, 5)), max_size=8),
+       st.integers(1, 20))  # fmt: skip
 def test_basis_numbers_have_the_bits_of_their_columns(nodes: list[tuple[list[int], int]], together: int) -> None:
     """Of any nodes, one after the other, some of which have neither columns nor numbers."""
     width = np.array([own for columns, _ in nodes for own in columns], np.uint8)
@@ -74,7 +75,8 @@ def test_core_numbers_have_the_least_bits_of_their_columns(
         expected += each * prod(clusters)
         most += [max(each)] if each else []
     width: list[U8 | None] = [
-        None if n in undecomposed else np.array([w for own in columns for w in own[n] or ()], np.uint8) for n in range(3)
+        None if n in undecomposed else np.array([w for own in columns for w in own[n] or ()], np.uint8)
+        for n in range(3)
     ]
     shape = np.array([[clusters, clusters, ranks] for clusters, ranks in nodes], np.uint32).reshape(-1, 3, 3)
     with pytest.MonkeyPatch.context() as patch:

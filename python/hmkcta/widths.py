@@ -36,7 +36,7 @@ def widths(basis: U8, core: U8) -> U8:
     >>> widths(np.array([8, 3], np.uint8), np.array([16, 1], np.uint8)).tolist()
     [247, 2]
     """
-    return (basis - 1) | ((core - 1) << 4)
+    return ((basis - 1) | ((core - 1) << 4)).astype(np.uint8)
 
 
 def basis_bits(width: U8) -> U8:
@@ -45,7 +45,7 @@ def basis_bits(width: U8) -> U8:
     >>> basis_bits(np.array([247, 2], np.uint8)).tolist()
     [8, 3]
     """
-    return (width & 15) + np.uint8(1)
+    return ((width & 15) + 1).astype(np.uint8)
 
 
 def core_bits(width: U8) -> U8:
@@ -54,7 +54,7 @@ def core_bits(width: U8) -> U8:
     >>> core_bits(np.array([247, 2], np.uint8)).tolist()
     [16, 1]
     """
-    return (width >> 4) + np.uint8(1)
+    return ((width >> 4) + 1).astype(np.uint8)
 
 
 def basis_number_bits(width: U8, ranks: NDArray[np.integer[Any]], numbers: NDArray[np.integer[Any]]) -> U8:
@@ -142,7 +142,7 @@ def bits_for(whole: I32) -> int:
     return most.bit_length() + 1
 
 
-def widths_of(cores: I32, bases: Sequence[F16 | None]) -> list[U8 | None]:
+def widths_of(cores: I32, bases: Sequence[F16 | F32 | None]) -> list[U8 | None]:
     """Widths of a node's columns, for core numbers `[PC, R_1, .., R_N]` and bases `[.., R_n]`; None: undecomposed.
 
     A column's numbers have the bits of which the lowest is not always 0, its core numbers those of the largest.
@@ -160,7 +160,7 @@ def widths_of(cores: I32, bases: Sequence[F16 | None]) -> list[U8 | None]:
     return found
 
 
-def whole(numbers: F16, bits: U8) -> I32:
+def whole(numbers: F16 | F32, bits: U8) -> I32:
     """Numbers of so many bits, of which the largest is near 1, as whole ones.
 
     >>> whole(np.array([0.5, -0.75], np.float16), np.array([2, 3], np.uint8)).tolist()

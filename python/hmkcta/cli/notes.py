@@ -78,7 +78,7 @@ def _why_large(model: Model, array: NDArray[Any], planned: bool) -> str:
 def _each(model: Model) -> str:
     """What a number of the last level takes."""
     bits = number_bits(model.levels[-1])
-    return {8: "a byte", 16: "two bytes"}.get(bits, f"{shown_bits(bits)} bits")
+    return "a byte" if bits == 8 else "two bytes" if bits == 16 else f"{shown_bits(bits)} bits"
 
 
 def _lost_channels(model: Model, array: NDArray[Any]) -> list[str]:
