@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import re
 import struct
 import zlib
 from collections.abc import Sequence
@@ -39,17 +38,23 @@ def of_bytes(name: str, stored: Sequence[int]) -> tuple[float, ...]:
     return tuple(struct.unpack("<e", struct.pack("<e", q * abs(q) / 16129))[0] for q in stored)
 
 
-def of_bits(stored: Sequence[int], widths: Sequence[int]) -> tuple[float, ...]:
-    """Section 3, packed bases: numbers of so many bits each, which take up all the bytes."""
-    sequence, done, numbers = int.from_bytes(bytes(stored), "little"), 0, list[float]()
-    for width in widths:
-        assert 1 <= width <= 8
-        whole = (sequence >> done) % 2**width
-        whole -= 2**width if whole >= 2 ** (width - 1) else 0
-        numbers.append(whole / 2 ** (width - 1))
-        done += width
+def of_bits(stored: Sequence[int], bits: Sequence[int]) -> tuple[int, ...]:
+    """Section 3, packed levels: whole numbers of so many bits each, which take up all the bytes."""
+    sequence, done, numbers = int.from_bytes(bytes(stored), "little"), 0, list[int]()
+    for own in bits:
+        whole = (sequence >> done) % 2**own
+        numbers.append(whole - 2**own if whole >= 2 ** (own - 1) else whole)
+        done += own
     assert len(stored) == math.ceil(done / 8)
     return tuple(numbers)
+
+
+def nearest_half(whole: int, bits: int) -> float:
+    """Section 3, packed levels: the float16 number, of 11 binary digits, nearest to whole / 2^(bits-1)."""
+    low = max(abs(whole).bit_length() - 11, 0)  # digits that float16 has no room for
+    kept, rest = divmod(abs(whole), 2**low)
+    kept += 2 * rest > 2**low or (2 * rest == 2**low and kept % 2 == 1)
+    return math.copysign(kept * 2**low, whole) / 2 ** (bits - 1)
 
 
 class Reader:
@@ -87,20 +92,21 @@ class Reader:
         return self.metadata["version"] in ("1.2", "1.3")
 
     def _check_types(self, header: dict[str, Any]) -> None:
-        """Section 3, types: one for the numbers of a level, and after I8 no other; U8 where a basis is packed."""
-        types = {name: entry["dtype"] for name, entry in header.items()}
-        packed = {name.replace("/width/", "/basis/") for name in types if "/width/" in name}
-        assert not packed or self.metadata["version"] == "1.3"
-        for name in packed:
-            assert types[name] == "U8"
-            types[name] = "I8"  # of a level of I8 alone
-        level_types = [
-            {dtype for name, dtype in types.items() if re.match(rf"level/{level}/(core$|basis/)", name)}
-            for level, _ in enumerate(self.metadata["levels"], 1)
-        ]
-        allowed = {"1.0": [{"F16"}]}.get(self.metadata["version"], [{"F16"}, {"I8"}])
-        assert all(types in allowed for types in level_types)
-        assert level_types == sorted(level_types, key=allowed.index)
+        """Section 3, types: one for the numbers of a level, no F16 after another, widths beside U8 alone."""
+        allowed = {"1.0": ["F16"], "1.3": ["F16", "I8", "U8"]}.get(self.metadata["version"], ["F16", "I8"])
+        decomposed = {n for n, _ in enumerate(self.metadata["organisation"])} - {*self.metadata["undecomposed"]}
+        before = "F16"
+        for level, _ in enumerate(self.metadata["levels"], 1):
+            core = header[f"level/{level}/core"]["dtype"]
+            assert core in allowed
+            assert core != "F16" or before == "F16"
+            assert core != "U8" or decomposed
+            for name, entry in header.items():
+                assert not name.startswith(f"level/{level}/basis/") or entry["dtype"] == core
+            widths = {name for name in header if name.startswith(f"level/{level}/width")}
+            assert widths == {f"level/{level}/width/{n}" for n in decomposed if core == "U8"}
+            assert all(header[name]["dtype"] == "U8" for name in widths)
+            before = core
 
     def _complete(self, sizes: Sequence[int]) -> None:
         """Section 3, short tables: level by level what is not stored."""
@@ -111,6 +117,7 @@ class Reader:
                 node.rows = [counts[node.s] for counts in owned]
             owned = [self._complete_mode(level, nodes, n) for n in range(len(sizes))]
             self._sums(level, "core", [prod(node.clusters) * prod(node.ranks) for node in nodes])
+            self._unpack_core(level, nodes)
             self._sums(level, "cell", [prod(node.clusters) for node in nodes])
 
     def _sums(self, level: int, name: str, counts: Sequence[int], mode: str = "") -> None:
@@ -153,17 +160,40 @@ class Reader:
             for choice in product(*map(range, node.clusters))
         ]
 
+    def _widths(self, level: int, n: int, nodes: Sequence[Node]) -> list[list[tuple[int, int]]]:
+        """Section 3, packed levels: bits of basis and of core numbers of each node's columns."""
+        columns = [(width % 16 + 1, width // 16 + 1) for width in self.arrays[f"level/{level}/width/{n}"]]
+        assert all(lower <= 12 for lower, _ in columns)
+        own = [[columns.pop(0) for _ in range(node.ranks[n])] for node in nodes]
+        assert not columns
+        return own
+
     def _unpack(self, level: int, n: int, nodes: Sequence[Node], counts: Sequence[int]) -> None:
-        """Section 3, packed bases: the numbers of a mode's, of which each node has so many."""
+        """Section 3, packed levels: the numbers of a mode's bases, of which each node has so many."""
         if f"level/{level}/width/{n}" not in self.arrays:
             return
-        columns, widths = list(self.arrays[f"level/{level}/width/{n}"]), list[int]()
-        for node, count in zip(nodes, counts, strict=True):
-            own = [columns.pop(0) for _ in range(node.ranks[n])]
-            widths += [own[i % len(own)] for i in range(count)]
-        assert not columns
+        bits = list[int]()
+        for columns, count in zip(self._widths(level, n, nodes), counts, strict=True):
+            bits += [columns[i % len(columns)][0] for i in range(count)]
         basis = f"level/{level}/basis/{n}"
-        self.arrays[basis] = of_bits(self.arrays[basis], widths)
+        whole = of_bits(self.arrays[basis], bits)
+        self.arrays[basis] = tuple(q / 2 ** (own - 1) for q, own in zip(whole, bits, strict=True))
+
+    def _unpack_core(self, level: int, nodes: Sequence[Node]) -> None:
+        """Section 3, packed levels: core numbers, for which the columns of all decomposed modes count."""
+        modes = [n for n, _ in enumerate(self.modes) if f"level/{level}/width/{n}" in self.arrays]
+        if not modes:
+            return
+        bits, ones, widths = list[int](), list[int](), {n: self._widths(level, n, nodes) for n in modes}
+        for node in nodes:
+            if not any(node.clusters):
+                continue
+            own = [min(widths[n][node.s][r[n]][1] for n in modes) for r in product(*map(range, node.ranks))]
+            bits += own * prod(node.clusters)
+            most = min(max(core for _, core in widths[n][node.s]) for n in modes)
+            ones += [most] * (len(own) * prod(node.clusters))
+        whole = of_bits(self.arrays[f"level/{level}/core"], bits)
+        self.arrays[f"level/{level}/core"] = tuple(nearest_half(q, own) for q, own in zip(whole, ones, strict=True))
 
     def value(self, index: Sequence[int], levels: int) -> float:
         """Section 4: one element, by its index in the source array, up to a level."""

@@ -15,8 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from hmk_corpus import Parts, apply_edit
 from hmkcta.axes import Axis, mode_sizes
-from hmkcta.hmkfile import VERSION, save
+from hmkcta.hmkfile import VERSION, check_output, encode, loads, save
+from hmkcta.hmkfile.schema import is_number
 from hmkcta.packed import LevelQuality, Metadata, PackedLevel
 from literal_decode import element
 from random_models import Shapes, random_model
@@ -74,25 +76,40 @@ def lone_model() -> tuple[Metadata, tuple[PackedLevel, ...]]:
 
 
 def packed_model() -> tuple[Metadata, tuple[PackedLevel, ...]]:
-    """Two modes, one of them undecomposed, two levels of packed bases: columns of 1 to 8 bits, spare bits at the end.
+    """Two modes, one of them undecomposed, two packed levels, spare bits at the end.
 
-    Nodes of one level have different ranks, and one of them is zero.
+    Nodes of one level have different ranks, one is zero, and core numbers have up to 16 bits.
     """
     axes = (Axis("x", 5, "space", np.array([0.0, 0.5, 1.0, 2.5, 3.0]), "mm"), Axis("t", 3, "time"))
-    metadata, levels = random_model(np.random.default_rng(1997), (5, 3), 2, (1,), axes=axes,
+    metadata, levels = random_model(np.random.default_rng(52), (5, 3), 2, (1,), axes=axes,
                                     organisation=(("x",), ("t",)), eight_from=1, packed_share=1.0,
                                     shapes=Shapes(max_rank=3, zero=0.3, leaf=0.0))
     return replace(metadata, kind="volume", seed=13), levels
 
 
 def partly_model() -> tuple[Metadata, tuple[PackedLevel, ...]]:
-    """As the mixed model, but of levels 2 and 3 the bases of one mode each are packed."""
+    """As the mixed model, but level 2 is packed, level 3 in bytes."""
     axes = (Axis("light", 8, "light"), Axis("texel", 7, "space"), Axis("frame", 2, "time"), Axis("rgb", 3, "channel"))
     organisation = (("light", "rgb"), ("texel",), ("frame",))
-    metadata, levels = random_model(np.random.default_rng(29), mode_sizes(axes, organisation), 3, (2,), axes=axes,
+    metadata, levels = random_model(np.random.default_rng(5), mode_sizes(axes, organisation), 3, (2,), axes=axes,
                                     organisation=organisation, eight_from=2, packed_share=0.5,
                                     shapes=Shapes(2, 2, 2, 4, 0.15, 0.25))
     return replace(metadata, kind="svbrdf"), levels
+
+
+def any_bits() -> bytes:
+    """Three modes in two packed levels, whose core and basis numbers are any bits, spare ones too.
+
+    So core numbers have more digits than float16, which no writer that begins with float16 numbers would write.
+    """
+    shapes = Shapes(2, 2, 3, 4, zero=0.0, leaf=0.0)
+    metadata, levels = random_model(np.random.default_rng(110), (6, 5, 4), 2, shapes=shapes, eight_from=1,
+                                    packed_share=1.0)
+    data, rng = b"".join(encode(replace(metadata, seed=14), levels)), np.random.default_rng(0)
+    for name, (_, _, stored) in Parts.split(data).arrays.items():
+        if is_number(name):
+            data = apply_edit(data, {"op": "array-put", "name": name, "at": 0, "hex": rng.bytes(len(stored)).hex()})
+    return data
 
 
 def expectations(metadata: Metadata, levels: tuple[PackedLevel, ...]) -> dict[str, Any]:
@@ -111,9 +128,13 @@ def write_fixtures(folder: Path) -> None:
     Raises:
         HmkctaError: ``output-exists``, as a fixture once written stays as it is.
     """
-    for name, model in (("packed", packed_model()), ("partly", partly_model())):
+    for name, model in (("packed", packed_model()), ("partly", partly_model()), ("bits", loads(any_bits()))):
         path = folder / f"v{VERSION}-{name}.hmk"
-        save(path, *model)
+        if name == "bits":
+            check_output(path, overwrite=False)
+            path.write_bytes(any_bits())
+        else:
+            save(path, *model)
         path.with_suffix(".json").write_text(json.dumps(expectations(*model)) + "\n", encoding="utf-8")
 
 

@@ -15,6 +15,7 @@ from hmkcta.narrow import BASIS_NUMBERS, CORE_NUMBERS, U8, widened
 from hmkcta.packed import F16, U16, U32, LevelBounds, LevelQuality, Metadata, PackedLevel
 
 Sizes = tuple[int, ...]
+Ints = NDArray[np.int64]
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 
@@ -55,8 +56,8 @@ def random_model(rng: np.random.Generator, sizes: Sequence[int], levels: int = 2
     """A random model of a tensor with these mode sizes; every choice the format leaves open is drawn from `rng`.
 
     The quality in the metadata is made up. With `axes` and `organisation` modes can be merged axes, of these sizes.
-    Core and basis numbers of the levels from `eight_from` on are stored in eight bits; of these levels, that share of
-    the decomposed modes has packed bases.
+    Core and basis numbers of the levels from `eight_from` on are stored in eight bits, but that share of these levels
+    is packed, as far as they have decomposed modes.
     """
     axes = axes if axes is not None else name_axes(sizes)
     packed: list[PackedLevel] = []
@@ -68,8 +69,8 @@ def random_model(rng: np.random.Generator, sizes: Sequence[int], levels: int = 2
         rows = [child for node in nodes for child in node.children]
     if eight_from is not None:
         packed[eight_from - 1:] = [_in_bytes(rng, level) for level in packed[eight_from - 1:]]
-        if packed_share:
-            packed[eight_from - 1:] = [_in_columns(rng, level, packed_share) for level in packed[eight_from - 1:]]
+        packed[eight_from - 1:] = [_in_columns(rng, level) if rng.random() < packed_share else level
+                                   for level in packed[eight_from - 1:]]
     quality = tuple(LevelQuality(float(snr), float(1 / snr), float(2 / snr)) for snr in 10.0 + 8.0 * np.arange(levels))
     metadata = Metadata("float32", axes, organisation or separate(axes), tuple(map(bounds_of, packed)),
                         tuple(undecomposed), quality=quality, source={"sha256": "0" * 64}, writer="random_models")
@@ -85,20 +86,46 @@ def _in_bytes(rng: np.random.Generator, level: PackedLevel) -> PackedLevel:
     return replace(level, core=drawn(level.core, CORE_NUMBERS), basis=basis, bits=8)
 
 
-def _in_columns(rng: np.random.Generator, level: PackedLevel, share: float) -> PackedLevel:
-    """The level with packed bases of a share of its modes, the columns of each node of any width."""
-    width: list[U8 | None] = [None] * level.order
-    bases = list(level.basis)
-    for n, (basis, starts) in enumerate(zip(level.basis, level.basis_offset, strict=True)):
-        if basis is None or starts is None or rng.random() >= share:
-            continue
-        own = [rng.integers(1, 9, int(rank)).astype(np.uint8) for rank in level.shape[:, 2, n]]
-        ones = [np.resize(2.0 ** (bits - 1.0), end - begin)
-                for bits, begin, end in zip(own, starts[:-1].tolist(), starts[1:].tolist(), strict=True)]
-        each = np.concatenate([np.zeros(0), *ones])
-        bases[n] = (np.floor(basis * each) / each).astype(np.float16)
-        width[n] = np.concatenate([np.zeros(0, np.uint8), *own])
-    return replace(level, basis=tuple(bases), width=tuple(width) if any(w is not None for w in width) else ())
+def _in_columns(rng: np.random.Generator, level: PackedLevel) -> PackedLevel:
+    """The level packed, node after node, with columns of any widths and any numbers of so many bits."""
+    stored = [n for n, basis in enumerate(level.basis) if basis is not None]
+    if not stored:
+        return level
+    width: list[list[U8]] = [[] for _ in level.basis]
+    cores, bases = list[F16](), [list[F16]() for _ in level.basis]
+    for s, (clusters, _, ranks) in enumerate(level.shape.tolist()):
+        own = np.full(ranks, 16)
+        for n in stored:
+            lower, upper = (_bits(rng, most, int(ranks[n])) for most in (12, 16))
+            width[n].append((lower - 1 + 16 * (upper - 1)).astype(np.uint8))
+            own = np.minimum(own, upper.reshape([-1 if m == n else 1 for m in range(level.order)]))
+            count = _lengths(level.basis_offset[n])[s]
+            bases[n].append(_drawn(rng, np.resize(lower, count), np.resize(lower, count)))
+        each = np.tile(own.reshape(-1), prod(clusters))
+        cores.append(_drawn(rng, each, np.full(each.size, own.max(initial=1))))
+    return replace(
+        level,
+        core=np.concatenate([np.zeros(0, np.float16), *cores]),
+        basis=tuple(np.concatenate([np.zeros(0, np.float16), *own]) if n in stored else None
+                    for n, own in enumerate(bases)),
+        width=tuple(np.concatenate([np.zeros(0, np.uint8), *own]) if n in stored else None
+                    for n, own in enumerate(width)),
+    )
+
+
+def _bits(rng: np.random.Generator, most: int, columns: int) -> Ints:
+    return rng.integers(1, most + 1, columns)
+
+
+def _lengths(starts: U32 | None) -> list[int]:
+    assert starts is not None
+    return np.diff(starts.astype(np.int64)).tolist()
+
+
+def _drawn(rng: np.random.Generator, bits: Ints, ones: Ints) -> F16:
+    """Whole numbers of so many bits, each as likely as any, as shares of what so many `ones` would be near 1 in."""
+    whole = rng.integers(-(1 << bits - 1), 1 << bits - 1)
+    return (whole / 2.0 ** (ones - 1)).astype(np.float16)
 
 
 def bounds_of(level: PackedLevel) -> LevelBounds:

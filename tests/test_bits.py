@@ -350,7 +350,7 @@ def test_what_memory_does_not_hold_has_bytes(monkeypatch: pytest.MonkeyPatch) ->
     assert {level.bits for level in plan.levels} == {8}
 
 
-def test_info_counts_the_bits_of_packed_bases() -> None:
+def test_info_counts_the_bits_of_packed_levels() -> None:
     path = FIXTURES / "v1.3-partly.hmk"
     arrays = Parts.split(path.read_bytes()).arrays
     sizes = {name: len(data) for name, (_, _, data) in arrays.items()}
@@ -362,9 +362,9 @@ def test_info_counts_the_bits_of_packed_bases() -> None:
     assert [level["bytes"] for level in told["levels"]] == [
         sum(size for name, size in sizes.items() if name.startswith(f"level/{level}/")) for level in (1, 2, 3)
     ]
-    for number, (level, stored) in enumerate(zip(told["levels"], hmkcta.open(path).levels, strict=True), 1):
-        count = sum(basis.size for basis in stored.basis if basis is not None)
-        size = sum(size for name, size in numbers.items() if name.startswith(f"level/{number}/basis"))
-        assert level["basis_bits"] == pytest.approx(8 * size / count)
-    assert [level["basis_bits"] < level["bits"] for level in told["levels"]] == [False, True, True]
+    packed = sum(size for name, size in numbers.items() if name.startswith("level/2/"))
+    mean = 8 * packed / hmkcta.open(path).levels[1].numbers()
+    assert [level["bits"] for level in told["levels"]] == [16, pytest.approx(mean), 8]
+    rows = [line.split() for line in run("info", path).stdout.splitlines() if line.split()[:1] in (["1"], ["2"], ["3"])]
+    assert [row[4] for row in rows] == ["16", f"{mean:.1f}", "8"]
     assert run("verify", path).stdout.endswith("as they should be.\n")

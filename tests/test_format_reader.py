@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import hmkcta
-from format_reader import Reader, of_bits
+from format_reader import Reader, nearest_half, of_bits
 from hmk_corpus import FIXTURES
 from hmkcta.model import Model
 from hmkcta.transform import TRANSFORMS
@@ -63,8 +63,10 @@ def test_a_reader_by_the_text_alone_agrees_on_bytes(
     )
     model.save(tmp_path / "a.hmk")
     reader, opened = Reader(tmp_path / "a.hmk"), hmkcta.open(tmp_path / "a.hmk")
-    assert reader.metadata["version"] == ("1.3" if packed_share else "1.2")
-    assert bool(packed_share) == any("/width/" in name for name in reader.arrays)
+    packed = [bool(level.width) for level in model.levels]
+    assert packed_share == 0.6 or any(packed) == bool(packed_share)
+    assert reader.metadata["version"] == ("1.3" if any(packed) else "1.2")
+    assert packed == [f"level/{level}/width/0" in reader.arrays for level in (1, 2, 3)]
     for level in range(1, 4):
         decoded = np.asarray(opened.at_level(level))
         assert np.abs(decoded).max() > 0.1
@@ -87,11 +89,20 @@ def test_a_reader_by_the_text_alone_agrees_on_fixtures(path: Path) -> None:
 
 
 def test_the_example_of_the_text_is_packed_so() -> None:
-    """The bytes and the numbers are those of section 3, packed bases."""
+    """The bytes and the numbers are those of section 3, packed levels."""
     text = FORMAT.read_text(encoding="utf-8").replace("\n", " ")
-    assert "columns of 2 and 3 bits and the numbers 0.5, -0.75, -0.5, 0.25 of two rows" in text
-    assert "are the bytes 0xF5 and 0x00" in text
-    assert of_bits([0xF5, 0x00], [2, 3, 2, 3]) == (0.5, -0.75, -0.5, 0.25)
+    assert "columns of 2 and 3 bits and the numbers 0.5, -0.75, -0.5, 0.25 of two rows of a basis" in text
+    assert "are the whole numbers 1, -3, -1, 1, in the order of the sequence `10 101 11 100`" in text
+    assert ": the bytes 0xF5 and 0x00." in text
+    assert of_bits([0xF5, 0x00], [2, 3, 2, 3]) == (1, -3, -1, 1)
+
+
+def test_halves_of_whole_numbers_are_those_of_numpy() -> None:
+    """All that a core number of 16 bits may be, of which those above 2048 lose digits, and some of fewer bits."""
+    for bits in (16, 13, 12, 1):
+        whole = range(-(2 ** (bits - 1)), 2 ** (bits - 1))
+        expected = (np.array(whole, np.float64) / 2.0 ** (bits - 1)).astype(np.float16)
+        assert [nearest_half(q, bits) for q in whole] == expected.tolist()
 
 
 def test_the_text_says_how_every_transform_is_undone() -> None:

@@ -29,6 +29,7 @@ SHORT_MIXED = (FIXTURES / "v1.2-mixed.hmk").read_bytes()
 LONE = (FIXTURES / "v1.2-lone.hmk").read_bytes()
 PACKED = (FIXTURES / "v1.3-packed.hmk").read_bytes()
 PARTLY = (FIXTURES / "v1.3-partly.hmk").read_bytes()
+BITS = (FIXTURES / "v1.3-bits.hmk").read_bytes()
 PYTHON = Path(__file__).parent.parent / "python"
 
 
@@ -43,8 +44,8 @@ def verdict(data: bytes | bytearray) -> HmkctaError | None:
 
 @pytest.mark.parametrize(("data", "step"),
                          [(SMALL, 1), (EIGHT, 1), (MERGED, 7), (MIXED, 7), (LONE, 1), (SHORT_MIXED, 7), (PACKED, 1),
-                          (PARTLY, 7)],
-                         ids=["small", "eight", "merged", "mixed", "lone", "short mixed", "packed", "partly"])
+                          (PARTLY, 7), (BITS, 7)],
+                         ids=["small", "eight", "merged", "mixed", "lone", "short mixed", "packed", "partly", "bits"])
 def test_every_truncation_is_insufficient_data(data: bytes, step: int) -> None:
     for size in range(0, len(data), step):
         error = verdict(data[:size])
@@ -77,8 +78,8 @@ def test_every_flipped_bit_is_reported(small: bytes) -> None:
     assert verdict(data) is None
 
 
-@pytest.mark.parametrize("whole", [MERGED, MIXED, SHORT_MIXED, LONE, PARTLY],
-                         ids=["merged", "mixed", "short mixed", "lone", "partly"])
+@pytest.mark.parametrize("whole", [MERGED, MIXED, SHORT_MIXED, LONE, PARTLY, BITS],
+                         ids=["merged", "mixed", "short mixed", "lone", "partly", "bits"])
 @pytest.mark.parametrize("width", [1, 4, 16])
 def test_sliding_damage_is_reported(width: int, whole: bytes) -> None:
     rng = np.random.default_rng(width)
@@ -99,8 +100,9 @@ def test_extra_byte_is_reported() -> None:
 
 
 @pytest.mark.parametrize(("base", "sizes"), [(MERGED, (72, 6, 2)), (MIXED, (24, 7, 2)), (SHORT_MIXED, (24, 7, 2)),
-                                            (LONE, (9, 7, 2)), (PACKED, (5, 3)), (PARTLY, (24, 7, 2))],
-                         ids=["merged", "mixed", "short mixed", "lone", "packed", "partly"])
+                                            (LONE, (9, 7, 2)), (PACKED, (5, 3)), (PARTLY, (24, 7, 2)),
+                                            (BITS, (6, 5, 4))],
+                         ids=["merged", "mixed", "short mixed", "lone", "packed", "partly", "bits"])
 @pytest.mark.parametrize("seed", range(3))
 def test_forged_files_are_refused_or_decode(seed: int, base: bytes, sizes: tuple[int, ...]) -> None:
     """With checksums made anew, whatever the reader takes must decode everywhere to finite numbers."""

@@ -17,7 +17,7 @@ from hmkcta.errors import HmkctaError
 from hmkcta.hmkfile import VERSION, encode, load
 from hmkcta.packed import Metadata, PackedLevel
 from literal_decode import element
-from make_fixture import eight_model, lone_model, mixed_model, packed_model, partly_model, write_fixtures
+from make_fixture import any_bits, eight_model, lone_model, mixed_model, packed_model, partly_model, write_fixtures
 
 #: SHA-256 of every committed fixture: a fixture that changes is no evidence any more.
 DIGESTS = {
@@ -28,8 +28,9 @@ DIGESTS = {
     "v1.2-eight.hmk": "c40d21a3d4cb6a7827eea81e2f39cd7e4bc81deb6fa7c2609da7a37f07668945",
     "v1.2-lone.hmk": "2de87a0a64e0c6e424e9787dc78872efe08404d450e3148c85b00aa1d3a55f22",
     "v1.2-mixed.hmk": "dfa07b4c27dddb781bf943f708b18d16672f6115bcae8131d7eba8e0f8fe79d9",
-    "v1.3-packed.hmk": "a0ab56a4bdb2eebd0de3f0d3488d29cfa3fc11348bf52062611d80b3b07407ec",
-    "v1.3-partly.hmk": "03bcfce830a2e6a2272b1ece96ad6d5dc1249cb06470524b5f41895f50ab3889",
+    "v1.3-bits.hmk": "0b0b7d5cf65fa7c23cdd7d53f810f589889d9406bffa41a59c2a56a5eb29ed60",
+    "v1.3-packed.hmk": "5f517e7674d5bf249b504ac55552a273a4444f2d91f4715c8929423c47a3d433",
+    "v1.3-partly.hmk": "fa4378e045d2bfe0b1bc3dc2e1a8dd0e7bef841a3053a11d857a2b9d82911669",
 }
 
 
@@ -53,23 +54,29 @@ def test_fixture_decodes_to_its_expectations(name: str) -> None:
 @pytest.mark.parametrize(("name", "bits"), [("v1.0-merged", [16] * 3), ("v1.1-eight", [8, 8]),
                                             ("v1.1-mixed", [16, 8, 8]), ("v1.2-eight", [8, 8]),
                                             ("v1.2-mixed", [16, 8, 8]), ("v1.2-lone", [8] * 3),
-                                            ("v1.3-packed", [8, 8]), ("v1.3-partly", [16, 8, 8])])
+                                            ("v1.3-packed", [8, 8]), ("v1.3-partly", [16, 8, 8]),
+                                            ("v1.3-bits", [8, 8])])
 def test_fixtures_of_bytes_have_them(name: str, bits: list[int]) -> None:
     _, levels = load(FIXTURES / f"{name}.hmk")
     assert [level.bits for level in levels] == bits
     assert all(level.core.dtype == np.float16 and not level.core.flags.writeable for level in levels)
 
 
-def test_fixtures_of_packed_bases_have_them() -> None:
-    """Columns from one bit to all eight, nodes of different ranks and of none, other bases beside packed ones."""
+def test_fixtures_of_packed_levels_have_them() -> None:
+    """Columns of few and of many bits, nodes of different ranks and of none, spare bits, other levels beside packed."""
     _, levels = load(FIXTURES / "v1.3-packed.hmk")
-    widths = [level.width[0] for level in levels]
-    assert [None if width is None else width.tolist() for width in widths] == [[1, 8], [5, 4, 6, 3, 3]]
-    assert levels[1].shape[:, 2, 0].tolist() == [3, 2, 0]
-    assert [int(bits.sum()) % 8 for level in levels if (bits := level.stored_bits(0)) is not None] == [2, 2]
+    assert [tuple(None if own is None else own.tolist() for own in level.width) for level in levels] == [
+        ([167], None), ([241, 164, 25, 55, 10], None)]
+    assert levels[1].shape[:, 2, 0].tolist() == [2, 0, 3]
+    assert [int(level.basis_bits(0).sum()) % 8 for level in levels] == [0, 3]
+    assert [int(level.core_bits().sum()) % 8 for level in levels] == [3, 4]
     _, levels = load(FIXTURES / "v1.3-partly.hmk")
-    assert [[width is not None for width in level.width] for level in levels] == [
-        [], [True, False, False], [False, True, False]]
+    assert [[width is not None for width in level.width] for level in levels] == [[], [True, True, False], []]
+    assert (levels[1].shape == 0).all(axis=(1, 2)).tolist() == [False, False, True, False]
+    assert levels[1].shape[:, 1].max() == 2
+    assert levels[1].core_bits().max() == 12
+    _, levels = load(FIXTURES / "v1.3-bits.hmk")
+    assert [int(level.core_bits().max()) for level in levels] == [13, 13]
 
 
 @pytest.mark.parametrize(("version", "name", "model"), [
@@ -89,6 +96,10 @@ def test_short_tables_are_those_of_the_version_before(name: str) -> None:
         for (_, found), (_, expected) in zip(level.tables(), other.tables(), strict=True):
             assert found.dtype == expected.dtype
             np.testing.assert_array_equal(found, expected)
+
+
+def test_the_fixture_of_any_bits_is_made_as_it_was() -> None:
+    assert any_bits() == (FIXTURES / "v1.3-bits.hmk").read_bytes()
 
 
 def test_merged_fixture_has_every_kind_of_node() -> None:

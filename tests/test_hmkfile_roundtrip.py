@@ -115,7 +115,7 @@ def test_level_without_nodes(eight_from: int | None, packed_share: float) -> Non
     model = random_model(np.random.default_rng(0), (4, 3), 3, shapes=Shapes(leaf=1.0), eight_from=eight_from,
                          packed_share=packed_share)
     assert [level.nodes for level in model[1]] == [1, 0, 0]
-    assert all(bool(level.width) == (packed_share > 0) for level in model[1])
+    assert [len(level.width) for level in model[1]] == [2 * (packed_share > 0)] * 3
     assert_same(loads(encoded(model)), model)
 
 
@@ -148,12 +148,12 @@ def test_loaded_arrays_are_read_only(tmp_path: Path) -> None:
             assert not array.flags.writeable, name
 
 
-@pytest.mark.parametrize("make", [mixed_model, partly_model])
-def test_safetensors_opens_bytes(make: Callable[[], Model]) -> None:
+@pytest.mark.parametrize(("make", "second"), [(mixed_model, np.int8), (partly_model, np.uint8)])
+def test_safetensors_opens_bytes(make: Callable[[], Model], second: type[np.generic]) -> None:
     _, levels = model = make()
     found: dict[str, NDArray[Any]] = safetensors_load(encoded(model))
     assert {name: array.dtype for name, array in found.items() if name.endswith("/core")} == {
-        "level/1/core": np.float16, "level/2/core": np.int8, "level/3/core": np.int8}
+        "level/1/core": np.float16, "level/2/core": second, "level/3/core": np.int8}
     for level, packed in enumerate(levels, 1):
         for name, array in packed.coefficients():
             assert_equal(found[prefix(level) + name], array)
@@ -193,7 +193,7 @@ def test_order_on_disk(make: Callable[[], Model]) -> None:
     assert kinds == sorted(kinds, key=["U8", "4 bytes", "U16"].index)
     assert numbers == sorted(numbers, key=lambda name: (name.split("/")[1], "basis" in name, name))
     types = [header[name]["dtype"] for name in numbers]
-    assert types == sorted(types, key=lambda dtype: ["F16", "I8", "U8"].index(dtype) > 0)
+    assert types == sorted(types, key=lambda dtype: dtype != "F16")
     assert (length + sum(prod(header[name]["shape"]) for name in tables if header[name]["dtype"] == "U8")) % 8 == 0
     for entry in header.values():
         item = (entry["data_offsets"][1] - entry["data_offsets"][0]) // max(prod(entry["shape"]), 1)
@@ -234,6 +234,21 @@ def test_the_version_hangs_on_number_types(
     numbers = [level.number_bytes for level in model[1]]
     assert payload(data) == sum(tables) + sum(numbers)
     assert level_sizes(model[1]) == [own + count for own, count in zip(tables, numbers, strict=True)]
+
+
+@pytest.mark.parametrize("make", [packed_model, partly_model])
+def test_the_schema_of_packed_levels_tells_types(make: Callable[[], Model]) -> None:
+    """All of a level that is not left out, with widths of its decomposed modes where it is packed."""
+    metadata, levels = make()
+    header = header_of(encoded((metadata, levels)))[1]
+    for number, level in enumerate(levels, 1):
+        schema = dict(level_schema(level.order, metadata.undecomposed, level.nodes, level.child is None, level.bits,
+                                   short=True, packed=bool(level.width)))
+        found = {name.removeprefix(prefix(number)): entry["dtype"] for name, entry in header.items()
+                 if name.startswith(prefix(number))}
+        assert {name for name in found if "width" in name} == {name for name in schema if "width" in name}
+        assert {name: found[name] for name in schema if name.startswith(("core", "basis", "width"))} == {
+            name: info.dtype for name, info in schema.items() if name.startswith(("core", "basis", "width"))}
 
 
 def test_what_follows_is_left_out() -> None:

@@ -19,7 +19,8 @@ from hmkcta.axes import Axis
 from hmkcta.errors import HmkctaError, Kind
 from hmkcta.hmkfile import Limits, encode, load, save
 from hmkcta.packed import LevelQuality, Metadata, PackedLevel
-from make_fixture import eight_model, merged_model, packed_model, small_model
+from make_fixture import eight_model, merged_model, packed_model, partly_model, small_model
+from random_models import random_model
 
 TESTS = Path(__file__).parent
 
@@ -141,18 +142,32 @@ def with_eight(index: int, **changes: Any) -> tuple[Metadata, tuple[PackedLevel,
     return metadata, tuple(replace(level, **changes) if n == index else level for n, level in enumerate(levels))
 
 
-def with_widths(*widths: list[Any] | None, **changes: Any) -> tuple[Metadata, tuple[PackedLevel, ...]]:
-    """The packed model, of whose first level the columns of each mode have so many bits; 1 and 8 of mode 0 fit."""
+def with_packed(**changes: Any) -> tuple[Metadata, tuple[PackedLevel, ...]]:
+    """The packed model with its first level changed."""
     metadata, (first, *others) = packed_model()
-    width = tuple(None if own is None else np.array(own, np.uint8) for own in widths)
-    return metadata, (replace(first, width=width, **changes), *others)
+    return metadata, (replace(first, **changes), *others)
 
 
-def of_halves(*widths: list[int] | None) -> tuple[Metadata, tuple[PackedLevel, ...]]:
-    """A model of 16-bit numbers with widths."""
-    metadata, levels = small_model()
-    width = tuple(None if own is None else np.array(own, np.uint8) for own in widths)
-    return metadata, tuple(replace(level, width=width) for level in levels)
+def with_widths(*widths: list[Any] | None) -> tuple[Metadata, tuple[PackedLevel, ...]]:
+    """The packed model, of whose first level the columns of each mode have these widths; 167 of mode 0 fits."""
+    return with_packed(width=tuple(None if own is None else np.array(own, np.uint8) for own in widths))
+
+
+def without_one_width(model: tuple[Metadata, tuple[PackedLevel, ...]]) -> tuple[Metadata, tuple[PackedLevel, ...]]:
+    """The model, whose second level is packed, without the widths of mode 1."""
+    metadata, (first, second, third) = model
+    return metadata, (first, replace(second, width=(second.width[0], None, None)), third)
+
+
+def whole_packed() -> tuple[Metadata, tuple[PackedLevel, ...]]:
+    """A packed level in bytes that has no decomposed mode."""
+    metadata, levels = random_model(np.random.default_rng(0), (3, 2), 1, (0, 1), eight_from=1)
+    return metadata, (replace(levels[0], width=(None, None)),)
+
+
+def float16_below(metadata: Metadata, levels: tuple[PackedLevel, ...]) -> tuple[Metadata, tuple[PackedLevel, ...]]:
+    """The packed model with a last level of 16-bit numbers."""
+    return metadata, (levels[0], replace(levels[1], bits=16, width=()))
 
 
 def with_metadata(**values: Any) -> tuple[Metadata, tuple[PackedLevel, ...]]:
@@ -168,6 +183,7 @@ def without_last(metadata: Metadata, levels: tuple[PackedLevel, ...]) -> tuple[M
 
 INVALID: dict[str, tuple[Callable[[], tuple[Metadata, tuple[PackedLevel, ...]]], str]] = {
     "core is float32": (lambda: with_level(0, core=np.zeros(18, np.float32)), "array-dtype"),
+    "shapes of two dimensions": (lambda: with_level(0, shape=np.ones((1, 6), np.uint32)), "array-shape"),
     "core is int64": (lambda: with_level(0, core=np.zeros(18, np.int64)), "array-dtype"),
     "core too short": (lambda: with_level(0, core=np.zeros(17, np.float16)), "offset-end"),
     "core of two dimensions": (lambda: with_level(0, core=np.zeros((3, 6), np.float16)), "array-shape"),
@@ -187,27 +203,43 @@ INVALID: dict[str, tuple[Callable[[], tuple[Metadata, tuple[PackedLevel, ...]]],
     "cluster of bytes missing": (lambda: with_eight(0, cluster=(None, None)), "array-missing"),
     "basis of bytes missing": (lambda: with_eight(0, basis=(None, None)), "array-missing"),
     "row offsets of bytes missing": (lambda: with_eight(0, row_offset=(np.zeros(0, np.uint32),) * 2), "array-shape"),
-    "width too short": (lambda: with_widths([8], None), "array-shape"),
-    "width too long": (lambda: with_widths([1, 8, 8], None), "array-shape"),
-    "width of two dimensions": (lambda: with_widths([[1, 8]], None), "array-shape"),
-    "width without numbers": (lambda: with_widths([], None), "array-shape"),
-    "widths of a mode too few": (lambda: with_widths([1, 8]), "array-shape"),
-    "widths of a mode too many": (lambda: with_widths([1, 8], None, None), "array-shape"),
-    "column of no bits": (lambda: with_widths([0, 8], None), "width-range"),
-    "column of nine bits": (lambda: with_widths([1, 9], None), "width-range"),
-    "column narrower than its numbers": (lambda: with_widths([1, 7], None), "array-dtype"),
-    "width is int64": (lambda: with_eight(0, width=(np.array([8, 8]), None)), "array-dtype"),
-    "width of an undecomposed mode": (lambda: with_widths([1, 8], [8, 8, 8]), "array-unexpected"),
-    "width beside 16-bit numbers": (lambda: of_halves([8, 8], None), "array-unexpected"),
-    "width above bytes beside 16-bit numbers": (lambda: with_eight(0, bits=16, width=(np.full(2, 8, np.uint8), None)),
-                                                "array-unexpected"),
-    "packed basis missing": (lambda: with_widths([1, 8], None, basis=(None, None)), "array-unexpected"),
-    "packed basis too short": (lambda: with_widths([1, 8], None, basis=(np.zeros(19, np.float16), None)),
-                               "offset-end"),
-    "packed basis is none of the bytes": (lambda: with_widths([8, 8], None, basis=(np.full(20, 0.3, np.float16), None)),
-                                          "array-dtype"),
-    "packed basis is infinite": (lambda: with_widths([8, 8], None, basis=(np.full(20, np.inf, np.float16), None)),
-                                 "not-finite"),
+    "width too short": (lambda: with_widths([], None), "array-shape"),
+    "width too long": (lambda: with_widths([167, 167], None), "array-shape"),
+    "width of two dimensions": (lambda: with_widths([[167]], None), "array-shape"),
+    "widths of a mode too few": (lambda: with_widths([167]), "array-shape"),
+    "widths of a mode too many": (lambda: with_widths([167], None, None), "array-shape"),
+    "column of thirteen bits": (lambda: with_widths([172], None), "width-range"),
+    "column of sixteen bits": (lambda: with_widths([175], None), "width-range"),
+    "column of fewer bits than its numbers": (lambda: with_widths([166], None), "array-dtype"),
+    "core numbers of fewer bits than they take": (lambda: with_widths([151], None), "array-dtype"),
+    "width is int64": (lambda: with_packed(width=(np.array([167]), None)), "array-dtype"),
+    "width of an undecomposed mode": (lambda: with_widths([167], [167] * 3), "array-unexpected"),
+    "width of an undecomposed mode alone": (lambda: with_widths(None, [167] * 3), "array-missing"),
+    "width of one mode missing": (lambda: without_one_width(partly_model()), "array-missing"),
+    "widths missing": (lambda: with_packed(width=()), "array-dtype"),
+    "width beside 16-bit numbers": (lambda: with_level(0, width=(np.full(2, 167, np.uint8), None)), "array-unexpected"),
+    "width above bytes beside 16-bit numbers": (lambda: with_packed(bits=16), "array-unexpected"),
+    "packed level without decomposed modes": (whole_packed, "array-dtype"),
+    "packed shapes of two dimensions": (lambda: with_packed(shape=np.ones((1, 6), np.uint32)), "array-shape"),
+    "packed shape of another rank": (lambda: with_packed(shape=np.array([[[3, 1], [2, 1], [2, 3]]], np.uint32)),
+                                     "array-shape"),
+    "packed shape of more clusters": (lambda: with_packed(shape=np.array([[[4, 1], [2, 1], [1, 3]]], np.uint32)),
+                                      "level-bounds"),
+    "packed core too short": (lambda: with_packed(core=np.zeros(8, np.float16)), "offset-end"),
+    "packed core of two dimensions": (lambda: with_packed(core=np.zeros((3, 3), np.float16)), "array-shape"),
+    "packed core is none of its numbers": (lambda: with_packed(core=np.full(9, 0.3, np.float16)), "array-dtype"),
+    "packed core is infinite": (lambda: with_packed(core=np.full(9, np.inf, np.float16)), "not-finite"),
+    "packed core is 1 where bits are few": (lambda: with_packed(core=np.ones(9, np.float16)), "array-dtype"),
+    "packed core offsets of more": (lambda: with_packed(core_offset=np.array([0, 18], np.uint32)), "offset-size"),
+    "packed basis missing": (lambda: with_packed(basis=(None, None)), "array-unexpected"),
+    "packed basis too short": (lambda: with_packed(basis=(np.zeros(9, np.float16), None)), "offset-end"),
+    "packed basis offsets that descend": (
+        lambda: with_packed(basis_offset=(np.array([10, 0], np.uint32), None)), "offset-order"),
+    "packed basis is none of its numbers": (
+        lambda: with_packed(basis=(np.full(10, 0.3, np.float16), None)), "array-dtype"),
+    "packed basis is 1": (lambda: with_packed(basis=(np.ones(10, np.float16), None)), "array-dtype"),
+    "packed basis is infinite": (lambda: with_packed(basis=(np.full(10, np.inf, np.float16), None)), "not-finite"),
+    "float16 after packed numbers": (lambda: float16_below(*packed_model()), "array-dtype"),
     "no levels": (lambda: with_metadata(levels=()), "field-value"),
     "unknown kind": (lambda: with_metadata(kind="brdf"), "field-value"),
     "quality missing": (lambda: with_metadata(quality=()), "field-value"),
@@ -237,12 +269,26 @@ def test_invalid_model_is_refused(name: str, tmp_path: Path) -> None:
 
 
 def test_columns_may_be_wider_than_need_be(tmp_path: Path) -> None:
-    for width in ([1, 8], [3, 8], [8, 8]):
-        model = with_widths(width, None)
+    for width in (167, 168, 171, 183, 251):
+        model = with_widths([width], None)
         save(tmp_path / "a.hmk", *model, overwrite=True)
         level = load(tmp_path / "a.hmk")[1][0]
-        assert [None if own is None else own.tolist() for own in level.width] == [width, None]
+        assert [None if own is None else own.tolist() for own in level.width] == [[width], None]
         np.testing.assert_array_equal(level.basis[0], model[1][0].basis[0])
+        np.testing.assert_array_equal(level.core, model[1][0].core)
+
+
+@pytest.mark.parametrize("bits", range(1, 17))
+def test_all_core_numbers_that_are_read_can_be_written(bits: int, tmp_path: Path) -> None:
+    """Also the largest one, which float16 rounds up where it has more than 12 bits."""
+    whole = np.array([-(1 << (bits - 1)), 0, (1 << (bits - 1)) - 1] * 3)
+    core = (whole / 2.0 ** (bits - 1)).astype(np.float16)
+    model = with_packed(core=core, width=(np.array([7 + 16 * (bits - 1)], np.uint8), None))
+    save(tmp_path / "a.hmk", *model)
+    again = load(tmp_path / "a.hmk")
+    np.testing.assert_array_equal(again[1][0].core, core)
+    save(tmp_path / "b.hmk", *again)
+    assert (tmp_path / "a.hmk").read_bytes() == (tmp_path / "b.hmk").read_bytes()
 
 
 def test_limits_bind_the_writer(tmp_path: Path) -> None:

@@ -284,7 +284,7 @@ def test_saved_and_opened_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("level", [1, 2, 3])
-def test_packed_bases_stay_packed(level: int, tmp_path: Path) -> None:
+def test_packed_levels_stay_packed(level: int, tmp_path: Path) -> None:
     """Opened and saved again, of all levels or the first ones, a file is the same; what is left keeps its widths."""
     model = Model(*random_model(np.random.default_rng(5), SHAPE, 3, shapes=Shapes(zero=0.05, leaf=0.05), eight_from=1,
                                 packed_share=1.0)).at_level(level)

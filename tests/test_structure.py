@@ -17,9 +17,9 @@ PACKAGE = ROOT / "python" / "hmkcta"
 
 #: Modules and subpackages from the lowest layer up; an import goes to a lower layer, or stays in its subpackage.
 LAYERS = (
-    ("arrays",),
-    ("_version", "errors", "metrics", "narrow", "_native"),
-    ("bitstream", "support"),
+    ("arrays", "bitstream"),
+    ("_version", "errors", "metrics", "narrow", "widths", "_native"),
+    ("support",),
     ("axes", "conventions", "goals", "grids", "transform", "indexing"),
     ("plan", "packed"),
     ("plan_checks",),
@@ -63,11 +63,11 @@ WITHIN = {
     ),
     "decode": (("scattered",), ("cells",), ("dense",)),
     "fitting": (
-        ("tucker",),
+        ("columns", "tucker"),
         ("projection", "subspaces"),
         ("memberships",),
         ("search",),
-        ("columns", "fit", "subdivision"),
+        ("fit", "subdivision"),
         ("run", "workset"),
         ("disjoint",),
         ("hierarchy",),

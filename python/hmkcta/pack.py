@@ -76,8 +76,7 @@ def _pack(nodes: Sequence[Node], undecomposed: Sequence[int], unit: float, bits:
             _joined([_local(node, n) for node in nodes], np.uint32) if inner[n] else None for n in range(order)
         ),
         bits=bits,
-        width=tuple(_joined([own[n] for own in columns], np.uint8) if stored[n] else None for n in range(order))
-        if fewer else (),
+        width=_widths(columns, stored) if fewer else (),
     )
 
 
@@ -100,6 +99,12 @@ def _columns(node: Node, undecomposed: Sequence[int]) -> list[U8 | None]:
         return [None if n in undecomposed else none for n in range(len(node.rows))]
     bases = [None if n in undecomposed else own for n, own in enumerate(node.cells.bases)]
     return widths_of(whole_of_core(node.cells.cores)[0], bases)
+
+
+def _widths(columns: Sequence[Sequence[U8 | None]], stored: Sequence[bool]) -> tuple[U8 | None, ...]:
+    """Widths of the columns of all nodes, mode by mode."""
+    each = [[own for node in columns if (own := node[n]) is not None] for n in range(len(stored))]
+    return tuple(_joined([*own], np.uint8) if kept else None for own, kept in zip(each, stored, strict=True))
 
 
 def _members(node: Node, n: int) -> NDArray[np.uint16]:

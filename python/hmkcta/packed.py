@@ -23,6 +23,7 @@ U16 = NDArray[np.uint16]
 U32 = NDArray[np.uint32]
 F16 = NDArray[np.float16]
 
+
 @dataclass(frozen=True, eq=False)
 class PackedLevel:
     """The arrays of one level with S nodes of a tensor with N modes; None where the format leaves an array out.
@@ -126,7 +127,9 @@ class PackedLevel:
 
     def _stream(self, name: str, array: F16) -> U8:
         bits, ones = self._bits(name)
-        return to_stream(whole(array, ones), bits)
+        # The largest number of more than 12 bits is one more in float16, which as many bits do not hold.
+        largest = (1 << (bits.astype(np.int32) - 1)) - 1
+        return to_stream(np.minimum(whole(array, ones), largest), bits)
 
     def unpacked(self, name: str, stream: U8) -> F16:
         """The numbers of an array of a packed level, of their bits in the file."""

@@ -38,7 +38,7 @@ def widths(basis: U8, core: U8) -> U8:
     >>> widths(np.array([8, 3], np.uint8), np.array([16, 1], np.uint8)).tolist()
     [247, 2]
     """
-    return (basis - 1) | ((core - 1) << 4)
+    return ((basis - 1) | ((core - 1) << 4)).astype(np.uint8)
 
 
 def basis_bits(width: U8) -> U8:
@@ -47,7 +47,7 @@ def basis_bits(width: U8) -> U8:
     >>> basis_bits(np.array([247, 2], np.uint8)).tolist()
     [8, 3]
     """
-    return (width & 15) + np.uint8(1)
+    return ((width & 15) + 1).astype(np.uint8)
 
 
 def core_bits(width: U8) -> U8:
@@ -56,11 +56,11 @@ def core_bits(width: U8) -> U8:
     >>> core_bits(np.array([247, 2], np.uint8)).tolist()
     [16, 1]
     """
-    return (width >> 4) + np.uint8(1)
+    return ((width >> 4) + 1).astype(np.uint8)
 
 
 def basis_number_bits(width: U8, ranks: NDArray[np.integer[Any]], numbers: NDArray[np.integer[Any]]) -> U8:
-    """Bits of each number of a mode's bases, by the widths of each node's columns, its rank and how many numbers it has.
+    """Bits of each number of a mode's bases, by the widths of the nodes' columns, their ranks and how many numbers.
 
     >>> basis_number_bits(np.array([7, 2, 4], np.uint8), np.array([2, 1]), np.array([4, 3])).tolist()
     [8, 3, 8, 3, 5, 5, 5]
@@ -146,8 +146,8 @@ def bits_for(whole: I32) -> int:
     return most.bit_length() + 1
 
 
-def widths_of(cores: I32, bases: Sequence[F16 | None]) -> list[U8 | None]:
-    """Widths of the columns of a node: of core numbers `[PC, R_1, .., R_N]` and of bases `[.., R_n]`; None: undecomposed.
+def widths_of(cores: I32, bases: Sequence[F16 | F32 | None]) -> list[U8 | None]:
+    """Widths of a node's columns, for core numbers `[PC, R_1, .., R_N]` and bases `[.., R_n]`; None: undecomposed.
 
     A column's numbers have the bits of which the lowest is not always 0, its core numbers those of the largest.
     """
@@ -158,12 +158,13 @@ def widths_of(cores: I32, bases: Sequence[F16 | None]) -> list[U8 | None]:
             continue
         used = np.bitwise_or.reduce(whole(basis, _MOST).reshape(-1, basis.shape[-1]), axis=0)
         own = np.where(used == 0, 1, MOST_OF_BASIS - np.log2(np.maximum(used & -used, 1)).astype(np.int32))
-        slices = np.moveaxis(cores, n + 1, 0)
-        found.append(widths(own.astype(np.uint8), np.array([bits_for(each) for each in slices], np.uint8)))
+        # 2^15 has 16 bits as well: in float16 it is the number of 2^15 - 1.
+        most = [min(bits_for(each), MOST_OF_CORE) for each in np.moveaxis(cores, n + 1, 0)]
+        found.append(widths(own.astype(np.uint8), np.array(most, np.uint8)))
     return found
 
 
-def whole(numbers: F16, bits: U8) -> I32:
+def whole(numbers: F16 | F32, bits: U8) -> I32:
     """Numbers of so many bits, of which the largest is near 1, as whole ones.
 
     >>> whole(np.array([0.5, -0.75], np.float16), np.array([2, 3], np.uint8)).tolist()

@@ -17,7 +17,7 @@ from ..packed import PackedLevel
 from ..plan import multiply_adds
 from ..support.memory import format_bytes
 from .options import Command, file_argument, json_option, verbose_option
-from .output import decibels, emit, share, table, transformed_column
+from .output import decibels, emit, number_bits, share, shown_bits, table, transformed_column
 
 EXAMPLES = ("hmkcta info wood.hmk", "hmkcta info wood.hmk --json", "hmkcta info wood.hmk -v")
 
@@ -65,24 +65,13 @@ def _level(model: Model, number: int, own: int, upto: int) -> dict[str, Any]:
     cells, zero_cells = cells_of(level)
     return {
         "level": number, "R": list(bounds.ranks), "C": list(bounds.clusters), "K": list(bounds.mixture),
-        "bits": level.bits, "basis_bits": basis_bits(level), "subdivision": bounds.scheme,
+        "bits": number_bits(level), "subdivision": bounds.scheme,
         "nodes": level.nodes, "nodes_that_carry_nothing": int((~level.shape.any(axis=(1, 2))).sum()),
         "clusters": cells, "clusters_that_carry_nothing": zero_cells,
         "bytes": own, "bytes_upto": upto,
         "snr_db": quality.snr_db, "transformed_snr_db": model.metadata.transformed_snr_db[number - 1],
         "rmse": quality.rmse, "max_abs_error": quality.max_abs_error,
     }
-
-
-def basis_bits(level: PackedLevel) -> float | None:
-    """Bits that a basis number has in the file, on average: fewer than the level's where bases are packed.
-
-    >>> from hmkcta._example import example_level
-    >>> basis_bits(example_level())
-    16.0
-    """
-    numbers = level.numbers() - level.core.size
-    return 8 * sum(level.basis_bytes(n) for n in range(level.order)) / numbers if numbers else None
 
 
 def cells_of(level: PackedLevel) -> tuple[int, int]:
@@ -121,7 +110,7 @@ def as_text(report: dict[str, Any], verbose: bool) -> str:
     levels = table(
         ["level", "R", "C", "K", "bits", "subdivision", "nodes", "empty", "clusters", "empty", "SNR dB",
          *domain, "RMSE", "max error", "size"],
-        [[str(level["level"]), *_shape(level, report["undecomposed"]), str(level["bits"]),
+        [[str(level["level"]), *_shape(level, report["undecomposed"]), shown_bits(level["bits"]),
           level["subdivision"], str(level["nodes"]), str(level["nodes_that_carry_nothing"]),
           str(level["clusters"]), str(level["clusters_that_carry_nothing"]),
           decibels(level["snr_db"]), *of_transformed, f"{level['rmse']:.4g}", f"{level['max_abs_error']:.4g}",

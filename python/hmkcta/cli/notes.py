@@ -15,6 +15,7 @@ from ..model import Model
 from ..offset import HIDDEN
 from ..support.memory import drop_pages
 from ..support.slabs import thinning
+from .output import number_bits, shown_bits
 
 #: Elements of which each is compared with what the model makes of it.
 COMPARED = 1 << 12
@@ -26,8 +27,6 @@ ZERO = 1e-5
 STEPS = 4.0
 #: So many lost channels are named; an axis of no known role may be of channels up to so many.
 SOME, SHORT = 4, 16
-#: What a number takes, by its bits.
-BYTES = {8: "a byte", 16: "two bytes"}
 #: Whole numbers may be labels where a sample of so many elements has up to so many values.
 LOOKED_AT, LABELS = 1 << 16, 16
 #: Samples of a signal side by side.
@@ -46,7 +45,7 @@ def notes(model: Model, array: NDArray[Any], *, planned: bool = True) -> list[st
     """
     found: list[str] = []
     if sum(size > 1 for size in array.shape) == 1 and array.size >= 2 * WINDOW:
-        found.append(f"one axis has nothing to share: every number takes {BYTES[model.levels[-1].bits]}. "
+        found.append(f"one axis has nothing to share: every number takes {_each(model)}. "
                      f"Next: make windows of a signal, array.reshape(-1, {WINDOW})")
     elif model.nbytes >= array.nbytes:
         why = _why_large(model, array, planned)
@@ -72,8 +71,14 @@ def _why_large(model: Model, array: NDArray[Any], planned: bool) -> str:
         return "header and tables alone take some KiB. Next: compress more data as one array"
     fewer = ("give the plan smaller R or K, or a goal in its place" if planned else
              "ask for less, by --snr or --size, or leave noise as it is: it takes "
-             f"{BYTES[model.levels[-1].bits]} a number")
+             f"{_each(model)} a number")
     return f"{numbers} are for cores and bases. Next: {fewer}"
+
+
+def _each(model: Model) -> str:
+    """What a number of the last level takes."""
+    bits = number_bits(model.levels[-1])
+    return "a byte" if bits == 8 else "two bytes" if bits == 16 else f"{shown_bits(bits)} bits"
 
 
 def _lost_channels(model: Model, array: NDArray[Any]) -> list[str]:

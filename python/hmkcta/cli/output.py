@@ -6,12 +6,15 @@ import json
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
 from math import isfinite
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 from warnings import catch_warnings, simplefilter
 
 import click
 
 from ..errors import GoalMissed
+
+if TYPE_CHECKING:
+    from ..packed import PackedLevel
 
 #: Key of `click.Context.meta` that is true with --json.
 JSON = "hmkcta.json"
@@ -41,6 +44,25 @@ def warnings_as_notes() -> Generator[list[str]]:
         simplefilter("ignore", GoalMissed)
         yield said
     said += [str(each.message) for each in warned]
+
+
+def number_bits(level: PackedLevel) -> float:
+    """Bits of a core or basis number in the file; of a packed level on average.
+
+    >>> from hmkcta._example import example_level
+    >>> number_bits(example_level())
+    16
+    """
+    return 8 * level.number_bytes / level.numbers() if level.width and level.numbers() else level.bits
+
+
+def shown_bits(bits: float) -> str:
+    """Bits of a number, for people.
+
+    >>> shown_bits(16), shown_bits(5.26)
+    ('16', '5.3')
+    """
+    return str(bits) if isinstance(bits, int) else f"{bits:.1f}"
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], indent: str = "", left: Sequence[int] = ()) -> str:

@@ -22,6 +22,8 @@ U8 = NDArray[np.uint8]
 
 #: Fewest bits of a column.
 FEWEST = 2
+#: In place of a step or a length of 0: quotients and logarithms of what float32 holds stay finite.
+_LEAST = 1e-250
 
 
 def left_of(cells: Cells, energy: float) -> float:
@@ -40,8 +42,9 @@ def rounded_by_columns(cells: Cells, left: float) -> Cells:
     bases = [basis if own is None else _nearest(basis, own) for basis, own in zip(bases, bits, strict=True)]
     scaled = Cells(cells.sizes, cells.spec, cells.members, bases, cores)
     # A number of a core counts for as much as the columns that it stands for are long.
-    lengths = [np.ones(1) if own is None else own.mean(axis=1) for own in _squares(scaled)]
-    of_core = step / sqrt(max(float(np.mean(reduce(np.multiply, lengths))), 1e-300))
+    lengths: list[F64] = [np.ones(1) if own is None else own.mean(axis=1) for own in _squares(scaled)]
+    all_lengths: F64 = reduce(np.multiply, lengths)
+    of_core = step / sqrt(max(float(all_lengths.mean()), _LEAST))
     scaled.cores = _whole_steps(cores, of_core)
     return scaled
 
@@ -53,7 +56,7 @@ def _step(cells: Cells, left: float) -> float:
 
 
 def _column_bits(cells: Cells, step: float) -> list[U8 | None]:
-    """Bits of a number of each column `[R_n]` of every mode, None where it is undecomposed, for steps of about `step`."""
+    """Bits of a number of each column `[R_n]` of every mode, for steps of about `step`; None: undecomposed."""
     squares, bits = _squares(cells), list[U8 | None]()
     held = _held(cells, squares)
     for n, own in enumerate(squares):
@@ -61,7 +64,7 @@ def _column_bits(cells: Cells, step: float) -> list[U8 | None]:
             bits.append(None)
             continue
         others = tuple(m + 1 for m in range(cells.order) if m != n)
-        share = held.sum(axis=others) / np.maximum(own, 1e-300)  # of a column of length 1, `[PC, R_n]`
+        share = held.sum(axis=others) / np.maximum(own, _LEAST)  # of a column of length 1, `[PC, R_n]`
         rows = by_cells(cells, n, _rows(cells, n))
         peaks = by_cells(cells, n, column_peaks(cells, n)).astype(np.float64)
         numbers = cells.bases[n].size // cells.ranks[n]
@@ -73,7 +76,7 @@ def _column_bits(cells: Cells, step: float) -> list[U8 | None]:
 def _nearest(basis: F32, bits: U8) -> F32:
     """The nearest numbers of each column's bits."""
     ones = np.exp2(bits.astype(np.float32) - 1)
-    return np.rint(basis * ones) / ones
+    return (np.rint(basis * ones) / ones).astype(np.float32)
 
 
 def _whole_steps(cores: F32, step: float) -> F32:
@@ -81,8 +84,9 @@ def _whole_steps(cores: F32, step: float) -> F32:
     peak = float(np.abs(cores).max(initial=0.0))
     if not peak:
         return cores
-    # Of float16, a number just below a power of two is that power, which takes a bit more.
-    exponent = max(round(log2(max(step, 1e-300))), ceil(log2(peak)) + 2 - MOST_OF_CORE)
+    finest = ceil(log2(peak)) + 1 - MOST_OF_CORE
+    # Of the coarsest step all are 0; bases of zeros would ask for one beyond float32.
+    exponent = min(max(round(log2(max(step, _LEAST))), finest), finest + MOST_OF_CORE)
     whole = np.rint(cores * 2.0**-exponent).astype(np.float16)
     return whole.astype(np.float32) * np.float32(2.0**exponent)
 
@@ -105,7 +109,7 @@ def _held(cells: Cells, squares: Sequence[F64 | None]) -> F64:
 
 def _bits(worth: F64, step: float) -> U8:
     """So many that the steps between a column's numbers, from -m to m of 2 m + 1 = 2^bits - 1, are about `step`."""
-    steps = worth / max(step, 1e-300)
+    steps = worth / max(step, _LEAST)
     return np.clip(np.rint(1 + np.log2(steps + 1)), FEWEST, MOST_OF_BASIS).astype(np.uint8)
 
 

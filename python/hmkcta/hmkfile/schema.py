@@ -225,8 +225,8 @@ def level_of(arrays: Mapping[str, NDArray[Any]], level: int, order: int) -> Pack
         shape=get("shape"), child=find("child"), row_offset=tuple(get(f"row_offset/{n}") for n in range(order)),
         core=core, core_offset=get("core_offset"), core_scale=get("core_scale"), cell_offset=get("cell_offset"),
         cluster=modes("cluster"), cluster_offset=modes("cluster_offset"), basis=bases,
-        basis_offset=modes("basis_offset"), part=modes("part"), local=modes("local"), bits=8 if narrow or packed else 16,
-        width=modes("width") if packed else (),
+        basis_offset=modes("basis_offset"), part=modes("part"), local=modes("local"),
+        bits=8 if narrow or packed else 16, width=modes("width") if packed else (),
     )
 
 

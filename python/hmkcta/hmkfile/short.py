@@ -103,11 +103,12 @@ class _Level:
         self.decomposed = [n for n in range(rows.shape[1]) if n not in undecomposed]
 
     def complete_ragged(self) -> None:
-        """Offsets, by what the shapes of nodes need, and clusters where each mode has one; numbers of a packed level."""
+        """Offsets, by what the shapes of nodes need, clusters where each mode has one, numbers of a packed level."""
         numbers = {"core": self.cells * self.ranks.prod(1, np.float64)}
         for n in self.decomposed:
             others = np.delete(self.clusters, n, axis=1).prod(1, np.float64)
-            numbers[f"basis/{n}"] = (self.rows[:, n] * self.mixture[:, n] * self.ranks[:, n]).astype(np.float64) * others
+            of_clusters = self.rows[:, n] * self.mixture[:, n] * self.ranks[:, n]
+            numbers[f"basis/{n}"] = of_clusters.astype(np.float64) * others
         if any(f"{self.name}width/{n}" in self.whole for n in self.decomposed):
             self._unpack(numbers)
         self._own("core_offset", "core", numbers["core"])

@@ -186,9 +186,11 @@ def _infos(levels: Sequence[PackedLevel], coords: Mapping[str, NDArray[Any]], *,
              for name, array in _arrays(levels, coords, short=short, wide=True).items()}
     for level, packed in enumerate(levels, 1):
         for name, array in packed.wide() if packed.bits == 8 else ():
-            stored = packed.core_bytes if name == "core" else packed.basis_bytes(int(name.split("/")[1]))
-            is_packed = short and bool(packed.width)
-            infos[prefix(level) + name] = ArrayInfo("U8" if is_packed else "I8", (stored if is_packed else array.size,))
+            if short and packed.width:  # of a whole file offsets are still to be checked, by which bits are counted
+                stored = packed.core_bytes if name == "core" else packed.basis_bytes(int(name.split("/")[1]))
+                infos[prefix(level) + name] = ArrayInfo("U8", (stored,))
+            else:
+                infos[prefix(level) + name] = ArrayInfo("I8", array.shape)
     return infos
 
 
@@ -209,6 +211,8 @@ def _check_bytes(arrays: Mapping[str, NDArray[Any]], levels: Sequence[PackedLeve
 def _check_types(levels: Sequence[PackedLevel]) -> None:
     """Wrong types and widths are refused first, as they would also spoil the order and the sizes in the file."""
     for level, packed in enumerate(levels, 1):
+        if packed.shape.ndim != 3:
+            raise fault("array-shape", f"{prefix(level)}shape", list(packed.shape.shape), "[nodes, 3, modes]")
         for name, array in (*packed.tables(), *packed.wide()):
             allowed = LEVEL_TYPES[name.split("/")[0]]
             if TYPE_NAMES.get(array.dtype.newbyteorder("<")) != allowed:

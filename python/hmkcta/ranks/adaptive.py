@@ -233,7 +233,7 @@ class _LastLevel:
 
     def _mean_bits(self, chosen: Allocation) -> float:
         """Bits of a basis number that the choices should take: more for a higher SNR, as of the fits before."""
-        fewer = log2(self.share / SHARE) / 2
+        fewer = log2((self.share or SHARE) / SHARE) / 2
         bits = stored_bits(8, self._promised(chosen)) + self.more_bits - fewer
         return min(max(bits, FEWEST), MOST_OF_BASIS)
 

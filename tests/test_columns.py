@@ -1,0 +1,193 @@
+"""Columns of a basis have as many bits as they are worth: what rounding leaves is the share that was asked for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from hmkcta.arrays import F32
+from hmkcta.cells import Cells, dense_basis, zero_cells
+from hmkcta.fitting.columns import left_of, rounded_by_columns
+from hmkcta.fitting.hierarchy import Node
+from hmkcta.pack import pack_levels
+from hmkcta.packed import PackedLevel
+from hmkcta.plan import LevelSpec
+from hmkcta.widths import basis_bits
+
+SIZES = (24, 30, 16)
+ONE, SEVERAL = (1, 1, 1), (2, 3, 1)
+
+
+def make_cells(clusters: tuple[int, int, int], share: float, undecomposed: int | None = None, seed: int = 0) -> Cells:
+    """Cells that share no element, of orthonormal columns, whose core numbers fall off with their indices."""
+    rng = np.random.default_rng(seed)
+    ranks = tuple(None if n == undecomposed else rank for n, rank in enumerate((5, 6, 4)))
+    spec = LevelSpec(ranks, clusters, (1, 1, 1), "most", bits=8, own_bits=share)
+    cells = zero_cells(SIZES, spec)
+    cells.members = [(np.arange(size) * c // size)[:, None].astype(np.uint16)
+                     for size, c in zip(SIZES, clusters, strict=True)]  # fmt: skip
+    for n, basis in enumerate(cells.bases):
+        if ranks[n] is None:
+            continue
+        for cluster in range(clusters[n]):
+            rows = cells.members[n][:, 0] == cluster
+            for other in range(basis.shape[2]):
+                columns = rng.standard_normal((int(rows.sum()), cells.ranks[n]))
+                basis[rows, 0, other] = np.linalg.qr(columns)[0]
+    falling = sum(np.ogrid[tuple(slice(rank) for rank in cells.ranks)][n] for n in range(3) if n != undecomposed)
+    cells.cores = (rng.standard_normal(cells.cores.shape) * 0.6**falling).astype(np.float32)
+    return cells
+
+
+def dense(cells: Cells) -> NDArray[np.float64]:
+    """All elements of a model of three modes."""
+    bases = [np.broadcast_to(np.eye(size), (cells.spec.cells, size, size)) if skip else dense_basis(cells, n)
+             for n, (size, skip) in enumerate(zip(cells.sizes, cells.undecomposed, strict=True))]  # fmt: skip
+    return np.einsum("cxyz,cix,cjy,ckz->ijk", cells.cores.astype(np.float64), *bases, optimize=True)
+
+
+def packed(cells: Cells, bits: int = 8) -> PackedLevel:
+    """The cells as the only node of a file."""
+    node = Node(tuple(np.arange(size) for size in cells.sizes), cells)
+    undecomposed = [n for n, skip in enumerate(cells.undecomposed) if skip]
+    return pack_levels([[node]], undecomposed, [bits])[0]
+
+
+def lost(cells: Cells, left: float) -> float:
+    """Squared error that rounding makes."""
+    return float(np.square(dense(rounded_by_columns(cells, left)) - dense(cells)).sum())
+
+
+@pytest.mark.parametrize("clusters", [ONE, SEVERAL], ids=["one", "several"])
+@pytest.mark.parametrize("share", [0.05, 0.3, 1.0])
+@pytest.mark.parametrize("snr", [20, 40])
+def test_rounding_leaves_about_its_share(clusters: tuple[int, int, int], share: float, snr: int) -> None:
+    for undecomposed in (None, 1) if clusters == ONE else (None,):
+        cells = make_cells(clusters, share, undecomposed)
+        left = 10 ** (-snr / 10) * float(np.square(dense(cells)).sum())
+        assert 0.5 < lost(cells, left) / (share * left) < 2
+
+
+@pytest.mark.parametrize("clusters", [ONE, SEVERAL], ids=["one", "several"])
+def test_a_larger_share_takes_no_more_bytes(clusters: tuple[int, int, int]) -> None:
+    cells = make_cells(clusters, 1.0)
+    sizes = list[int]()
+    for share in np.exp2(np.arange(-20, 6, 0.5)).tolist():
+        cells.spec = replace(cells.spec, own_bits=share)
+        sizes.append(packed(rounded_by_columns(cells, 0.01)).number_bytes)
+    assert sizes == sorted(sizes, reverse=True)
+    assert sizes[0] > 2 * sizes[-1]
+
+
+def test_what_is_left_is_what_cells_do_not_hold() -> None:
+    for clusters in (ONE, SEVERAL):
+        cells = make_cells(clusters, 1.0)
+        held = float(np.square(dense(cells)).sum())
+        assert left_of(cells, 1.5 * held) == pytest.approx(0.5 * held, rel=1e-5)
+        assert left_of(cells, 0.5 * held) == 0
+
+
+def test_columns_that_count_for_more_have_more_bits() -> None:
+    """A bit for each factor of two, where widths are not at a limit."""
+    cells = make_cells(ONE, 0.3)
+    cells.cores[:] = 0
+    for r, size in enumerate((8.0, 4.0, 2.0, 1.0)):
+        cells.cores[0, r, r, r] = size
+        for n in range(3):  # of the same peaks
+            column = np.where(np.arange(SIZES[n]) % 4 == r, 1.0, 0.0)
+            cells.bases[n][:, 0, 0, r] = column / np.linalg.norm(column)
+    width = packed(rounded_by_columns(cells, 0.05)).width[2]
+    assert width is not None
+    # Of columns of ones, whose bits in the file are fewer, the finest step tells how many they were given.
+    steps = [np.log2(np.diff(np.unique(np.append(column, [0, 1]))).min()) for column in
+             rounded_by_columns(cells, 0.05).bases[2][:, 0, 0, :4].T]  # fmt: skip
+    np.testing.assert_allclose(np.diff(steps), 1, atol=1.01)
+    assert (np.diff(basis_bits(width)[:4].astype(int)) <= 0).all()
+
+
+@pytest.mark.parametrize("clusters", [ONE, SEVERAL], ids=["one", "several"])
+@pytest.mark.parametrize("undecomposed", [None, 1])
+def test_packed_and_unpacked_they_are_the_rounded_numbers(
+    clusters: tuple[int, int, int], undecomposed: int | None
+) -> None:
+    if undecomposed is not None:
+        clusters = (clusters[0], 1, clusters[2])
+    cells = rounded_by_columns(make_cells(clusters, 0.3, undecomposed), 0.01)
+    level = packed(cells)
+    stored: dict[str, Any] = dict(level.coefficients())
+    for n, basis in enumerate(cells.bases):
+        if n != undecomposed:
+            np.testing.assert_array_equal(level.unpacked(f"basis/{n}", stored[f"basis/{n}"]), basis.reshape(-1))
+    core = level.unpacked("core", stored["core"]).astype(np.float32).reshape(cells.cores.shape)
+    scale = level.core_scale.reshape(-1, 1, 1, 1)
+    np.testing.assert_array_equal(core * scale, cells.cores)
+
+
+@pytest.mark.parametrize("left", [0.0, 1e-30, 1e30])
+@pytest.mark.parametrize("factor", [1e-12, 1.0, 1e12])
+def test_widths_end_at_their_limits(left: float, factor: float) -> None:
+    """Where nothing is left as much as bits can hold, where all is the least; packed they are what was rounded."""
+    cells = make_cells(SEVERAL, 0.3)
+    cells.cores *= np.float32(factor)
+    rounded = rounded_by_columns(cells, left)
+    assert np.isfinite(rounded.cores).all()
+    level = packed(rounded)
+    own = np.concatenate([basis_bits(width) for width in level.width if width is not None])
+    assert own.max() == 12 if left < 1 else own.max() <= 2
+    np.testing.assert_array_equal(level.core.reshape(rounded.cores.shape) * level.core_scale.reshape(-1, 1, 1, 1),
+                                  rounded.cores)
+    if left < 1e-20:
+        held = np.square(dense(cells)).sum()
+        assert np.square(dense(rounded) - dense(cells)).sum() < 1e-5 * held
+
+
+@pytest.mark.parametrize("peak", [1.0, 0.99999, 32767.0, -1.0])
+def test_cores_of_the_most_bits_are_packed_whatever_their_peak(peak: float) -> None:
+    """Powers of two, and what float16 rounds to one, have the bits of the number below, which is read as the same."""
+    cells = make_cells(ONE, 0.3)
+    cells.cores *= np.float32(abs(peak) / 2 / np.abs(cells.cores).max())
+    cells.cores[0, 0, 0, 0] = peak
+    for basis in cells.bases:  # whose columns stay as they are
+        basis[:] = np.where(basis < 0, -1, 1) * (1 - 2.0**-11)
+    rounded = rounded_by_columns(cells, 0.0)
+    level = packed(rounded)
+    stored: dict[str, Any] = dict(level.coefficients())
+    np.testing.assert_array_equal(level.unpacked("core", stored["core"]), level.core)
+    np.testing.assert_array_equal(level.core.reshape(rounded.cores.shape) * level.core_scale[0], rounded.cores)
+
+
+@pytest.mark.parametrize("clusters", [ONE, SEVERAL], ids=["one", "several"])
+def test_columns_and_cores_of_zeros_stay_zero(clusters: tuple[int, int, int]) -> None:
+    cells = make_cells(clusters, 0.3)
+    cells.bases[0][..., 1] = 0
+    cells.bases[1][cells.members[1][:, 0] == 0] = 0
+    rounded = rounded_by_columns(cells, 0.01)
+    assert not rounded.bases[0][..., 1].any()
+    assert np.square(dense(rounded) - dense(cells)).sum() < 0.01
+    cells.cores[:] = 0
+    rounded = rounded_by_columns(cells, 0.01)
+    assert not rounded.cores.any()
+    level = packed(rounded)
+    assert not level.core.any()
+    assert (level.core_bits() == 1).all()
+
+
+@pytest.mark.parametrize("clusters", [ONE, SEVERAL], ids=["one", "several"])
+def test_rounding_twice_makes_little_more(clusters: tuple[int, int, int]) -> None:
+    """Mostly nothing: what is on the grid stays on it, unless a width is near the next one."""
+    cells = make_cells(clusters, 0.3)
+    once = rounded_by_columns(cells, 0.01)
+    twice = rounded_by_columns(once, 0.01)
+    assert np.square(dense(twice) - dense(cells)).sum() < 1.25 * np.square(dense(once) - dense(cells)).sum()
+
+
+def test_what_is_given_is_not_changed() -> None:
+    cells = make_cells(SEVERAL, 0.3)
+    before: list[F32] = [*(basis.copy() for basis in cells.bases), cells.cores.copy()]
+    rounded_by_columns(cells, 0.01)
+    for own, expected in zip([*cells.bases, cells.cores], before, strict=True):
+        np.testing.assert_array_equal(own, expected)
