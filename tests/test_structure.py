@@ -72,7 +72,7 @@ WITHIN = {
         ("disjoint",),
         ("hierarchy",),
     ),
-    "ranks": (("allocation",), ("examining",), ("adaptive",)),
+    "ranks": (("allocation",), ("examining",), ("reckoning",), ("adaptive",)),
     "streaming": (
         ("budget", "scratch"),
         ("collecting", "pieces"),

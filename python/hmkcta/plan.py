@@ -57,9 +57,8 @@ class LevelSpec:
             between the goal takes what pays.
         bits: of each core and basis number in the file, 16 (float16) or 8.
         bits_written: whether a text said ``bits=``, so that ``bits=16`` differs from nothing said.
-        own_bits: 8 bits are the most of a basis number, and each column of a basis has bits of its own, so that rounding
-            them leaves this share of the error that ranks leave (`fitting.columns`); 0: all have 8. Set where a goal
-            has chosen the ranks.
+        own_bits: what rounding may leave, as a share of the error that ranks leave, where numbers have bits of their
+            own (`fitting.columns`): set where a goal chose the ranks of a level that is not float16. 0: of `bits` each.
 
     Raises:
         HmkctaError: R, C or K is out of range or of another type, they are not one for each mode, or the scheme or
@@ -105,14 +104,11 @@ class LevelSpec:
             if clusters < 1:
                 raise invalid("clusters-too-small", f"C of {mode}", clusters, "1 or more")
             if not 1 <= mixture <= min(clusters, 8):
-                raise invalid(
-                    "mixture-out-of-range", f"K of {mode}", mixture, f"1 to {min(clusters, 8)} (C is {clusters})",
-                    "a row is in K of C clusters: lower K, or raise C",
-                )
+                allowed, hint = f"1 to {min(clusters, 8)} (C is {clusters})", "lower K, or raise C"
+                raise invalid("mixture-out-of-range", f"K of {mode}", mixture, allowed, hint)
             if rank is None and clusters > 1:
-                raise invalid(
-                    "undecomposed-clustered", f"C of {mode}", clusters, "1, as R=* leaves the mode undecomposed"
-                )
+                allowed = "1, as R=* leaves the mode undecomposed"
+                raise invalid("undecomposed-clustered", f"C of {mode}", clusters, allowed)
 
     @classmethod
     def of_one_cell(cls, most: Sequence[int | None], bits: int = 16, scheme: str = AUTO) -> LevelSpec:

@@ -16,12 +16,12 @@ from ..axes import Organisation, mode_sizes
 from ..filesize import planned_bytes
 from ..grids import divisors
 from ..metrics import noise_at, snr_db
-from ..widths import LEFT
 from ..plan import MOST_RANKS_ALONE
 from ..ranks.allocation import Choices, best_of_one, choices_of, pareto, plausible, ration, stored_bits
 from ..streaming.budget import is_precise
 from ..streaming.source import Source
 from ..support.executors import in_order
+from ..widths import LEFT
 from .blocks import Blocks, Samples, organised, parts_of, samples_of, split
 from .candidates import Candidate, Scored, bytes_beside, clusters_of, plan_of
 from .caps import Ranks, Room, capped
@@ -54,15 +54,13 @@ HIGHEST = (MOST_RANKS_ALONE, 64)
 VERBATIM = 1e-7
 #: So many dB more energy than its share a sample may have.
 LOUDER = 10.0
-#: What float32 can tell.
-FINEST = 1e-14
-#: Of the error that a goal leaves, the share from which on further ranks are not told apart.
-UNTOLD = 0.05
+#: What float32 can tell; and of the error that a goal leaves, the share from which on ranks are not told apart.
+FINEST, UNTOLD = 1e-14, 0.05
 #: What numbers of so many bits leave by themselves, as a share of what their level is to hold, which is little where a
 #: first level of rank one, of float16 numbers, takes most of the energy.
 ROUNDING = {16: 0.0, 8: LEFT}
-#: What bytes leave of the values themselves, in dB.
-VERBATIM_8_BITS = 36.0
+#: The same where no mode is decomposed, so that a number has a byte; and what bytes leave of the values, in dB.
+BYTES, VERBATIM_8_BITS = 8e-5, 36.0
 #: Bytes besides two float16 for each element, that no candidate worth a look takes.
 ENOUGH = 1 << 16
 
@@ -198,15 +196,12 @@ class Trial:
     def _cut_of(self, organisation: Organisation, grid: tuple[int, ...], blocks: Blocks) -> Cut:
         """Blocks as tensors of the organisation's modes."""
         axes = self.source.axes
-        batch = organised(blocks.values, axes, organisation)
-        clusters = clusters_of(axes, grid, organisation)
-        sizes = mode_sizes(axes, organisation)
+        batch, sizes = organised(blocks.values, axes, organisation), mode_sizes(axes, organisation)
         rows = dict(zip((axis.name for axis in axes), blocks.edges, strict=True))
-        edges = tuple(prod(rows[name] for name in mode) for mode in organisation)
+        edges, clusters = tuple(prod(rows[n] for n in mode) for mode in organisation), clusters_of(axes, grid, organisation)
         limits = self._limits(batch.shape[1:], edges, prod(grid))
-        energy, precision = energies(batch, self._precision), self._precision
-        return Cut(axes, organisation, grid, blocks, batch, energy, limits, edges, sizes, clusters, precision,
-                   self._enough)
+        found = energies(batch, self._precision), limits, edges, sizes, clusters, self._precision, self._enough
+        return Cut(axes, organisation, grid, blocks, batch, *found)
 
     def _limits(self, have: Sequence[int], edges: Sequence[int], blocks: int) -> tuple[int, ...]:
         """Highest rank of each mode of so many blocks: what there is, what the bytes can store, what may be decoded.
@@ -305,7 +300,8 @@ class Trial:
             least: bytes of the sample's blocks at the least.
             below: share of the energy that the last level is to hold.
         """
-        fixed, rounding = self.beside(candidate), ROUNDING[candidate.bits] * below
+        as_bytes = candidate.bits == 8 and len(candidate.undecomposed) == len(candidate.organisation)
+        fixed, rounding = self.beside(candidate), below * (BYTES if as_bytes else ROUNDING[candidate.bits])
         if (needed := fixed + least / share) > self.size:  # after all that fit, the smallest first
             return -OUT_OF_REACH - log2(needed), least
         spent, error = spend(limit=(self.size - fixed) * share)
@@ -337,9 +333,8 @@ def trial_of(
         values = source.values(part).astype(np.float64)
         energy += float(np.square(values).sum())
         if not plain:
-            step = 1e-4
-            higher, lower = (transform.inverse(unit * (values + by)) for by in (step, -step))
-            slopes += float(np.square((higher - lower) / (2 * step)).sum())
+            higher, lower = (transform.inverse(unit * (values + by)) for by in (1e-4, -1e-4))
+            slopes += float(np.square((higher - lower) / 2e-4).sum())
             signal += float(np.square(transform.inverse(unit * values)).sum())
     # Squared errors of transformed values, times this, are those of the source's values.
     stretch = 1.0 if plain else max(slopes / prod(source.shape), 1e-300)

@@ -22,6 +22,8 @@ U8 = NDArray[np.uint8]
 
 #: Fewest bits of a column.
 FEWEST = 2
+#: What numbers differ by at most, as a share of the largest, that are alike.
+FLAT = 1e-5
 #: In place of a step or a length of 0: quotients and logarithms of what float32 holds stay finite.
 _LEAST = 1e-250
 
@@ -69,8 +71,14 @@ def _column_bits(cells: Cells, step: float) -> list[U8 | None]:
         peaks = by_cells(cells, n, column_peaks(cells, n)).astype(np.float64)
         numbers = cells.bases[n].size // cells.ranks[n]
         worth = np.sqrt((rows * share * np.square(peaks)).sum(axis=0) / max(numbers, 1))
-        bits.append(_bits(worth, step))
+        bits.append(np.where(_is_flat(cells, n), FEWEST, _bits(worth, step)).astype(np.uint8))
     return bits
+
+
+def _is_flat(cells: Cells, n: int) -> NDArray[np.bool_]:
+    """Whether the numbers of each column `[R_n]` are all 0 or as large as its largest, which few bits hold exactly."""
+    sizes, peaks = np.abs(cells.bases[n][:, 0]), column_peaks(cells, n)[cells.members[n][:, 0]]
+    return np.all((sizes < FLAT * peaks) | (sizes > (1 - FLAT) * peaks), axis=(0, 1))
 
 
 def _nearest(basis: F32, bits: U8) -> F32:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import inf, isfinite, log, log2, prod
+from math import inf, isfinite, log2, prod
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..cells import zero_cells
 from ..errors import invalid
-from ..fitting.columns import FEWEST
 from ..fitting.fit import Labels
 from ..fitting.hierarchy import (
     Hierarchy,
@@ -25,14 +24,15 @@ from ..fitting.hierarchy import (
 )
 from ..fitting.memberships import by_subspaces, start_candidates
 from ..goals import LEAST
-from ..metrics import noise_at, snr_db
+from ..metrics import noise_at
 from ..plan import LevelSpec
 from ..streaming.budget import MODEL, PROCESS
 from ..streaming.streamed import Streamed
 from ..support.memory import check_memory, format_bytes, give_back_freed_memory
-from ..widths import LEFT, MOST_OF_BASIS
+from ..widths import LEFT
 from .allocation import Allocation, Spectrum, allocate, merged, stored_bits, trimmed
 from .examining import EXAMINING, Goal, Way, examined
+from .reckoning import SHARE, SHARES, Found, Reckoning
 
 F32 = NDArray[np.float32]
 
@@ -44,15 +44,11 @@ ATTEMPTS = 16
 FEW_ATTEMPTS = 3
 #: How far above the goal a level of several nodes aims, in dB: its choices come in small steps.
 MARGIN = 0.05
-#: What the rounding of columns leaves, as a share of what the ranks leave: where nothing tells, and the least and most.
-SHARE, SHARES = 0.1, (0.05, 0.6)
 #: The most where ranks overshoot an SNR.
 MOST_SHARE = 10.0
-#: How many times the bytes tell what more of them would save of the error.
-FURTHER = 1.2
 #: How often a fit is repeated at most with fewer bits that still reach the SNR, how far above it is near enough, in dB,
-#: and how many times the share is worth another fit.
-SHARE_ATTEMPTS, NEAR, MORE_SHARE = 3, 0.06, 1.15
+#: and what share of the bytes is worth another fit.
+SHARE_ATTEMPTS, NEAR, WORTH = 3, 0.06, 0.005
 #: By how many bits all columns are changed at most at once.
 MOST_BITS = 2
 #: How often a fit to a size is repeated at most, the share of it that is enough, and that is aimed at.
@@ -143,10 +139,6 @@ def _aimed(snr: float, now: Reached, poor: Reached, good: Reached) -> float:
     return poor[0] + (good[0] - poor[0]) * (snr - poor[1]) / (good[1] - poor[1])
 
 
-#: Numbers of the nodes that have something to store, with their choices.
-Found = Sequence[tuple[int, Spectrum]]
-
-
 class _LastLevel:
     """The fit before the last level, and the choices of ranks from which each attempt starts afresh."""
 
@@ -157,29 +149,24 @@ class _LastLevel:
         self.cells = [[node.cells for node in nodes] for nodes in tree.levels]
         #: What was fitted last.
         self.fitted: tuple[bytes, float] = b"", 0.0
-        #: What the rounding of columns is to leave, as a share of the error.
-        self._own_bits = ways[0][0].bits == 8
-        self.share = SHARE if self._own_bits else 0.0
-        #: Bits that the choices count for each number.
-        self.counted_bits = stored_bits(ways[0][0].bits, goal.snr)
-        #: By how many bits basis numbers were longer than was reckoned.
-        self.more_bits = 0.0
         #: Squared error outside the nodes that have choices, and bytes beside what the choices count.
         own = sum(float(choices.error[0]) for choices in self.spectra)
-        self.elsewhere = tree.error - own + self._rounding(own)
-        self.beside = goal.file_bytes(tree) - allocate(self.spectra, nbytes=0.0).nbytes
+        packed, beside = ways[0][0].bits == 8, goal.file_bytes(tree) - allocate(self.spectra, nbytes=0.0).nbytes
+        self.reckoned = Reckoning(
+            tree.levels[-1], found, ways, goal.energy, tree.error - own, beside, stored_bits(ways[0][0].bits, goal.snr),
+            packed, SHARE if packed else 0.0,
+        )  # fmt: skip
+        self.reckoned.elsewhere += self._rounding(own) if packed else 0.0
 
     def _rounding(self, energy: float) -> float:
-        """What bytes will leave of so much energy, but no more than a share of what an SNR allows."""
+        """What packed numbers will leave of so much energy, but no more than a share of what an SNR allows."""
         allowed = inf if self.goal.snr is None else noise_at(self.goal.snr, self.goal.energy)
-        if not self._own_bits:
-            return 0.0
         of_columns = 0.0 if self.goal.snr is None else SHARE / (1 + SHARE) * allowed
         return min(energy * LEFT, MOST_ROUNDING * allowed) + of_columns
 
     def to_size(self, size: int) -> None:
         """As much as fits into a file of `size` bytes; a little less is tried where the file turns out larger."""
-        if self._own_bits:
+        if self.reckoned.packed:
             self._to_size_of_columns(size)
             return
         for budget in (size, 0.995 * size, 0.98 * size):
@@ -193,71 +180,27 @@ class _LastLevel:
         Ranks are chosen again by what that told. Where it leads to ranks that were fitted before, all columns get more
         bits, or fewer.
         """
-        best, tried, chosen = None, set[tuple[bytes, float]](), self._filling(size)
-        usual = self.share = self._share_of(chosen)
+        best, tried, chosen = None, set[tuple[bytes, float]](), self.reckoned.filling(size)
+        usual = self.reckoned.share = self.reckoned.share_of(chosen)
         for _ in range(SIZE_ATTEMPTS):
-            if (chosen.choice.tobytes(), self.share) in tried or not self._stores(chosen):
+            if (chosen.choice.tobytes(), self.reckoned.share) in tried or not self._stores(chosen):
                 break
-            tried.add((chosen.choice.tobytes(), self.share))
+            tried.add((chosen.choice.tobytes(), self.reckoned.share))
             self._fit(chosen)
             taken = self.goal.file_bytes(self.tree)
             if taken <= size and (best is None or taken > best[1]):
-                best = chosen, taken, self.share
+                best = chosen, taken, self.reckoned.share
             if USED * size <= taken <= size:
                 break
-            other = self._filling(AIMED * size)
-            if self.share == usual and (other.choice.tobytes(), usual) not in tried:
+            other = self.reckoned.filling(AIMED * size)
+            if self.reckoned.share == usual and (other.choice.tobytes(), usual) not in tried:
                 chosen = other
                 continue
-            fewer = 8 * (taken - AIMED * size) / max(self._numbers(chosen), 1)  # bits of each number
-            self.share = min(max(self.share * 4.0 ** min(fewer, MOST_BITS), SHARES[0]), SHARES[1])
-        chosen, _, self.share = best or (self._within(size), 0, 0.0)
-        if self.fitted != (chosen.choice.tobytes(), self.share):
+            fewer = 8 * (taken - AIMED * size) / max(self.reckoned.numbers(chosen), 1)  # bits of each number
+            self.reckoned.share = min(max(self.reckoned.share * 4.0 ** min(fewer, MOST_BITS), SHARES[0]), SHARES[1])
+        chosen, _, self.reckoned.share = best or (self._within(size), 0, 0.0)
+        if self.fitted != (chosen.choice.tobytes(), self.reckoned.share):
             self._fit(chosen)
-
-    def _filling(self, size: float) -> Allocation:
-        """The choices that should make a file of so many bytes, by what columns have taken so far."""
-        low, high = 0.0, 2.0 * size
-        while high - low > 0.002 * size:
-            middle = (low + high) / 2
-            enough = self._bytes_of(allocate(self.spectra, nbytes=middle - self.beside)) > size
-            low, high = (low, middle) if enough else (middle, high)
-        return allocate(self.spectra, nbytes=low - self.beside)
-
-    def _bytes_of(self, chosen: Allocation) -> float:
-        """Bytes of the file that the choices should make."""
-        counted = self.beside + chosen.nbytes
-        if not self._own_bits:
-            return counted
-        return counted + (self._mean_bits(chosen) - self.counted_bits) / 8 * self._numbers(chosen)
-
-    def _mean_bits(self, chosen: Allocation) -> float:
-        """Bits of a basis number that the choices should take: more for a higher SNR, as of the fits before."""
-        fewer = log2((self.share or SHARE) / SHARE) / 2
-        bits = stored_bits(8, self._promised(chosen)) + self.more_bits - fewer
-        return min(max(bits, FEWEST), MOST_OF_BASIS)
-
-    def _share_of(self, chosen: Allocation) -> float:
-        """What rounding should leave, as a share of the error: as much as makes bits of columns and ranks pay alike.
-
-        Half a bit less of each number leaves twice as much, and so does, of the ranks, whatever saves as many bytes.
-        """
-        other = allocate(self.spectra, nbytes=FURTHER * chosen.nbytes)
-        if other.nbytes <= chosen.nbytes or not chosen.error or not self._own_bits:
-            return self.share
-        saved = (chosen.error - other.error) / (other.nbytes - chosen.nbytes)
-        share = self._numbers(chosen) / (16 * log(2)) * saved / (self.elsewhere + chosen.error)
-        return min(max(share, SHARES[0]), SHARES[1])
-
-    def _numbers(self, chosen: Allocation) -> float:
-        """Core and basis numbers of the choices."""
-        nodes, numbers = self.tree.levels[-1], 0.0
-        for (s, choices), choice in zip(self.found, chosen.choice, strict=True):
-            spec = self.ways[int(choices.way[int(choice)])][0]
-            numbers += spec.cells * float(np.prod(choices.ranks[choice].astype(np.float64)))
-            for size, rank, most, c in zip(nodes[s].sizes, choices.ranks[choice], spec.ranks, spec.clusters, strict=True):
-                numbers += 0 if most is None else float(size) * float(rank) * (spec.cells // c)
-        return numbers
 
     def _stores(self, chosen: Allocation) -> bool:
         """Whether there will be anything in the file."""
@@ -281,10 +224,10 @@ class _LastLevel:
         aim, best, tried, poor, good = snr, None, set[bytes](), _NOTHING, _EVERYTHING
         wasteful = self.ways[0][0].bits / 8 * sum(prod(node.sizes) for node in self.tree.levels[-1])
         for attempt in range(ATTEMPTS):
-            error = max(noise_at(aim, self.goal.energy) - self.elsewhere, 0.0)
+            error = max(noise_at(aim, self.goal.energy) - self.reckoned.elsewhere, 0.0)
             chosen = trimmed(self.spectra, allocate(self.spectra, error=error), error)
             if attempt == 0:
-                self.share = self._share_of(chosen)
+                self.reckoned.share = self.reckoned.share_of(chosen)
             if chosen.choice.tobytes() in tried:
                 if best is not None:
                     break
@@ -296,7 +239,7 @@ class _LastLevel:
             reached = self.goal.snr_now(self.tree)
             if reached >= snr and (best is None or chosen.nbytes < best.nbytes):
                 best = chosen
-            now = self._promised(chosen), reached
+            now = self.reckoned.snr(chosen), reached
             poor, good = (max(poor, now), good) if reached < snr else (poor, min(good, now))
             if snr <= reached <= snr + OVERSHOOT or good[0] - poor[0] < NARROW:
                 break
@@ -308,36 +251,34 @@ class _LastLevel:
 
     def _just_reaching(self, snr: float, last: Allocation) -> None:
         """The last fit, its columns with as few bits as still reach the SNR."""
-        if self.fitted != (last.choice.tobytes(), self.share):
+        if self.fitted != (last.choice.tobytes(), self.reckoned.share):
             self._fit(last)
-        best, short, reached = self.share, inf, self.goal.snr_now(self.tree)
-        for _ in range(SHARE_ATTEMPTS if self._own_bits and reached > snr + NEAR else 0):
-            share = min(noise_at(snr + NEAR / 2 - reached) * (1 + self.share) - 1, MOST_SHARE, (best * short) ** 0.5)
-            if share < MORE_SHARE * best:
+        best, short, reached = self.reckoned.share, inf, self.goal.snr_now(self.tree)
+        for _ in range(SHARE_ATTEMPTS if self.reckoned.packed and reached > snr + NEAR else 0):
+            left = noise_at(snr + NEAR / 2 - reached) * (1 + self.reckoned.share)
+            share = min(left - 1, MOST_SHARE, (best * short) ** 0.5)
+            saved = self.reckoned.numbers(last) / 16 * log2(max(share / best, 1.0))
+            if share <= best or saved < WORTH * self.goal.file_bytes(self.tree):
                 break
-            self.share = share
+            self.reckoned.share = share
             self._fit(last)
             reached = self.goal.snr_now(self.tree)
             best, short = (share, short) if reached >= snr else (best, share)
             if snr <= reached <= snr + NEAR:
                 break
-        if self.share != best:
-            self.share = best
+        if self.reckoned.share != best:
+            self.reckoned.share = best
             self._fit(last)
 
     def _refuse_more(self, chosen: Allocation, sure: float) -> None:
         """Give up a plan that takes so many times the bytes of another: what is fitted would not be kept."""
-        nbytes, most = self._bytes_of(chosen), self.goal.most
+        nbytes, most = self.reckoned.nbytes(chosen), self.goal.most
         if nbytes > sure * most:
             allowed = f"at most {most:.0f}, which another plan takes"
             raise invalid("size-too-small", "bytes for the SNR", int(nbytes), allowed)
 
-    def _promised(self, chosen: Allocation) -> float:
-        """SNR in dB that the choices leave by their own errors, in the domain of the fit."""
-        return snr_db(self.goal.energy, max(self.elsewhere + chosen.error, 0.0))
-
     def _fit(self, chosen: Allocation) -> None:
-        self.fitted = chosen.choice.tobytes(), self.share
+        self.fitted = chosen.choice.tobytes(), self.reckoned.share
         if isinstance(self.tree.residual, Streamed):
             give_back_freed_memory()  # of the fit before, which lies where large arrays of this one do not
         if isinstance(self.tree.residual, Streamed) and self.goal.memory is not None:
@@ -358,27 +299,26 @@ class _LastLevel:
         fit_nodes(self.tree, self._specs(chosen), self.run, labels_of)
         for _ in range(self.run.effort.backfits if len(self.tree.levels) > 1 else 0):
             backfit(self.tree, self.run)
-        if self._own_bits and (numbers := self._numbers(chosen)):
-            taken = self.goal.file_bytes(self.tree) - self._bytes_of(chosen)
-            self.more_bits += 8 * taken / numbers
+        self.reckoned.learn(chosen, self.goal.file_bytes(self.tree))
 
     def _specs(self, chosen: Allocation) -> list[LevelSpec | None]:
         """Each node's chosen way and ranks."""
         specs: list[LevelSpec | None] = [None] * len(self.tree.levels[-1])
         for (s, choices), choice in zip(self.found, chosen.choice, strict=True):
             if choice:
-                specs[s] = _with_ranks(self.ways[int(choices.way[int(choice)])][0], choices.ranks[choice], self.share)
+                spec, _ = self.ways[int(choices.way[int(choice)])]
+                specs[s] = _with_ranks(spec, choices.ranks[choice], self.reckoned.share)
         return specs
 
     def _within(self, size: float) -> Allocation:
         """The allocation whose file, tables and header counted exactly, is at most `size` bytes."""
         fitting, exact = None, 0
         for _ in range(4):
-            chosen = allocate(self.spectra, nbytes=size - self.beside)
+            chosen = allocate(self.spectra, nbytes=size - self.reckoned.beside)
             exact = self.goal.file_bytes(self._dressed(chosen))
             if exact <= size and (fitting is None or chosen.nbytes > fitting.nbytes):
                 fitting = chosen
-            self.beside = exact - chosen.nbytes
+            self.reckoned.beside = exact - chosen.nbytes
         if len(self.tree.levels) == 1 and (fitting is None or not fitting.choice.any()):
             # A file in which nothing is stored would be no answer: one with the least that can be, or none.
             least = Allocation(np.ones(len(self.spectra), np.intp), 0.0, 0.0)

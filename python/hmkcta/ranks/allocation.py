@@ -83,14 +83,14 @@ def node_bytes(
     clusters: Sequence[int],
     bits: float = 16,
 ) -> F64:
-    """Bytes of a node with K_n = 1: numbers of so many bits, cluster numbers, scales, offsets or widths; ranks `[.., N]`."""
+    """Bytes of a node with K_n = 1: numbers of so many bits, and its entries of tables; ranks `[.., N]`."""
     stored = [n for n in range(len(sizes)) if not undecomposed[n]]
     cells = float(np.prod(clusters))
     basis = sum(ranks[..., n] * (sizes[n] * cells / clusters[n]) for n in stored)
     numbers = cells * np.prod(ranks.astype(np.float64), axis=-1) + basis
-    tables = sum(row_bytes(clusters[n], bits) * sizes[n] for n in stored) + empty_node_bytes(len(sizes), len(stored), bits)
+    rows = sum(row_bytes(clusters[n], bits) * sizes[n] for n in stored)
     widths = 0.0 if bits == 16 else ranks[..., stored].sum(axis=-1)
-    return bits / 8 * numbers + 4.0 * cells + tables + widths
+    return bits / 8 * numbers + 4.0 * cells + rows + widths + empty_node_bytes(len(sizes), len(stored), bits)
 
 
 def spectrum(

@@ -164,8 +164,9 @@ def node_spectrum(
 ) -> Spectrum | None:
     """The node's choices of ranks, its cells' being the same; None where there is nothing to store.
 
-    `bits` are those of a number, on average. `labels` are the disjoint memberships of its cells; a node that is `alone` in its level needs no convex choices.
-    The tensor may be a `sample_of` a node of these sizes and this squared norm. Errors below `untold` may be left out.
+    `labels` are the disjoint memberships of its cells, `bits` those of a number on average; a node that is `alone` in
+    its level needs no convex choices. The tensor may be a `sample_of` a node of these sizes and this squared norm.
+    Errors below `untold` may be left out.
     """
     own = squared_norm(tensor)
     if tensor.size == 0 or own == 0:
