@@ -137,8 +137,9 @@ def compress(
         transform: value transform for high dynamic range, e.g. ``log1p``; None: identity.
         nan: value to put for NaN and infinity; None: refuse them.
         bits: of each core and basis number in the file, 16 (float16) or 8, in all levels; must agree with any
-            ``bits=`` in the plan. None: as the plan says; of a chosen plan 8 where that suffices (up to about 40 dB,
-            or about 40 dB more below a 16-bit first level), else 16.
+            ``bits=`` in the plan. With 8, levels whose ranks a goal chooses are packed: each number has as many bits as
+            it is worth, some 5 at 25 dB and 8 at 55. None: as the plan says; of a chosen plan 8 where that suffices (up
+            to about 60 dB, and below a 16-bit first level), else 16.
         kind: ``svbrdf``, ``lightfield``, ``volume`` or ``generic``, whose roles the axes must have; None: what their
             roles make.
         seed: the same seed makes the same file.

@@ -55,7 +55,7 @@ class LevelSpec:
             into that number or a divisor of it, as pays; the blocks are its cells, all of the same ranks.
         fewest: for axes of the grid the fewest blocks (``grid=y:3-5``); `grid` then has the most, and of the numbers
             between the goal takes what pays.
-        bits: of each core and basis number in the file, 16 (float16) or 8.
+        bits: of each core and basis number in the file, 16 (float16) or 8; with `own` 8 says as few as they are worth.
         bits_written: whether a text said ``bits=``, so that ``bits=16`` differs from nothing said.
         own_bits: what rounding may leave, as a share of the error that ranks leave, where numbers have bits of their
             own (`fitting.columns`): set where a goal chose the ranks of a level that is not float16. 0: of `bits` each.

@@ -1,4 +1,8 @@
-"""Whether a plan's numbers have eight bits or sixteen, by what a search comes to with each."""
+"""Whether a plan's numbers are packed or float16, by what a search comes to with each.
+
+Packed ones (``bits=8``) have as many bits as they are worth, sixteen at the most, of which float16 keeps eleven: fewer
+than float16 takes until their rounding shows.
+"""
 
 from __future__ import annotations
 
@@ -10,15 +14,15 @@ from .candidates import Candidate, Scored
 from .clustered import clustered
 from .judging import Search, worth_of
 
-#: Below so many dB bytes leave next to nothing more than float16 numbers: these are not looked at.
-BYTES_DO = 60.0
-#: Where races with bytes end with more than so many dB, their rounding hides which blocks are best: the search with
-#: bytes goes on from there only if float16 numbers come to less.
-BYTES_HARDLY_DO = 64.0
+#: Below so many dB packed numbers leave next to nothing more than float16: that is not looked at.
+PACKED_DO = 60.0
+#: Where races with them end with more than so many dB, their rounding hides which blocks are best: the search goes on
+#: from there only if float16 numbers come to less.
+PACKED_HARDLY_DO = 64.0
 #: For an SNR goal above so many dB only float16 numbers are looked at.
-BYTES_FALL_SHORT = 72.0
-#: Bytes that are worth so much more than float16 numbers in the same blocks, in dB or octaves of bytes, are taken: no
-#: other blocks make up for it. Where rounding tells nothing they are worth an octave more, as they are half as many.
+PACKED_FALL_SHORT = 72.0
+#: Packed numbers that are worth so much more than float16 in the same blocks, in dB or octaves of bytes, are taken: no
+#: other blocks make up for it.
 SURELY_BETTER = 0.75
 
 #: Looks for the best candidate and what it is worth: in a search, of the fixed organisation or of any; where races end
@@ -29,14 +33,14 @@ Look = Callable[[Search, bool, float], Scored]
 def searched_by_bits(
     search: Search, look: Look, bits: int | None, fixed: bool, *, aimed: bool
 ) -> tuple[Search, Scored]:
-    """The best candidate, with numbers of 8 or of 16 bits, whichever is worth more.
+    """The best candidate, with packed numbers or with float16, whichever is worth more.
 
-    1. With `bits` given only those are looked at; for an SNR above 52 dB only 16. Else bytes are looked at first.
-    2. If they come to less than 38 dB, or the SNR is less, they are taken.
-    3. Else, if one of these is less than 44.5 dB, 16 bits are judged in the blocks, or with the clusters, that are best
-       with bytes. Where they are possible there but worth 0.75 less, bytes are taken.
-    4. Else 16 bits are searched: within the organisation that is best with bytes if step 3 found them worth less there,
-       among all if not. The better of the two is taken; the other one is its rival, to be told from it by a fit.
+    1. With `bits` given only those are looked at; for an SNR above 72 dB only float16. Else packed ones come first.
+    2. If they come to less than 60 dB, or the SNR is less, they are taken.
+    3. Else, if one of these is less than 64 dB, float16 is judged in the blocks, or with the clusters, that are best
+       with packed numbers. Where it is possible there but worth 0.75 less, packed numbers are taken.
+    4. Else float16 is searched: within the organisation that is best with packed numbers if step 3 found it worth less
+       there, among all if not. The better of the two is taken; the other one is its rival, to be told from it by a fit.
 
     Args:
         search: of what, and how carefully.
@@ -49,15 +53,15 @@ def searched_by_bits(
         The search that found the candidate, with its rivals, and the candidate with what it is worth.
     """
     ceiling = inf if search.goal.ceiling is None else search.goal.ceiling
-    first = bits or (16 if aimed and BYTES_FALL_SHORT < ceiling < inf else 8)
-    enough = BYTES_HARDLY_DO if bits is None and first == 8 else inf
+    first = bits or (16 if aimed and PACKED_FALL_SHORT < ceiling < inf else 8)
+    enough = PACKED_HARDLY_DO if bits is None and first == 8 else inf
     own = search.anew(replace(search.goal, bits=first))
     found = look(own, fixed, enough)
     reached = min(found.worth, ceiling)
-    if bits is not None or first == 16 or reached < BYTES_DO:
+    if bits is not None or first == 16 or reached < PACKED_DO:
         return own, found
     wide = search.anew(replace(search.goal, bits=16))
-    # What bytes end at far up, and blocks that sixteen bits have no room for, tell nothing of the best with those.
+    # What packed numbers end at far up, and blocks that float16 has no room for, tell nothing of the best with those.
     same = _worth_of_same(wide.anew(wide.goal), found.candidate) if reached < enough else -inf
     if 0.0 < same < found.worth - SURELY_BETTER:
         return (own, found) if own.highest <= enough else _to_the_end(own, look, fixed)

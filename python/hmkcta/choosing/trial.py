@@ -198,7 +198,7 @@ class Trial:
         axes = self.source.axes
         batch, sizes = organised(blocks.values, axes, organisation), mode_sizes(axes, organisation)
         rows = dict(zip((axis.name for axis in axes), blocks.edges, strict=True))
-        edges, clusters = tuple(prod(rows[n] for n in mode) for mode in organisation), clusters_of(axes, grid, organisation)
+        clusters, edges = clusters_of(axes, grid, organisation), tuple(prod(rows[n] for n in m) for m in organisation)
         limits = self._limits(batch.shape[1:], edges, prod(grid))
         found = energies(batch, self._precision), limits, edges, sizes, clusters, self._precision, self._enough
         return Cut(axes, organisation, grid, blocks, batch, *found)

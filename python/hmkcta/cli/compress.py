@@ -43,9 +43,9 @@ EXAMPLES = (
     'hmkcta compress jet.npy -o jet.hmk --plan "R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2"',
 )
 
-#: SNR in dB from which about a level's numbers, by their bits, limit it, and not its ranks; and the SNR in all from
-#: which float32 does, in which everything is decoded.
-NUMBERS_SNR, FLOAT32_SNR = {16: 60.0, 8: 40.0}, 130.0
+#: SNR in dB from which about a level's numbers, by their bits, limit it, and not its ranks; the same of packed ones; and
+#: the SNR in all from which float32 does, in which everything is decoded.
+NUMBERS_SNR, PACKED_SNR, FLOAT32_SNR = {16: 60.0, 8: 40.0}, 60.0, 130.0
 
 
 @click.command("compress", cls=Command, examples=EXAMPLES)
@@ -165,7 +165,8 @@ def unused(model: Model, goal: Goal, plan: str | None) -> list[str]:
     elif plan is None:
         why = "nothing larger that was tried is better. Next: as good is a smaller --size"
     elif _keeps_no_more(model):
-        why = f"the plan's {model.levels[-1].bits}-bit numbers keep no more. Next: add a level"
+        numbers = "packed" if model.levels[-1].width else f"{model.levels[-1].bits}-bit"
+        why = f"the plan's {numbers} numbers keep no more. Next: add a level"
     elif bound:
         why = (f"the ranks of the plan allow no more within --decode-cost {cost}. Next: write higher ranks, and allow "
                "more multiply-adds")
@@ -176,7 +177,7 @@ def unused(model: Model, goal: Goal, plan: str | None) -> list[str]:
 
 def _keeps_no_more(model: Model) -> bool:
     """Whether the numbers of all levels reach what their bits can."""
-    return model.snr > sum(NUMBERS_SNR[level.bits] for level in model.levels)
+    return model.snr > sum(PACKED_SNR if level.width else NUMBERS_SNR[level.bits] for level in model.levels)
 
 
 def _is_bound_by_cost(model: Model, goal: Goal) -> bool:
