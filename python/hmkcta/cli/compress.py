@@ -43,7 +43,7 @@ EXAMPLES = (
     'hmkcta compress jet.npy -o jet.hmk --plan "R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2"',
 )
 
-#: SNR in dB from which about a level's numbers, by their bits, limit it, and not its ranks, and the same of packed ones;
+#: SNR in dB from which about a level's numbers limit it, by their bits, and not its ranks; the same of packed ones;
 #: the SNR in all from which float32 does, in which everything is decoded.
 NUMBERS_SNR, PACKED_SNR, FLOAT32_SNR = {16: 60.0, 8: 40.0}, 60.0, 130.0
 

@@ -22,6 +22,8 @@ U8 = NDArray[np.uint8]
 
 #: Fewest bits of a column.
 FEWEST = 2
+#: Share of the energy below which float32 does not tell what is left.
+FINEST = 1e-13
 #: What numbers differ by at most, as a share of the largest, that are alike.
 FLAT = 1e-5
 #: In place of a step or a length of 0: quotients and logarithms of what float32 holds stay finite.
@@ -29,8 +31,8 @@ _LEAST = 1e-250
 
 
 def left_of(cells: Cells, energy: float) -> float:
-    """Squared error that the cells leave of a tensor of this squared norm."""
-    return max(energy - float(_held(cells, _squares(cells)).sum()), 0.0)
+    """Squared error that the cells leave of a tensor of this squared norm, as far as float32 tells."""
+    return max(energy - float(_held(cells, _squares(cells)).sum()), FINEST * energy)
 
 
 def rounded_by_columns(cells: Cells, left: float) -> Cells:

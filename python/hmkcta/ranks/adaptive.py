@@ -44,11 +44,9 @@ ATTEMPTS = 16
 FEW_ATTEMPTS = 3
 #: How far above the goal a level of several nodes aims, in dB: its choices come in small steps.
 MARGIN = 0.05
-#: The most where ranks overshoot an SNR.
-MOST_SHARE = 10.0
 #: How often a fit is repeated at most with fewer bits that still reach the SNR, how far above it is near enough, in dB,
 #: and what share of the bytes is worth another fit.
-SHARE_ATTEMPTS, NEAR, WORTH = 3, 0.06, 0.005
+SHARE_ATTEMPTS, NEAR, WORTH = 4, 0.06, 0.005
 #: By how many bits all columns are changed at most at once.
 MOST_BITS = 2
 #: How often a fit to a size is repeated at most, the share of it that is enough, and that is aimed at.
@@ -254,9 +252,9 @@ class _LastLevel:
         if self.fitted != (last.choice.tobytes(), self.reckoned.share):
             self._fit(last)
         best, short, reached = self.reckoned.share, inf, self.goal.snr_now(self.tree)
-        for _ in range(SHARE_ATTEMPTS if self.reckoned.packed and reached > snr + NEAR else 0):
+        for _ in range(SHARE_ATTEMPTS if self.reckoned.packed and snr + NEAR < reached < inf else 0):
             left = noise_at(snr + NEAR / 2 - reached) * (1 + self.reckoned.share)
-            share = min(left - 1, MOST_SHARE, (best * short) ** 0.5)
+            share = min(left - 1, (best * short) ** 0.5)
             saved = self.reckoned.numbers(last) / 16 * log2(max(share / best, 1.0))
             if share <= best or saved < WORTH * self.goal.file_bytes(self.tree):
                 break
