@@ -91,7 +91,7 @@ def test_cameras_that_are_read_as_space_are_told(words: tuple[str, ...], advised
 
 @pytest.mark.parametrize(("words", "sentence"), [
     (("--plan", "R=1 grid=x:2 / R<=2"), "the ranks of the plan allow no more"),
-    (("--decode-cost", "2", "--organisation", "z,y,x"), "within --decode-cost 2"),
+    (("--decode-cost", "1", "--organisation", "z,y,x"), "within --decode-cost 1"),
     (("--decode-cost", "40", "--plan", "R<=20"), "within --decode-cost 40. Next: write higher ranks, and"),
     (("--plan", "R<=16,20,24", "--size", "60KB", "--decode-cost", "100000"), "16-bit numbers keep no more"),
     (("--size", "12000"), None),

@@ -54,11 +54,10 @@ def test_under_a_value_transform_plans_are_chosen_for_what_an_snr_takes() -> Non
 
 @pytest.mark.parametrize(("snr", "names"), [
     (25, ["plan", "plan-of-other-goal-0"]),
-    (41, ["plan", "plan-2", "plan-of-other-goal-0"]),
+    (62, ["plan", "plan-of-other-goal-0"]),
 ])
-def test_plans_are_chosen_anew_where_bytes_do_not_do(snr: int, names: list[str], tmp_path: Path) -> None:
-    """They were to, at 41 dB, and leave too much after all; without a value transform, and of a goal that they reach,
-    nothing but the other goal is looked at."""
+def test_plans_are_chosen_once_where_packed_numbers_do(snr: int, names: list[str], tmp_path: Path) -> None:
+    """Without a value transform, and of a goal that they reach, nothing but the other goal is looked at."""
     journal = Told(tmp_path / "a")
     with journal:
         assert compress(stresses(), axes="t,z,y,x,i,j", snr=snr, journal=journal).snr >= snr
@@ -111,10 +110,10 @@ def test_neighbours_of_good_organisations_are_looked_at() -> None:
 
 @pytest.mark.parametrize("goal", [{"snr": 40}, {"snr": 43}, {"size": 9300}])
 def test_values_stay_as_they_are_where_nothing_takes_less(goal: dict[str, Any]) -> None:
-    """Waves in 5 % noise, a byte each: 40 dB took 9,364 bytes, 43 dB 11,022, and 9,300 bytes ended at 34.4 dB."""
+    """Waves in 5 % noise: by whole bytes 40 dB took 9,364, 43 dB 11,022, and 9,300 bytes ended at 34.4 dB."""
     a, b, c, d = np.indices((8, 9, 10, 11)).astype(np.float64)
     noise = 0.05 * np.random.default_rng(1).standard_normal((8, 9, 10, 11))
     values = np.sin(0.3 * a + 0.2 * b) * np.cos(0.04 * c * d) + noise
     model = compress(values.astype(np.float32), **goal)
-    assert model.snr > 44
+    assert model.snr > goal.get("snr", 44)
     assert model.nbytes < 9_250

@@ -120,7 +120,7 @@ print(peak_memory())
 
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no getrusage")
 @pytest.mark.parametrize("words", [
-    "a.npy --size 20KB --quality fast", "a.npy --snr 12 --quality fast", "a.npz --size 20KB --quality fast",
+    "a.npy --size 30KB --quality fast", "a.npy --snr 12 --quality fast", "a.npz --size 30KB --quality fast",
     "a.npy --quality fast --plan 'R=2 C=2 K=2 / R=1'",
 ])
 def test_memory_of_a_command_is_what_was_said(waves: Path, words: str, tmp_path: Path) -> None:
