@@ -1,8 +1,8 @@
-"""How many bits each column of a basis is stored with: as many as its share of the tensor is worth.
+"""Numbers of a packed level: how many bits each column of a basis is worth, and the step between core numbers.
 
-What rounding leaves is least, for the bits that are spent, where every number leaves as much: then a column whose
-numbers count for twice as much has one bit more. How much they count for is told by the core, and how much all of them
-together may leave is a share of what the ranks leave (`LevelSpec.own_bits`).
+What rounding leaves is least, for the bits that are spent, where every number leaves as much (reverse water-filling):
+then a column whose numbers count for twice as much has one bit more. How much they count for is told by the core, and
+how much all of them together may leave is a share of what the ranks leave (`LevelSpec.own_bits`).
 """
 
 from __future__ import annotations
