@@ -7,7 +7,7 @@ for a column of each mode, has the least of these.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from math import prod
 from typing import Any
 
@@ -170,7 +170,11 @@ def whole(numbers: F16 | F32, bits: U8) -> I32:
     >>> whole(np.array([0.5, -0.75], np.float16), np.array([2, 3], np.uint8)).tolist()
     [1, -3]
     """
-    return np.rint(numbers.astype(np.float64) * np.exp2(bits.astype(np.float64) - 1)).astype(np.int32)
+    found, flat = np.empty(numbers.size, np.int32), numbers.reshape(-1)
+    each = np.broadcast_to(bits, numbers.shape).reshape(-1)
+    for part in _parts(found.size):
+        found[part] = np.rint(flat[part].astype(np.float64) * np.exp2(each[part].astype(np.float64) - 1))
+    return found.reshape(numbers.shape)
 
 
 def from_whole(whole: I32, bits: U8) -> F16:
@@ -179,4 +183,13 @@ def from_whole(whole: I32, bits: U8) -> F16:
     >>> from_whole(np.array([1, -3]), np.array([2, 3], np.uint8)).tolist()
     [0.5, -0.75]
     """
-    return (whole / np.exp2(bits.astype(np.float64) - 1)).astype(np.float16)
+    found, flat = np.empty(whole.size, np.float16), whole.reshape(-1)
+    each = np.broadcast_to(bits, whole.shape).reshape(-1)
+    for part in _parts(found.size):
+        found[part] = flat[part] / np.exp2(each[part].astype(np.float64) - 1)
+    return found.reshape(whole.shape)
+
+
+def _parts(count: int) -> Iterator[slice]:
+    """Some numbers after others, of so many."""
+    return (slice(begin, begin + _TOGETHER) for begin in range(0, count, _TOGETHER))

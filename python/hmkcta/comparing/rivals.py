@@ -34,11 +34,11 @@ from .followed import (
     is_worth,
     may_be,
 )
-from .second_levels import ROUNDED, below_bytes, below_rounding, deeper, with_bytes_below
+from .second_levels import PACKED, ROUNDED, below_bytes, below_rounding, deeper, with_bytes_below
 
 #: SNR in dB above which plans of two levels are tried: one level of float16 numbers may not reach it.
 NEARLY = 64.0
-#: SNR in dB above which bytes are tried below a level of float16 numbers.
+#: SNR in dB above which packed numbers are tried below a level of float16 ones.
 BYTES_END = 60.0
 #: Where a model of 16-bit numbers ends more than so many dB above an SNR goal, two levels of bytes are tried.
 BEYOND = 3.0
@@ -66,7 +66,7 @@ def follow_any(
     1. The task's plan, and beside it the `others` that are rivals: for a size all of them; for an SNR, of small arrays
        (`is_worth`) and of transformed values, all but the verbatim ones.
     2. Of small arrays plans like the best (`alternatives`), plans of two levels where rounding leaves too much for one,
-       and more and fewer clusters of the data. Of larger ones that memory holds the best plan with bytes instead of
+       and more and fewer clusters of the data. Of larger ones that memory holds the best plan, packed instead of
        float16 numbers, and plans of two levels where a size leads beyond 64 dB.
     3. Where the best ends far beyond its goal, as one rank more is a large step: the same plan with a `finer` choice of
        blocks, with merged modes parted and, for an SNR, the first of the others that are left.
@@ -127,7 +127,7 @@ def _in_other_ways(given: Task, followed: Sequence[Followed], others: Sequence[P
     """
     task, model = best_of(followed)
     wide, goal = task.plan.levels[-1].bits == max(BITS), task.plan.snr or model.snr
-    if goal > ROUNDED[min(BITS)] or (wide and model.snr > goal + BEYOND):
+    if goal > PACKED or (wide and model.snr > goal + BEYOND):
         most, two = LESS * model.nbytes, further(task, below_bytes(task, followed), Followed(task, model))
         task, model = best_of([Followed(task, model), *(each for each in two if each.model.nbytes < most)])
     if (task.plan.snr or model.snr) > BYTES_END:

@@ -17,8 +17,9 @@ from .alternatives import whole_plan, with_bits
 from .follow import Task
 from .followed import Followed, best_of, further, is_verbatim, may_be
 
-#: SNR in dB at which a first level ends, by the bits of its numbers: about what their rounding lets one level keep.
-ROUNDED = {16: 68.0, 8: 62.0}
+#: SNR in dB at which a first level of two ends, whose ranks are fixed, by the bits of its numbers: about what their
+#: rounding lets one level keep. Packed numbers, of ranks that a goal chooses, keep more.
+ROUNDED, PACKED = {16: 68.0, 8: 43.0}, 62.0
 #: A first level that ends below so many dB gets no second one: that would have too much to do.
 SHORT = 40.0
 #: Below an SNR goal of so many dB, and for a size, the second level is tried with bytes as well.
@@ -54,7 +55,7 @@ def below_rounding(task: Task, others: Sequence[Plan]) -> Iterator[Plan]:
         firsts = [each for each in further(task, [goal]) if each.model.snr > SHORT]
         firsts += further(task, [replace(goal, snr=model.snr - 1) for _, model in firsts if model.snr < enough])
         below = [plan for plan in (deeper(*each) for each in firsts) if plan is not None]
-        # Bytes do for what a level leaves, and hold some 40 dB of it.
+        # Packed numbers do for what a level leaves, and hold some 60 dB of it.
         narrow = [with_bits(each, min(BITS)) for each in below if (task.plan.snr or 0.0) < BOTH]
         both = dict.fromkeys([*(each for each in narrow if task.bits is None), *below])
         yield from (replace(each, snr=task.plan.snr, size=task.plan.size) for each in both)
@@ -113,7 +114,8 @@ def below_bytes(task: Task, followed: Sequence[Followed]) -> list[Plan]:
     goal = task.plan.snr
     if goal is None or not may_be(task, with_bits(task.plan, min(BITS))):
         return []
-    short = [each for each in followed if each.task.plan.levels[-1].bits == min(BITS) and each.model.snr < goal]
+    short = [each for each in followed if each.task.plan.levels[-1].bits == min(BITS)]
+    short = [each for each in short if each.model.snr < min(goal, ROUNDED[min(BITS)])]
     below = [deeper(*each) for each in sorted(short, key=lambda each: -each.model.snr)]
     if not any(below):
         whole = (plan for plan in (task.plan, *(each.plan for each, _ in followed))

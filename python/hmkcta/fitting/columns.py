@@ -40,7 +40,7 @@ def rounded_by_columns(cells: Cells, left: float) -> Cells:
 
     Columns are taken to be orthogonal, as after a sweep over cells that share no element.
     """
-    step = _step(cells, left)
+    step = _step(cells, max(left, FINEST * float(_held(cells, _squares(cells)).sum())))
     bits = _column_bits(cells, step)
     bases, cores = scaled_columns(cells, bits)
     bases = [basis if own is None else _nearest(basis, own) for basis, own in zip(bases, bits, strict=True)]
@@ -49,7 +49,7 @@ def rounded_by_columns(cells: Cells, left: float) -> Cells:
     lengths: list[F64] = [np.ones(1) if own is None else own.mean(axis=1) for own in _squares(scaled)]
     all_lengths: F64 = reduce(np.multiply, lengths)
     of_core = step / sqrt(max(float(all_lengths.mean()), _LEAST))
-    scaled.cores = _whole_steps(cores, of_core)
+    scaled.cores = whole_steps(cores, of_core)
     return scaled
 
 
@@ -89,7 +89,7 @@ def _nearest(basis: F32, bits: U8) -> F32:
     return (np.rint(basis * ones) / ones).astype(np.float32)
 
 
-def _whole_steps(cores: F32, step: float) -> F32:
+def whole_steps(cores: F32, step: float) -> F32:
     """The nearest multiples of about the step, of which float16 holds how many steps they are; a power of two."""
     peak = float(np.abs(cores).max(initial=0.0))
     if not peak:
@@ -97,8 +97,8 @@ def _whole_steps(cores: F32, step: float) -> F32:
     finest = ceil(log2(peak)) + 1 - MOST_OF_CORE
     # Of the coarsest step all are 0; bases of zeros would ask for one beyond float32.
     exponent = min(max(round(log2(max(step, _LEAST))), finest), finest + MOST_OF_CORE)
-    whole = np.rint(cores * 2.0**-exponent).astype(np.float16)
-    return whole.astype(np.float32) * np.float32(2.0**exponent)
+    whole = np.rint(np.ldexp(cores.astype(np.float64), -exponent)).astype(np.float16)
+    return np.ldexp(whole.astype(np.float64), exponent).astype(np.float32)
 
 
 def _squares(cells: Cells) -> list[F64 | None]:

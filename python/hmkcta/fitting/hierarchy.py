@@ -346,7 +346,8 @@ def backfit(tree: Hierarchy, run: Run, *, last: bool = False) -> None:
 
             def refitted(outside: Streamed | None, level: int) -> tuple[Cells | None, None]:
                 if outside is not None:
-                    return _rounded(refit_outside(outside, level, old.copy(), told), lambda: outside.error), None
+                    left = outside.error if old.spec.packed else 0.0  # blocks are refitted without what they had
+                    return _rounded(refit_outside(outside, level, old.copy(), told), lambda: left), None
                 return _refitted(old, gather(tree.residual, node)), None
 
             _renew(tree, run, (step, number, s), old.spec, refitted)

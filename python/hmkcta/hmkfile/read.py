@@ -34,7 +34,7 @@ Loaded: TypeAlias = tuple[Metadata, tuple[PackedLevel, ...]]
 
 
 def load(path: str | os.PathLike[str], *, verify: bool = True, limits: Limits = DEFAULT_LIMITS) -> Loaded:
-    """Read a file. Its arrays are read-only views of the memory-mapped file; numbers of eight bits are widened.
+    """Read a file. Its arrays are read-only views of the memory-mapped file; bytes and packed numbers are widened.
 
     Args:
         path: a regular file.

@@ -134,7 +134,8 @@ def check_schema(metadata: Metadata, version: str, coords: Mapping[int, str], ar
                  limits: Limits) -> None:
     """The arrays must be exactly those that the metadata calls for; `coords` names coordinate arrays by axis number.
 
-    Where the version has bytes, the type of a level's core is that of its bases; no F16 follows a level of bytes.
+    Where the version has bytes, the type of a level's core is that of its bases; no F16 follows a level of bytes or of
+    packed numbers.
     """
     expected: dict[str, ArrayInfo] = {}
     order, depth, nodes, bits = len(metadata.organisation), len(metadata.levels), 0, 16

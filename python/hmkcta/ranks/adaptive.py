@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cells import zero_cells
-from ..errors import invalid
+from ..errors import HmkctaError, invalid
 from ..fitting.fit import Labels
 from ..fitting.hierarchy import (
     Hierarchy,
@@ -44,6 +44,10 @@ ATTEMPTS = 16
 FEW_ATTEMPTS = 3
 #: How far above the goal a level of several nodes aims, in dB: its choices come in small steps.
 MARGIN = 0.05
+#: Files below so many bytes may do better without widths.
+SMALL_FILE = 1 << 13
+#: The least, where ranks fall short of an SNR.
+FINEST_SHARE = 2e-3
 #: How often a fit is repeated at most with fewer bits that still reach the SNR, how far above it is near enough, in dB,
 #: and what share of the bytes is worth another fit.
 SHARE_ATTEMPTS, NEAR, WORTH = 4, 0.06, 0.005
@@ -56,7 +60,7 @@ SIZE_ATTEMPTS, USED, AIMED = 5, 0.98, 0.99
 PROMISED = 1.1, 1.02
 #: The search ends where a promise that was too poor and one that was good enough are so near each other, in dB.
 NARROW = 0.03
-#: Share of the error that an SNR allows that the rounding of bytes is reckoned to take at most.
+#: Share of the error that an SNR allows that the rounding of packed numbers is reckoned to take at most.
 MOST_ROUNDING = 0.3
 
 
@@ -199,6 +203,21 @@ class _LastLevel:
         chosen, _, self.reckoned.share = best or (self._within(size), 0, 0.0)
         if self.fitted != (chosen.choice.tobytes(), self.reckoned.share):
             self._fit(chosen)
+        if best is not None and size < SMALL_FILE:
+            self._unless_bytes_do(size, chosen, self.reckoned.share)
+
+    def _unless_bytes_do(self, size: int, chosen: Allocation, share: float) -> None:
+        """What is fitted, or a byte for each number, where that leaves less: widths take some bytes, too."""
+        left = self.tree.error
+        try:
+            others = self._within(size)
+        except HmkctaError:
+            return
+        self.reckoned.share = 0.0
+        self._fit(others)
+        if self.tree.error >= left or self.goal.file_bytes(self.tree) > size:
+            self.reckoned.share = share
+            self._fit(chosen)
 
     def _stores(self, chosen: Allocation) -> bool:
         """Whether there will be anything in the file."""
@@ -251,7 +270,12 @@ class _LastLevel:
         """The last fit, its columns with as few bits as still reach the SNR."""
         if self.fitted != (last.choice.tobytes(), self.reckoned.share):
             self._fit(last)
-        best, short, reached = self.reckoned.share, inf, self.goal.snr_now(self.tree)
+        reached = self.goal.snr_now(self.tree)
+        if self.reckoned.packed and reached < snr and self.reckoned.share > FINEST_SHARE:
+            self.reckoned.share = FINEST_SHARE  # these ranks, with more bits, may reach it
+            self._fit(last)
+            reached = self.goal.snr_now(self.tree)
+        best, short = self.reckoned.share, inf
         for _ in range(SHARE_ATTEMPTS if self.reckoned.packed and snr + NEAR < reached < inf else 0):
             left = noise_at(snr + NEAR / 2 - reached) * (1 + self.reckoned.share)
             share = min(left - 1, (best * short) ** 0.5)
@@ -282,7 +306,8 @@ class _LastLevel:
         if isinstance(self.tree.residual, Streamed) and self.goal.memory is not None:
             what = f"a model of {format_bytes(int(chosen.nbytes))}"
             hint = "raise --max-memory, or ask for a lower SNR or fewer bytes"
-            check_memory(PROCESS // 2 + int(MODEL * chosen.nbytes), what, hint, self.goal.memory)
+            wide = max(chosen.nbytes, 2 * self.reckoned.numbers(chosen))  # float16, whatever the file has
+            check_memory(PROCESS // 2 + int(MODEL * wide), what, hint, self.goal.memory)
         restore(self.tree, self.residual)
         for nodes, before in zip(self.tree.levels, self.cells, strict=True):
             for node, cells in zip(nodes, before, strict=True):
