@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .bitstream import U8 as U8
+
 F16 = NDArray[np.float16]
 I8 = NDArray[np.int8]
-U8 = NDArray[np.uint8]
 
 #: Bits of a number that a level may store.
 BITS = (16, 8)

@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import F32, F64
+from ..bitstream import U8
 from ..cells import Cells, by_cells, column_peaks, column_squares, scaled_columns
 from ..widths import MOST_OF_BASIS, MOST_OF_CORE
-
-U8 = NDArray[np.uint8]
 
 #: Fewest bits of a column.
 FEWEST = 2
@@ -40,8 +39,10 @@ def rounded_by_columns(cells: Cells, left: float) -> Cells:
 
     Columns are taken to be orthogonal, as after a sweep over cells that share no element.
     """
-    step = _step(cells, max(left, FINEST * float(_held(cells, _squares(cells)).sum())))
-    bits = _column_bits(cells, step)
+    squares = _squares(cells)
+    held = _held(cells, squares)
+    step = _step(cells, max(left, FINEST * float(held.sum())))
+    bits = _column_bits(cells, squares, held, step)
     bases, cores = scaled_columns(cells, bits)
     bases = [basis if own is None else _nearest(basis, own) for basis, own in zip(bases, bits, strict=True)]
     scaled = Cells(cells.sizes, cells.spec, cells.members, bases, cores)
@@ -59,28 +60,27 @@ def _step(cells: Cells, left: float) -> float:
     return sqrt(12 * cells.spec.own_bits * left / numbers)
 
 
-def _column_bits(cells: Cells, step: float) -> list[U8 | None]:
+def _column_bits(cells: Cells, squares: Sequence[F64 | None], held: F64, step: float) -> list[U8 | None]:
     """Bits of a number of each column `[R_n]` of every mode, for steps of about `step`; None: undecomposed."""
-    squares, bits = _squares(cells), list[U8 | None]()
-    held = _held(cells, squares)
+    bits = list[U8 | None]()
     for n, own in enumerate(squares):
         if own is None:
             bits.append(None)
             continue
         others = tuple(m + 1 for m in range(cells.order) if m != n)
         share = held.sum(axis=others) / np.maximum(own, _LEAST)  # of a column of length 1, `[PC, R_n]`
-        rows = by_cells(cells, n, _rows(cells, n))
-        peaks = by_cells(cells, n, column_peaks(cells, n)).astype(np.float64)
+        rows, peaks = by_cells(cells, n, _rows(cells, n)), column_peaks(cells, n)
+        largest = by_cells(cells, n, peaks).astype(np.float64)
         numbers = cells.bases[n].size // cells.ranks[n]
-        worth = np.sqrt((rows * share * np.square(peaks)).sum(axis=0) / max(numbers, 1))
-        bits.append(np.where(_is_flat(cells, n), FEWEST, _bits(worth, step)).astype(np.uint8))
+        worth = np.sqrt((rows * share * np.square(largest)).sum(axis=0) / max(numbers, 1))
+        bits.append(np.where(_is_flat(cells, n, peaks), FEWEST, _bits(worth, step)).astype(np.uint8))
     return bits
 
 
-def _is_flat(cells: Cells, n: int) -> NDArray[np.bool_]:
+def _is_flat(cells: Cells, n: int, peaks: F32) -> NDArray[np.bool_]:
     """Whether the numbers of each column `[R_n]` are all 0 or as large as its largest, which few bits hold exactly."""
-    sizes, peaks = np.abs(cells.bases[n][:, 0]), column_peaks(cells, n)[cells.members[n][:, 0]]
-    return np.all((sizes < FLAT * peaks) | (sizes > (1 - FLAT) * peaks), axis=(0, 1))
+    sizes, largest = np.abs(cells.bases[n][:, 0]), peaks[cells.members[n][:, 0]]
+    return np.all((sizes < FLAT * largest) | (sizes > (1 - FLAT) * largest), axis=(0, 1))
 
 
 def _nearest(basis: F32, bits: U8) -> F32:
