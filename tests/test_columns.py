@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from hmkcta import compress
@@ -18,7 +20,7 @@ from hmkcta.pack import pack_levels
 from hmkcta.packed import PackedLevel
 from hmkcta.plan import LevelSpec
 from hmkcta.streaming import budget
-from hmkcta.widths import basis_bits
+from hmkcta.widths import basis_bits, whole_of_core
 
 SIZES = (24, 30, 16)
 ONE, SEVERAL = (1, 1, 1), (2, 3, 1)
@@ -229,3 +231,23 @@ def test_a_small_file_is_no_worse_for_widths() -> None:
 def test_cores_of_any_size_stay_finite(size: float) -> None:
     rounded = whole_steps(np.array([[1.0, -0.3]], np.float32) * np.float32(size), size / 1000)
     assert np.allclose(rounded / np.float32(size), [[1.0, -0.3]], atol=2e-3)
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    st.lists(st.floats(-1, 1, width=32), min_size=1, max_size=20), st.floats(1e-6, 4), st.sampled_from([1, 1e-40, 1e30])
+)
+def test_cores_are_whole_steps_and_found_again(numbers: list[float], step: float, size: float) -> None:
+    cores = (np.array([numbers]) * size).astype(np.float32)
+    rounded, peak = whole_steps(cores, step * size), np.abs(cores).max()
+    assert np.abs(rounded - cores).max() <= max(0.76 * step * size, 3e-3 * peak)
+    whole, found = whole_of_core(rounded)
+    assert np.abs(whole).max() * step * size <= 1.01 * max(peak, step * size) + step * size
+    assert np.array_equal((whole.astype(np.float16).astype(np.float64) * found).astype(np.float32), rounded)
+
+
+@pytest.mark.parametrize("value", [3.5, -1e-8, 1e9])
+def test_core_numbers_that_are_alike_stay_as_they_are(value: float) -> None:
+    """As those of constants are: the largest number is the one that steps are whole parts of."""
+    cores = np.full((1, 3, 2), value, np.float32)
+    np.testing.assert_allclose(whole_steps(cores, abs(value) / 5.3), cores, rtol=2e-4)

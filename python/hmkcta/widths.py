@@ -121,18 +121,18 @@ def most_core_bits(width: Sequence[U8 | None], ranks: NDArray[np.integer[Any]]) 
 
 
 def whole_of_core(cores: F32) -> tuple[I32, float]:
-    """Core numbers `[..]` as whole ones, and the power of two that they are multiples of; 1.0 where all are 0.
+    """Core numbers `[..]` as whole ones, and the largest number that all are multiples of; 1.0 where all are 0.
 
-    >>> whole, step = whole_of_core(np.array([0.75, -0.5, 0], np.float32))
+    >>> whole, step = whole_of_core(np.array([0.75, -1.5, 0], np.float32))
     >>> whole.tolist(), step
-    ([3, -2, 0], 0.25)
+    ([1, -2, 0], 0.75)
     """
     mantissa, exponent = np.frexp(cores[cores != 0])
     if not mantissa.size:
         return np.zeros(cores.shape, np.int32), 1.0
-    digits = (mantissa.astype(np.float64) * 2.0**24).astype(np.int64)
-    lowest = np.log2((digits & -digits).astype(np.float64)).astype(np.int64) + exponent - 24
-    step = 2.0 ** int(lowest.min())
+    lowest = int(exponent.min()) - 24
+    digits = np.ldexp(mantissa.astype(np.float64), exponent - lowest).astype(np.int64)
+    step = float(np.ldexp(float(np.gcd.reduce(digits)), lowest))
     return np.rint(cores.astype(np.float64) / step).astype(np.int32), step
 
 

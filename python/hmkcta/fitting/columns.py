@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import reduce
-from math import ceil, log2, sqrt
+from math import frexp, ldexp, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,10 @@ FEWEST = 2
 FINEST = 1e-13
 #: What numbers differ by at most, as a share of the largest, that are alike.
 FLAT = 1e-5
+#: Bits of the step between core numbers: float32 holds these and the eleven of float16.
+_STEP_BITS = 13
+#: Of the least float32 number.
+_FINEST_EXPONENT = -149
 #: In place of a step or a length of 0: quotients and logarithms of what float32 holds stay finite.
 _LEAST = 1e-250
 
@@ -90,15 +94,19 @@ def _nearest(basis: F32, bits: U8) -> F32:
 
 
 def whole_steps(cores: F32, step: float) -> F32:
-    """The nearest multiples of about the step, of which float16 holds how many steps they are; a power of two."""
+    """The nearest multiples of about the step, of which float16 holds how many steps they are.
+
+    The largest number is as many steps as are nearest. Float32 holds any number of them, so that a fit can be brought
+    as near to an SNR as it is asked for, and a node's only core number, or one like all others, is as it was.
+    """
     peak = float(np.abs(cores).max(initial=0.0))
-    if not peak:
-        return cores
-    finest = ceil(log2(peak)) + 1 - MOST_OF_CORE
-    # Of the coarsest step all are 0; bases of zeros would ask for one beyond float32.
-    exponent = min(max(round(log2(max(step, _LEAST))), finest), finest + MOST_OF_CORE)
-    whole = np.rint(np.ldexp(cores.astype(np.float64), -exponent)).astype(np.float16)
-    return np.ldexp(whole.astype(np.float64), exponent).astype(np.float32)
+    steps = min(round(peak / max(step, _LEAST)), 2 ** (MOST_OF_CORE - 1) - 1)
+    if not steps:
+        return np.zeros_like(cores)
+    exponent = max(frexp(peak / steps)[1] - _STEP_BITS, _FINEST_EXPONENT)
+    stored = max(round(ldexp(peak / steps, -exponent)), 1)
+    whole = np.rint(np.ldexp(cores / np.float64(stored), -exponent)).astype(np.float16)
+    return np.ldexp(whole.astype(np.float64) * stored, exponent).astype(np.float32)
 
 
 def _squares(cells: Cells) -> list[F64 | None]:
