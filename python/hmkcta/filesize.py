@@ -139,7 +139,7 @@ def _level_arrays(
 
 
 def _short_types(level: LevelSpec, shapes: Sequence[Sequence[tuple[int, int, int]]]) -> dict[str, str | None]:
-    """Number types of tables that hang on their numbers, where only bytes are stored; None: they are left out."""
+    """Number types of tables that hang on their numbers, where no float16 is stored; None: they are left out."""
     children = prod(sum(c for c, _, _ in mode) for mode in shapes)
     types: dict[str, str | None] = {"child": narrowest(children)}
     types["shape"] = narrowest(max(number for mode in shapes for shape in mode for number in shape))

@@ -34,15 +34,15 @@ from .followed import (
     is_worth,
     may_be,
 )
-from .second_levels import PACKED, ROUNDED, below_bytes, below_rounding, deeper, with_bytes_below
+from .second_levels import PACKED, ROUNDED, packed_below_bytes, below_rounding, deeper, with_packed_below
 
 #: SNR in dB above which plans of two levels are tried: one level of float16 numbers may not reach it.
 NEARLY = 64.0
 #: SNR in dB above which packed numbers are tried below a level of float16 ones.
-BYTES_END = 60.0
-#: Where a model of 16-bit numbers ends more than so many dB above an SNR goal, two levels of bytes are tried.
+PACKED_END = 60.0
+#: Where a model of 16-bit numbers ends more than so many dB above an SNR goal, two levels of fewer bits are tried.
 BEYOND = 3.0
-#: These two levels of bytes are taken only if they need less than this share of its bytes.
+#: These two levels are taken only if they need less than this share of its bytes.
 LESS = 0.9
 #: The same for nodes of its clusters to be tried. A rival that promises to take more times the bytes is not fitted.
 FAR_BEHIND = (6.0, 3.0)
@@ -71,9 +71,9 @@ def follow_any(
     3. Where the best ends far beyond its goal, as one rank more is a large step: the same plan with a `finer` choice of
        blocks, with merged modes parted and, for an SNR, the first of the others that are left.
     4. With `choose`, nodes for clusters along two axes, of arrays of up to 2^22 elements; and plans that are chosen
-       anew by what the fit told, under a value transform and where bytes fall short (`_chosen_anew`).
-    5. While an SNR is missed, one after another: bytes below a level of rank one, two levels of bytes, 16-bit numbers,
-       a second level, and the others that are left.
+       anew by what the fit told, under a value transform and where packed numbers fall short (`_chosen_anew`).
+    5. While an SNR is missed, one after another: packed numbers below a level of rank one, or below one of bytes,
+       16-bit numbers, a second level, and the others that are left.
     6. The values themselves as bytes or float16 numbers, where that may do better.
 
     Args:
@@ -122,16 +122,16 @@ def _compared(given: Task, followed: list[Followed], others: Sequence[Plan]) -> 
 def _in_other_ways(given: Task, followed: Sequence[Followed], others: Sequence[Plan]) -> Followed:
     """The best of all that was fitted, of plans of two levels, and of the same plans with more or fewer clusters.
 
-    Two levels of bytes are tried for an SNR beyond what one keeps, or where 16-bit numbers end far above it; two levels
-    of any numbers beyond 64 dB.
+    Packed numbers below a level of bytes are tried for an SNR beyond what one level keeps, or where 16-bit numbers end
+    far above it; two levels of any numbers beyond 64 dB.
     """
     task, model = best_of(followed)
     wide, goal = task.plan.levels[-1].bits == max(BITS), task.plan.snr or model.snr
     if goal > PACKED or (wide and model.snr > goal + BEYOND):
-        most, two = LESS * model.nbytes, further(task, below_bytes(task, followed), Followed(task, model))
+        most, two = LESS * model.nbytes, further(task, packed_below_bytes(task, followed), Followed(task, model))
         task, model = best_of([Followed(task, model), *(each for each in two if each.model.nbytes < most)])
-    if (task.plan.snr or model.snr) > BYTES_END:
-        task, model = with_bytes_below(Followed(task, model), followed)
+    if (task.plan.snr or model.snr) > PACKED_END:
+        task, model = with_packed_below(Followed(task, model), followed)
     if (task.plan.snr or model.snr) > NEARLY:
         plans = dict.fromkeys(below_rounding(given, others))
         task, model = best_of([Followed(task, model), *further(given, plans, Followed(task, model))])
@@ -144,14 +144,14 @@ def _chosen_anew(given: Task, found: Followed, left: list[Plan], choose: Choose)
 
     Under a value transform errors are not alike everywhere, as the first choice took them to be: most are where values
     are large. So plans are chosen for as many dB of transformed values as the SNR takes by the two SNRs of what was
-    found; for a size those of float16 numbers, as rounding counts for more, too. These also where bytes, for which the
-    first plan was chosen, do not reach an SNR after all: what is best for them need not be best for others.
+    found; for a size those of float16 numbers, as rounding counts for more, too. These also where packed numbers do not reach an
+    SNR after all, though the first plan was chosen for them: what is best for them need not be best for others.
     """
     (task, model), goal, bits = found, given.plan.snr, max(BITS)
     transformed = not given.source.value_transform.is_identity
     if transformed and goal is not None:
         return _aimed_anew(found, goal, left, choose) if misses(model.snr, goal) or is_worth(given) else (found, left)
-    fall_short = not _is_of_bytes(task.plan) or misses(model.snr, goal)
+    fall_short = not _is_packed(task.plan) or misses(model.snr, goal)
     doubtful = transformed if goal is None else given.plan.levels[-1].bits < bits and fall_short
     if not doubtful or given.bits is not None or not is_worth(given):
         return found, left
@@ -159,8 +159,8 @@ def _chosen_anew(given: Task, found: Followed, left: list[Plan], choose: Choose)
     return best_of([found, *further(task, plans, found)]), left
 
 
-def _is_of_bytes(plan: Plan) -> bool:
-    """Whether one level of bytes does, alone or below ranks of one."""
+def _is_packed(plan: Plan) -> bool:
+    """Whether one packed level does, alone or below ranks of one."""
     *above, last = plan.levels
     return last.bits < max(BITS) and all((rank or 1) == 1 for level in above for rank in level.ranks)
 
@@ -192,7 +192,7 @@ def _spare(task: Task, model: Model, followed: Sequence[Followed], others: Seque
     if task.plan.levels[-1].bits < max(BITS):
         spare[:0] = [with_bits(task.plan, max(BITS))] if task.bits is None else []
         if below is None and is_worth(task) and model.snr < (task.plan.snr or model.snr):
-            spare[:0] = below_bytes(task, followed)
+            spare[:0] = packed_below_bytes(task, followed)
         spare[:0] = below_rank_one(task.plan, min(BITS)) if model.snr > ROUNDING_FROM[min(BITS)] else []
     return spare
 

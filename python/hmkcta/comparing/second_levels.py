@@ -22,15 +22,15 @@ from .followed import Followed, best_of, further, is_verbatim, may_be
 ROUNDED, PACKED = {16: 68.0, 8: 43.0}, 62.0
 #: A first level that ends below so many dB gets no second one: that would have too much to do.
 SHORT = 40.0
-#: Below an SNR goal of so many dB, and for a size, the second level is tried with bytes as well.
+#: Below an SNR goal of so many dB, and for a size, the second level is tried with packed numbers as well.
 BOTH = 106.0
 #: SNR in dB at which a first level of bytes ends that is fitted alone: what bytes keep of most values.
 OF_BYTES = 36.0
-#: How many such first levels are fitted at most, and how many plans of two levels of bytes come of a call.
+#: How many such first levels are fitted at most, and how many plans with such a first level come of a call.
 FIRSTS = 2
-#: How many dB bytes hold of what a level above them leaves; for an SNR more and less of them are tried as well.
+#: How many dB packed numbers hold of what a level above leaves; for an SNR more and less are tried as well.
 HELD = (28.0, 34.0, 22.0)
-#: A level of float16 numbers above bytes is worth having from so many dB on.
+#: A level of float16 numbers above packed ones is worth having from so many dB on.
 LEAST_ABOVE = 12.0
 #: Of how many of the plans that were followed it is tried, such as differ in organisation or undecomposed modes; of
 #: arrays of more than `FEW_ELEMENTS` of the best alone, once.
@@ -61,11 +61,11 @@ def below_rounding(task: Task, others: Sequence[Plan]) -> Iterator[Plan]:
         yield from (replace(each, snr=task.plan.snr, size=task.plan.size) for each in both)
 
 
-def with_bytes_below(best: Followed, followed: Sequence[Followed]) -> Followed:
-    """The best of a model and of bytes below a level of float16 numbers, which ends so far before it as bytes hold.
+def with_packed_below(best: Followed, followed: Sequence[Followed]) -> Followed:
+    """The best of a model and of packed numbers below a float16 level, which ends so far before it as they hold.
 
-    Bytes alone end where their own rounding outweighs what a rank more would gain, and float16 numbers take twice as
-    many. So float16 are the few numbers that hold most of the energy. Plans that were followed tell which modes have
+    Packed numbers alone end where their own rounding outweighs what a rank more would gain, and float16 ones take more
+    bytes. So float16 are the few numbers that hold most of the energy. Plans that were followed tell which modes have
     ranks; for a size the model that comes of it tells where the level above should end, as long as that helps.
     """
     task = best.task
@@ -77,13 +77,13 @@ def with_bytes_below(best: Followed, followed: Sequence[Followed]) -> Followed:
     for plan in [*plans][: UNCUT if is_small else 1]:
         helps = True
         while helps:
-            found = best_of([best, *_bytes_below(best, plan, HELD if is_small else HELD[:1])])
+            found = best_of([best, *_packed_below(best, plan, HELD if is_small else HELD[:1])])
             helps, best = found is not best and task.plan.snr is None, found
     return best
 
 
-def _bytes_below(best: Followed, plan: Plan, held: Sequence[float]) -> Iterator[Followed]:
-    """What comes of a plan of one level, ended so many dB before the goal or before the best, and bytes below it."""
+def _packed_below(best: Followed, plan: Plan, held: Sequence[float]) -> Iterator[Followed]:
+    """What comes of a plan of one level, ended so many dB before the goal or the best, and packed numbers below it."""
     task, goal = best.task, best.task.plan.snr
     ends = [best.model.snr - held[0]] if goal is None else [goal - each for each in held]
     above = further(task, [replace(plan, snr=end, size=None) for end in ends if LEAST_ABOVE <= end < inf])
@@ -105,11 +105,11 @@ def _uncut(plan: Plan) -> Plan:
     return replace(plan, levels=(LevelSpec.of_one_cell(last.ranks, max(BITS), last.scheme),))
 
 
-def below_bytes(task: Task, followed: Sequence[Followed]) -> list[Plan]:
-    """For an SNR plans of bytes with a level below them for what bytes leave of themselves.
+def packed_below_bytes(task: Task, followed: Sequence[Followed]) -> list[Plan]:
+    """For an SNR plans of a level of bytes, and a packed level below it for what bytes leave of themselves.
 
-    Its first level is that of a plan of bytes that came near, or else the last, alone, of one that cuts nothing: the
-    task's own plan, or one that was followed.
+    Its first level is that of a packed plan that came near, or else the last, alone, of one that cuts nothing: the task's
+    own plan, or one that was followed.
     """
     goal = task.plan.snr
     if goal is None or not may_be(task, with_bits(task.plan, min(BITS))):
