@@ -34,7 +34,7 @@ from .followed import (
     is_worth,
     may_be,
 )
-from .second_levels import PACKED, ROUNDED, packed_below_bytes, below_rounding, deeper, with_packed_below
+from .second_levels import PACKED, ROUNDED, below_rounding, deeper, packed_below_bytes, with_packed_below
 
 #: SNR in dB above which plans of two levels are tried: one level of float16 numbers may not reach it.
 NEARLY = 64.0
