@@ -144,8 +144,8 @@ def _chosen_anew(given: Task, found: Followed, left: list[Plan], choose: Choose)
 
     Under a value transform errors are not alike everywhere, as the first choice took them to be: most are where values
     are large. So plans are chosen for as many dB of transformed values as the SNR takes by the two SNRs of what was
-    found; for a size those of float16 numbers, as rounding counts for more, too. These also where packed numbers do not reach an
-    SNR after all, though the first plan was chosen for them: what is best for them need not be best for others.
+    found; for a size those of float16 numbers, as rounding counts for more, too. These also where packed numbers do not
+    reach an SNR after all, though the first plan was chosen for them: they need other blocks, it may be.
     """
     (task, model), goal, bits = found, given.plan.snr, max(BITS)
     transformed = not given.source.value_transform.is_identity

@@ -108,8 +108,8 @@ def _uncut(plan: Plan) -> Plan:
 def packed_below_bytes(task: Task, followed: Sequence[Followed]) -> list[Plan]:
     """For an SNR plans of a level of bytes, and a packed level below it for what bytes leave of themselves.
 
-    Its first level is that of a packed plan that came near, or else the last, alone, of one that cuts nothing: the task's
-    own plan, or one that was followed.
+    Its first level is that of a packed plan that came near, or else the last, alone, of one that cuts nothing: the
+    task's own plan, or one that was followed.
     """
     goal = task.plan.snr
     if goal is None or not may_be(task, with_bits(task.plan, min(BITS))):
