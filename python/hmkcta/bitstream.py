@@ -1,4 +1,4 @@
-"""Whole numbers of few bits one after the other, without gaps (`docs/format.md`, section 3, packed levels)."""
+"""Whole numbers one after the other as bits, without gaps (`docs/format.md`, section 3, packed levels)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 U8 = NDArray[np.uint8]
 I32 = NDArray[np.int32]
 
-#: Numbers looked at together: what is made of them on the way, some 40 bytes of each, stays in the cache.
+#: Numbers, or bytes, looked at together: what is made of them on the way, some 40 bytes of each, stays in the cache.
 _TOGETHER = 1 << 14
 
 
@@ -21,15 +21,15 @@ def stream_bytes(bits: int) -> int:
 
 
 def to_stream(numbers: NDArray[Any], bits: U8) -> U8:
-    """The numbers in two's complement, each in its `bits`, as bytes; what is left of the last one is 0.
+    """The lowest `bits` of each number, as bytes; what is left of the last one is 0.
 
-    >>> to_stream(np.array([1, -1, 1]), np.array([2, 2, 3], np.uint8)).tolist()  # 01, 11, 001
+    >>> to_stream(np.array([1, 3, 1]), np.array([2, 2, 3], np.uint8)).tolist()  # 01, 11, 001
     [29]
     """
     pieces, rest = list[U8](), np.zeros(0, np.uint8)
     for begin, end, starts in _chunks(bits):
         own, offset = bits[begin:end], starts - starts[:1] + rest.size
-        values = numbers[begin:end].astype(np.int32).view(np.uint32)
+        values = numbers[begin:end].astype(np.int32)
         ones = np.concatenate([rest, np.zeros(int(own.sum(dtype=np.int64)), np.uint8)])
         for bit in range(int(own.max(initial=0))):
             has = own > bit
@@ -44,7 +44,7 @@ def from_stream(stream: U8, bits: U8) -> I32:
     """The numbers of so many `bits` each.
 
     >>> from_stream(np.array([29], np.uint8), np.array([2, 2, 3], np.uint8)).tolist()
-    [1, -1, 1]
+    [1, 3, 1]
     """
     numbers = np.zeros(bits.size, np.int32)
     for begin, end, starts in _chunks(bits):
@@ -53,9 +53,34 @@ def from_stream(stream: U8, bits: U8) -> I32:
         ones, offset = np.unpackbits(stream[first:last], bitorder="little").astype(np.int32), starts - 8 * first
         for bit in range(int(own.max(initial=0))):
             has = own > bit
-            weight = np.where(own[has] == bit + 1, -1, 1) << bit  # the highest bit counts below zero
-            numbers[begin:end][has] += ones[offset[has] + bit] * weight
+            numbers[begin:end][has] += ones[offset[has] + bit] << bit
     return numbers
+
+
+def to_unary(zeros: U8) -> U8:
+    """So many bits of 0 and one of 1 for each number, as bytes.
+
+    >>> to_unary(np.array([2, 0, 4], np.uint8)).tolist()  # 001, 1, 00001
+    [12, 1]
+    """
+    return to_stream(np.left_shift(1, zeros.astype(np.int32)), zeros + np.uint8(1))
+
+
+def from_unary(stream: U8, count: int) -> I32:
+    """The bits of 0 before each of the first `count` bits of 1, or of all where there are fewer.
+
+    >>> from_unary(np.array([12, 1], np.uint8), 3).tolist()
+    [2, 0, 4]
+    """
+    pieces, found, last = list[I32](), 0, -1
+    for begin in range(0, stream.size, _TOGETHER):
+        if found >= count:
+            break
+        ones = np.flatnonzero(np.unpackbits(stream[begin : begin + _TOGETHER], bitorder="little"))[: count - found]
+        places = ones + 8 * begin
+        pieces.append((np.diff(places, prepend=last) - 1).astype(np.int32))
+        found, last = found + ones.size, int(places[-1]) if ones.size else last
+    return np.concatenate([*pieces, np.zeros(0, np.int32)])
 
 
 def _chunks(bits: U8) -> Iterator[tuple[int, int, NDArray[np.int64]]]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from .arrays import F32, F64
 from .errors import invalid
-from .narrow import BASIS_NUMBERS, CORE_NUMBERS, LARGEST_BASIS, U8, narrowed, widened
+from .narrow import BASIS_NUMBERS, CORE_NUMBERS, LARGEST_BASIS, narrowed, widened
 from .plan import LevelSpec
 
 #: Inner products of the bases of all pairs of cells: `[R_m, PC, R_m, PC]`.
@@ -100,10 +100,8 @@ def check_shape(tensor: F32, cells: Cells) -> None:
         raise invalid("wrong-shape", "tensor", tensor.shape, str(cells.sizes))
 
 
-def scaled_columns(cells: Cells, bits: Sequence[U8 | None] | None = None) -> tuple[list[F32], F32]:
+def scaled_columns(cells: Cells) -> tuple[list[F32], F32]:
     """Bases whose columns, cell by cell, reach up to the largest number of a byte, and cores that make up for it.
-
-    With `bits`, of each column `[R_n]` of every mode, up to the largest number of these.
 
     Columns that do already stay as they are, bit by bit.
     """
@@ -111,10 +109,8 @@ def scaled_columns(cells: Cells, bits: Sequence[U8 | None] | None = None) -> tup
     for n, basis in enumerate(cells.bases):
         if cells.undecomposed[n]:
             continue
-        own = None if bits is None else bits[n]
-        most = LARGEST_BASIS if own is None else 1 - np.exp2(1 - own.astype(np.float64))
         peak = column_peaks(cells, n)
-        factor = np.where(peak > 0, peak, most).astype(np.float64) / most
+        factor = np.where(peak > 0, peak, LARGEST_BASIS).astype(np.float64) / LARGEST_BASIS
         bases[n] = (basis / factor[cells.members[n]]).astype(np.float32)
         each = by_cells(cells, n, factor)
         along = [1] * cells.order

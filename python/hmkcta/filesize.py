@@ -126,7 +126,7 @@ def _level_arrays(
         other_cells = prod(sum(c for c, _, _ in shapes[m]) for m in range(order) if m != n)
         lengths[f"cluster/{n}"] = others * sum(size * k for size, (_, k, _) in zip(sizes, mode, strict=True))
         lengths[f"basis/{n}"] = other_cells * sum(size * k * r for size, (_, k, r) in zip(sizes, mode, strict=True))
-        lengths[f"width/{n}"] = others * sum(r for _, _, r in mode)
+        lengths[f"rice/{n}"] = others * sum(r for _, _, r in mode)
         lengths[f"part/{n}"] = lengths[f"local/{n}"] = others * sum(sizes)
     short = plan.levels[-1].bits == 8
     types = _short_types(level, shapes) if short else {}

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from .arrays import F32
 from .cells import round_cores
+from .core_parameters import core_parameters
 from .fitting.hierarchy import Node
 from .narrow import U8
 from .packed import F16, LevelBounds, PackedLevel
+from .parameters import BELOW_ONE, bytes_of, from_whole, most_of_core, of_columns, whole_of_core
 from .streaming.pieces import places_of
-from .widths import from_whole, most_core_bits, whole_of_core, widths_of
 
 Ragged = list[NDArray[Any]]
 
@@ -76,33 +77,34 @@ def _pack(nodes: Sequence[Node], undecomposed: Sequence[int], unit: float, bits:
             _joined([_local(node, n) for node in nodes], np.uint32) if inner[n] else None for n in range(order)
         ),
         bits=bits,
-        width=_widths(columns, stored) if fewer else (),
+        rice=_entries(columns, stored) if fewer else (),
     )
 
 
 def _cores(node: Node, bits: int, columns: Sequence[U8 | None]) -> tuple[F16, F32]:
-    """Core numbers of a node, and the factor of each of its cells; `columns`: widths, of a packed level."""
+    """Core numbers of a node, and the factor of each of its cells; `columns`: entries, of a packed level."""
     if node.cells is None:
         return np.zeros(0, np.float16), np.zeros(0, np.float32)
     if not columns:
         return round_cores(node.cells.cores, bits)
     numbers, step = whole_of_core(node.cells.cores)
-    most = most_core_bits(columns, np.array([node.cells.ranks]))
-    scale = np.full(node.cells.spec.cells, step * 2.0 ** (int(most[0]) - 1), np.float32)
-    return from_whole(numbers, most), scale
+    most = most_of_core(columns, np.array([node.cells.ranks]))
+    return from_whole(numbers, most), np.ldexp(step, int(most[0]) + BELOW_ONE).astype(np.float32)
 
 
 def _columns(node: Node, undecomposed: Sequence[int]) -> list[U8 | None]:
-    """Widths of the columns of a node of a packed level; None of an undecomposed mode."""
+    """Entries of the columns of a node of a packed level; None of an undecomposed mode."""
     none = np.zeros(0, np.uint8)
     if node.cells is None:
         return [None if n in undecomposed else none for n in range(len(node.rows))]
-    bases = [None if n in undecomposed else own for n, own in enumerate(node.cells.bases)]
-    return widths_of(whole_of_core(node.cells.cores)[0], bases)
+    stored = [n not in undecomposed for n in range(len(node.rows))]
+    of_core = core_parameters(whole_of_core(node.cells.cores)[0], stored)
+    return [None if own is None else bytes_of(of_columns(basis), own)
+            for basis, own in zip(node.cells.bases, of_core, strict=True)]
 
 
-def _widths(columns: Sequence[Sequence[U8 | None]], stored: Sequence[bool]) -> tuple[U8 | None, ...]:
-    """Widths of the columns of all nodes, mode by mode."""
+def _entries(columns: Sequence[Sequence[U8 | None]], stored: Sequence[bool]) -> tuple[U8 | None, ...]:
+    """Entries of the columns of all nodes, mode by mode."""
     each = [[own for node in columns if (own := node[n]) is not None] for n in range(len(stored))]
     return tuple(_joined([*own], np.uint8) if kept else None for own, kept in zip(each, stored, strict=True))
 

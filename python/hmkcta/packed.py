@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from .arrays import F32
 from .axes import Axis, Organisation
-from .bitstream import from_stream, stream_bytes, to_stream
+from .bitstream import I32
 from .narrow import BASIS_NUMBERS, CORE_NUMBERS, I8, U8, narrowed
-from .widths import basis_number_bits, core_number_bits, from_whole, most_core_bits, whole
+from .parameters import from_whole, most_of_core, of_basis_numbers, of_core_numbers, whole
+from .rice import MOST, code_bytes, decoded, encoded
 
 U16 = NDArray[np.uint16]
 U32 = NDArray[np.uint32]
@@ -45,7 +46,7 @@ class PackedLevel:
     part: tuple[U16 | None, ...]  # [rows]; None at the last level and for undecomposed modes
     local: tuple[U32 | None, ...]  # [rows]; likewise
     bits: int = 16  # of a core or basis number in the file; of 8 the arrays hold what the bytes stand for (`narrow.py`)
-    width: tuple[U8 | None, ...] = ()  # of a packed level: per node [R_n], see `widths`; else empty
+    rice: tuple[U8 | None, ...] = ()  # of a packed level: per node [R_n], see `parameters`; else empty
 
     @property
     def nodes(self) -> int:
@@ -69,27 +70,14 @@ class PackedLevel:
     @property
     def core_bytes(self) -> int:
         """Bytes of the core numbers in the file."""
-        if self.width:
-            return stream_bytes(int(self.core_bits().sum(dtype=np.int64)))
-        return self.bits // 8 * self.core.size
+        return code_bytes(*self._whole("core", self.core)) if self.rice else self.bits // 8 * self.core.size
 
     def basis_bytes(self, n: int) -> int:
         """Bytes of the basis numbers of a mode in the file."""
-        if self.width:
-            return stream_bytes(int(self.basis_bits(n).sum(dtype=np.int64)))
         basis = self.basis[n]
-        return 0 if basis is None else self.bits // 8 * basis.size
-
-    def core_bits(self) -> U8:
-        """Bits of each core number of a packed level."""
-        return core_number_bits(self.width, self.shape)
-
-    def basis_bits(self, n: int) -> U8:
-        """Bits of each basis number of a mode of a packed level; none where it is undecomposed."""
-        width, offsets = self.width[n], self.basis_offset[n]
-        if width is None or offsets is None:
-            return np.zeros(0, np.uint8)
-        return basis_number_bits(width, self.shape[:, 2, n], np.diff(offsets.astype(np.int64)))
+        if basis is None:
+            return 0
+        return code_bytes(*self._whole(f"basis/{n}", basis)) if self.rice else self.bits // 8 * basis.size
 
     def tables(self) -> Iterator[tuple[str, NDArray[Any]]]:
         """Names (without ``level/<l>/``) and arrays of the small integer and scale tables."""
@@ -99,7 +87,7 @@ class PackedLevel:
         yield "core_offset", self.core_offset
         yield "cell_offset", self.cell_offset
         yield "core_scale", self.core_scale
-        yield from ((f"width/{n}", width) for n, width in enumerate(self.width) if width is not None)
+        yield from ((f"rice/{n}", entries) for n, entries in enumerate(self.rice) if entries is not None)
         for n in range(self.order):
             yield f"row_offset/{n}", self.row_offset[n]
             per_mode = (
@@ -117,32 +105,36 @@ class PackedLevel:
         yield from ((f"basis/{n}", basis) for n, basis in enumerate(self.basis) if basis is not None)
 
     def coefficients(self) -> Iterator[tuple[str, F16 | I8 | U8]]:
-        """The same as the file has them: bytes, or in a packed level the bits of all."""
+        """The same as the file has them: bytes, or in a packed level codes."""
         for name, array in self.wide():
-            if self.width:
-                yield name, self._stream(name, array)
+            if self.rice:
+                yield name, encoded(*self._whole(name, array))
             else:
                 table = CORE_NUMBERS if name == "core" else BASIS_NUMBERS
                 yield name, narrowed(array, table) if self.bits == 8 else array
 
-    def _stream(self, name: str, array: F16) -> U8:
-        bits, ones = self._bits(name)
-        # The largest number of more than 12 bits is one more in float16, which as many bits do not hold.
-        largest = (1 << (bits.astype(np.int32) - 1)) - 1
-        return to_stream(np.minimum(whole(array, ones), largest), bits)
+    def _whole(self, name: str, array: F16) -> tuple[I32, U8]:
+        """The whole numbers of an array of a packed level, and the parameters of their codes."""
+        parameters, steps = self._parameters(name)
+        # The largest number is one more in float16, for which there is no code.
+        return np.minimum(whole(array, steps), MOST - 1), parameters
 
-    def unpacked(self, name: str, stream: U8) -> F16:
-        """The numbers of an array of a packed level, of their bits in the file."""
-        bits, ones = self._bits(name)
-        return from_whole(from_stream(stream, bits), ones)
+    def unpacked(self, name: str, codes: U8) -> F16:
+        """The numbers of an array of a packed level, of their codes in the file."""
+        parameters, steps = self._parameters(name)
+        return from_whole(decoded(codes, parameters), steps)
 
-    def _bits(self, name: str) -> tuple[U8, U8]:
-        """Of each number of an array the bits that it has in the file, and of how many bits it would be near 1."""
-        if name != "core":
-            bits = self.basis_bits(int(name.split("/")[1]))
-            return bits, bits
-        most = most_core_bits(self.width, self.shape[:, 2])
-        return self.core_bits(), np.repeat(most, np.diff(self.core_offset.astype(np.int64)))
+    def _parameters(self, name: str) -> tuple[U8, U8]:
+        """Of each number of an array the parameter of its code, and the one that its steps go with."""
+        if name == "core":
+            most = most_of_core(self.rice, self.shape[:, 2])
+            return of_core_numbers(self.rice, self.shape), np.repeat(most, np.diff(self.core_offset.astype(np.int64)))
+        n = int(name.split("/")[1])
+        entries, offsets = self.rice[n], self.basis_offset[n]
+        assert entries is not None
+        assert offsets is not None
+        own = of_basis_numbers(entries, self.shape[:, 2, n], np.diff(offsets.astype(np.int64)))
+        return own, own
 
 
 @dataclass(frozen=True)

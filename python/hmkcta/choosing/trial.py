@@ -16,12 +16,12 @@ from ..axes import Organisation, mode_sizes
 from ..filesize import planned_bytes
 from ..grids import divisors
 from ..metrics import noise_at, snr_db
+from ..parameters import LEFT
 from ..plan import MOST_RANKS_ALONE
 from ..ranks.allocation import Choices, best_of_one, choices_of, pareto, plausible, ration, stored_bits
 from ..streaming.budget import is_precise
 from ..streaming.source import Source
 from ..support.executors import in_order
-from ..widths import LEFT
 from .blocks import Blocks, Samples, organised, parts_of, samples_of, split
 from .candidates import Candidate, Scored, bytes_beside, clusters_of, plan_of
 from .caps import Ranks, Room, capped

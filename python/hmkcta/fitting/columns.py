@@ -1,26 +1,25 @@
-"""Numbers of a packed level: how many bits each column of a basis is worth, and the step between core numbers.
+"""Numbers of a packed level: how fine the steps of each column of a basis are worth to be, and those of core numbers.
 
 What rounding leaves is least, for the bits that are spent, where every number leaves as much (reverse water-filling):
-then a column whose numbers count for twice as much has one bit more. How much they count for is told by the core, and
-how much all of them together may leave is a share of what the ranks leave (`LevelSpec.own_bits`).
+then a column whose numbers count for twice as much has steps half as large. How much they count for is told by the
+core, and how much all of them together may leave is a share of what the ranks leave (`LevelSpec.own_bits`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import reduce
-from math import frexp, ldexp, sqrt
+from math import prod, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import F32, F64
-from ..bitstream import U8
-from ..cells import Cells, by_cells, column_peaks, column_squares, scaled_columns
-from ..widths import MOST_OF_BASIS, MOST_OF_CORE
+from ..cells import Cells, by_cells, column_peaks, column_squares
+from ..parameters import BELOW_ONE
+from ..rice import MOST, PARAMETERS, code_bits, folded
 
-#: Fewest bits of a column.
-FEWEST = 2
+#: Steps of a column's largest number, at the least and at the most.
+FEWEST, FINEST_STEPS = 1.0, 2048.0
 #: Share of the energy below which float32 does not tell what is left.
 FINEST = 1e-13
 #: What numbers differ by at most, as a share of the largest, that are alike.
@@ -46,16 +45,17 @@ def rounded_by_columns(cells: Cells, left: float) -> Cells:
     squares = _squares(cells)
     held = _held(cells, squares)
     step = _step(cells, max(left, FINEST * float(held.sum())))
-    bits = _column_bits(cells, squares, held, step)
-    bases, cores = scaled_columns(cells, bits)
-    bases = [basis if own is None else _nearest(basis, own) for basis, own in zip(bases, bits, strict=True)]
-    scaled = Cells(cells.sizes, cells.spec, cells.members, bases, cores)
-    # A number of a core counts for as much as the columns that it stands for are long.
-    lengths: list[F64] = [np.ones(1) if own is None else own.mean(axis=1) for own in _squares(scaled)]
-    all_lengths: F64 = reduce(np.multiply, lengths)
-    of_core = step / sqrt(max(float(all_lengths.mean()), _LEAST))
-    scaled.cores = whole_steps(cores, of_core)
-    return scaled
+    bases, cores, lengths = list(cells.bases), cells.cores.astype(np.float64), np.ones(())
+    for n, own in enumerate(squares):
+        if own is not None:
+            steps = _column_steps(cells, n, own, held, step)
+            bases[n], factor = _in_steps(cells, n, steps)
+            each = by_cells(cells, n, factor)
+            cores *= _along(each, n, cores.ndim)
+            # A number of a core counts for as much as the columns that it stands for are long.
+            lengths = lengths * (own / np.maximum(np.square(each), _LEAST)).mean(axis=1)
+    of_core = step / np.sqrt(np.maximum(np.broadcast_to(lengths, len(cores)), _LEAST))
+    return Cells(cells.sizes, cells.spec, cells.members, bases, whole_steps(cores, of_core))
 
 
 def _step(cells: Cells, left: float) -> float:
@@ -64,49 +64,71 @@ def _step(cells: Cells, left: float) -> float:
     return sqrt(12 * cells.spec.own_bits * left / numbers)
 
 
-def _column_bits(cells: Cells, squares: Sequence[F64 | None], held: F64, step: float) -> list[U8 | None]:
-    """Bits of a number of each column `[R_n]` of every mode, for steps of about `step`; None: undecomposed."""
-    bits = list[U8 | None]()
-    for n, own in enumerate(squares):
-        if own is None:
-            bits.append(None)
-            continue
-        others = tuple(m + 1 for m in range(cells.order) if m != n)
-        share = held.sum(axis=others) / np.maximum(own, _LEAST)  # of a column of length 1, `[PC, R_n]`
-        rows, peaks = by_cells(cells, n, _rows(cells, n)), column_peaks(cells, n)
-        largest = by_cells(cells, n, peaks).astype(np.float64)
-        numbers = cells.bases[n].size // cells.ranks[n]
-        worth = np.sqrt((rows * share * np.square(largest)).sum(axis=0) / max(numbers, 1))
-        bits.append(np.where(_is_flat(cells, n, peaks), FEWEST, _bits(worth, step)).astype(np.uint8))
-    return bits
+def _column_steps(cells: Cells, n: int, squares: F64, held: F64, step: float) -> F64:
+    """Steps of the columns of mode n, `[C_n, PC_-n, R_n]`, each number of which counts for about `step`."""
+    others = tuple(m + 1 for m in range(cells.order) if m != n)
+    counts = np.sqrt(held.sum(axis=others) / np.maximum(squares, _LEAST))  # of a column of length 1, `[PC, R_n]`
+    peaks = column_peaks(cells, n).astype(np.float64)
+    steps = step / np.maximum(by_columns(cells, n, counts), _LEAST)
+    steps = np.clip(steps, peaks / FINEST_STEPS, peaks / FEWEST)
+    return np.where(_is_flat(cells, n, peaks), peaks, steps)
 
 
-def _is_flat(cells: Cells, n: int, peaks: F32) -> NDArray[np.bool_]:
+def _is_flat(cells: Cells, n: int, peaks: F64) -> NDArray[np.bool_]:
     """Whether the numbers of each column `[R_n]` are all 0 or as large as its largest, which few bits hold exactly."""
     sizes, largest = np.abs(cells.bases[n][:, 0]), peaks[cells.members[n][:, 0]]
     return np.all((sizes < FLAT * largest) | (sizes > (1 - FLAT) * largest), axis=(0, 1))
 
 
-def _nearest(basis: F32, bits: U8) -> F32:
-    """The nearest numbers of each column's bits."""
-    ones = np.exp2(bits.astype(np.float32) - 1)
-    return (np.rint(basis * ones) / ones).astype(np.float32)
+def _in_steps(cells: Cells, n: int, steps: F64) -> tuple[F32, F64]:
+    """Bases in whole steps, q / 2^(k+2) where codes of parameter k are shortest; what columns are to be multiplied by.
 
-
-def whole_steps(cores: F32, step: float) -> F32:
-    """The nearest multiples of about the step, of which float16 holds how many steps they are.
-
-    The largest number is as many steps as are nearest. Float32 holds any number of them, so that a fit can be brought
-    as near to an SNR as it is asked for, and a node's only core number, or one like all others, is as it was.
+    The parameter is that of a column in all cells.
     """
-    peak = float(np.abs(cores).max(initial=0.0))
-    steps = min(round(peak / max(step, _LEAST)), 2 ** (MOST_OF_CORE - 1) - 1)
-    if not steps:
-        return np.zeros_like(cores)
-    exponent = max(frexp(peak / steps)[1] - _STEP_BITS, _FINEST_EXPONENT)
-    stored = max(round(ldexp(peak / steps, -exponent)), 1)
-    whole = np.rint(np.ldexp(cores / np.float64(stored), -exponent)).astype(np.float16)
-    return np.ldexp(whole.astype(np.float64) * stored, exponent).astype(np.float32)
+    each = np.where(steps > 0, steps, 1.0)[cells.members[n]]
+    whole = np.rint(cells.bases[n] / each).astype(np.float16)
+    k = _parameters(whole.reshape(-1, whole.shape[-1]))
+    unit = np.ldexp(1.0, k + BELOW_ONE)
+    return (whole / unit).astype(np.float32), np.where(steps > 0, steps, 1.0) * unit
+
+
+def _parameters(whole: NDArray[np.float16]) -> NDArray[np.int64]:
+    """The parameter of each column `[.., R]` of whole numbers for which its codes are shortest."""
+    z = folded(whole)
+    about = np.rint(np.log2(np.maximum(z.mean(axis=0, dtype=np.float64), 0.5))).astype(np.int64)
+    tried = np.clip(about + np.array([[-1], [0], [1]]), 0, PARAMETERS - 1)
+    taken = [code_bits(z, each.astype(np.uint8)).sum(axis=0, dtype=np.int64) for each in tried]
+    return tried[np.argmin(taken, axis=0), np.arange(about.size)]
+
+
+def whole_steps(cores: F64 | F32, steps: F64) -> F32:
+    """Cores `[PC, ..]`, each cell in nearest multiples of about its step: numbers of steps that float16 holds.
+
+    The largest number of a cell is as many steps as are nearest. Float32 holds any number of them, so that a fit can be
+    brought as near to an SNR as it is asked for, and a cell's only core number, or one like all others, is as it was.
+    """
+    each = cores.reshape(len(cores), -1).astype(np.float64)
+    peak = np.abs(each).max(axis=1, initial=0.0)
+    most = np.minimum(np.rint(peak / np.maximum(steps, _LEAST)), MOST - 1)
+    about = np.where(most > 0, peak, 1.0) / np.maximum(most, 1)
+    exponent = np.maximum(np.frexp(about)[1] - _STEP_BITS, _FINEST_EXPONENT)
+    stored = np.ldexp(np.maximum(np.rint(np.ldexp(about, -exponent)), 1), exponent)
+    whole = np.rint(np.where(most > 0, 1.0, 0.0)[:, None] * each / stored[:, None]).astype(np.float16)
+    return (whole.astype(np.float64) * stored[:, None]).astype(np.float32).reshape(cores.shape)
+
+
+def by_columns(cells: Cells, n: int, each: F64) -> F64:
+    """What is told of columns of mode n for each cell, `[PC, R_n]`, for each column: `[C_n, PC_-n, R_n]`."""
+    clusters = cells.spec.clusters
+    before, after = prod(clusters[:n]), prod(clusters[n + 1 :])
+    return each.reshape(before, clusters[n], after, -1).swapaxes(0, 1).reshape(clusters[n], before * after, -1)
+
+
+def _along(each: F64, n: int, dimensions: int) -> F64:
+    """Numbers `[PC, R_n]` in the shape of cores."""
+    shape = [len(each), *[1] * (dimensions - 1)]
+    shape[n + 1] = each.shape[1]
+    return each.reshape(shape)
 
 
 def _squares(cells: Cells) -> list[F64 | None]:
@@ -119,19 +141,5 @@ def _held(cells: Cells, squares: Sequence[F64 | None]) -> F64:
     held = np.square(cells.cores, dtype=np.float64)
     for n, own in enumerate(squares):
         if own is not None:
-            shape = [1] * held.ndim
-            shape[0], shape[n + 1] = own.shape
-            held *= own.reshape(shape)
+            held *= _along(own, n, held.ndim)
     return held
-
-
-def _bits(worth: F64, step: float) -> U8:
-    """So many that the steps between a column's numbers, from -m to m of 2 m + 1 = 2^bits - 1, are about `step`."""
-    steps = worth / max(step, _LEAST)
-    return np.clip(np.rint(1 + np.log2(steps + 1)), FEWEST, MOST_OF_BASIS).astype(np.uint8)
-
-
-def _rows(cells: Cells, n: int) -> F64:
-    """How many rows of mode n each of its clusters has, `[C_n, PC_-n, R_n]`."""
-    counts = np.bincount(cells.members[n][:, 0], minlength=cells.spec.clusters[n]).astype(np.float64)
-    return np.broadcast_to(counts[:, None, None], (cells.spec.clusters[n], *cells.bases[n].shape[2:]))

@@ -24,12 +24,12 @@ _RAGGED = -1  # a length that the tables decide
 
 #: The number types that core and basis numbers may have, by the version of the file; the newest version comes last.
 NUMBER_TYPES: Mapping[str, tuple[str, ...]] = {
-    "1.0": ("F16",), "1.1": ("F16", "I8"), "1.2": ("F16", "I8"), "1.3": ("F16", "I8"),
+    "1.0": ("F16",), "1.1": ("F16", "I8"), "1.2": ("F16", "I8"), "1.4": ("F16", "I8"),
 }
 #: The versions that leave out what follows from other arrays (`short.py`), and the last that has all of them.
-SHORT, WHOLE = ("1.2", "1.3"), "1.1"
+SHORT, WHOLE = ("1.2", "1.4"), "1.1"
 #: The versions whose levels may be packed.
-PACKED = ("1.3",)
+PACKED = ("1.4",)
 #: Arrays that short versions may leave out, and the types that tables may have there, by the one in memory.
 OPTIONAL, NARROWER = ("cluster", "part", "local"), {"U32": ("U8", "U16", "U32"), "U16": ("U8", "U16")}
 
@@ -53,11 +53,11 @@ def prefix(level: int) -> str:
 def version_of(arrays: Mapping[str, ArrayInfo]) -> str:
     """The version that is written of these arrays: where all readers could read it, the oldest.
 
-    >>> core, width = ArrayInfo("I8", (8,)), ArrayInfo("U8", (2,))
-    >>> version_of({"level/1/core": core}), version_of({"level/1/core": core, "level/1/width/0": width}), version_of({})
-    ('1.2', '1.3', '1.0')
+    >>> core, rice = ArrayInfo("I8", (8,)), ArrayInfo("U8", (2,))
+    >>> version_of({"level/1/core": core}), version_of({"level/1/core": core, "level/1/rice/0": rice}), version_of({})
+    ('1.2', '1.4', '1.0')
     """
-    if any(_kind(name) == "width" for name in arrays):
+    if any(_kind(name) == "rice" for name in arrays):
         return PACKED[0]
     return SHORT[0] if any(info.dtype == "I8" for info in arrays.values()) else next(iter(NUMBER_TYPES))
 
@@ -81,7 +81,7 @@ def level_schema(order: int, undecomposed: Sequence[int], nodes: int, last: bool
     """Names (without prefix) and infos of the arrays of a level with S = `nodes`; -1 for a ragged length.
 
     Core and basis numbers have that many `bits`. Arrays of one number type come in the order of the file. If `short`
-    without offsets, and with all that may be left out, in the types of memory. If `packed` with widths.
+    without offsets, and with all that may be left out, in the types of memory. If `packed` with parameters.
 
     >>> sum(1 for _ in level_schema(4, (), 12, last=False)), sum(1 for _ in level_schema(4, (3,), 12, last=True))
     (34, 21)
@@ -94,7 +94,7 @@ def level_schema(order: int, undecomposed: Sequence[int], nodes: int, last: bool
         elif not (short and is_offset(name)):
             yield name, info
         if packed and name == "core_scale":
-            yield from ((f"width/{n}", ArrayInfo("U8", (_RAGGED,))) for n in range(order) if n not in undecomposed)
+            yield from ((f"rice/{n}", ArrayInfo("U8", (_RAGGED,))) for n in range(order) if n not in undecomposed)
 
 
 def is_offset(name: str) -> bool:
@@ -127,7 +127,7 @@ def _whole_schema(order: int, undecomposed: Sequence[int], nodes: int, last: boo
 
 #: The number type of each array of a level in memory, by its name without level and mode.
 LEVEL_TYPES = {name.split("/")[0]: info.dtype for name, info in level_schema(1, (), 0, last=False)}
-LEVEL_TYPES["width"] = "U8"
+LEVEL_TYPES["rice"] = "U8"
 
 
 def check_schema(metadata: Metadata, version: str, coords: Mapping[int, str], arrays: Mapping[str, ArrayInfo],
@@ -219,7 +219,7 @@ def level_of(arrays: Mapping[str, NDArray[Any]], level: int, order: int) -> Pack
     def modes(name: str) -> tuple[NDArray[Any] | None, ...]:
         return tuple(find(f"{name}/{n}") for n in range(order))
 
-    narrow, packed = get("core").dtype == np.int8, any(find(f"width/{n}") is not None for n in range(order))
+    narrow, packed = get("core").dtype == np.int8, any(find(f"rice/{n}") is not None for n in range(order))
     core = _numbers(get("core"), CORE_NUMBERS) if narrow else get("core")
     bases = tuple(_numbers(basis, BASIS_NUMBERS) if narrow and basis is not None else basis for basis in modes("basis"))
     return PackedLevel(
@@ -227,7 +227,7 @@ def level_of(arrays: Mapping[str, NDArray[Any]], level: int, order: int) -> Pack
         core=core, core_offset=get("core_offset"), core_scale=get("core_scale"), cell_offset=get("cell_offset"),
         cluster=modes("cluster"), cluster_offset=modes("cluster_offset"), basis=bases,
         basis_offset=modes("basis_offset"), part=modes("part"), local=modes("local"),
-        bits=8 if narrow or packed else 16, width=modes("width") if packed else (),
+        bits=8 if narrow or packed else 16, rice=modes("rice") if packed else (),
     )
 
 

@@ -11,13 +11,14 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bitstream import U8, from_stream, stream_bytes
+from ..bitstream import U8
 from ..packed import U16, U32, PackedLevel
-from ..widths import basis_number_bits, core_number_bits, from_whole, most_core_bits
+from ..parameters import from_whole, most_of_core, of_basis_numbers, of_core_numbers
+from ..rice import decoded, fault_in
 from .check_tree import check_children, check_part_range, slot_of_child, slots_of
 from .reasons import fault
 from .schema import LEVEL_TYPES, NUMPY_TYPES, prefix
-from .tables import Ints, check_shapes, check_widths
+from .tables import Ints, check_entries, check_shapes
 
 Arrays = Mapping[str, NDArray[Any]]
 _MAX_U32 = 2**32 - 1
@@ -39,7 +40,7 @@ def shortened(packed: PackedLevel) -> Iterator[tuple[str, NDArray[Any]]]:
     if packed.child is not None:
         yield "child", _narrow(packed.child, int(packed.child[-1]))
     yield "core_scale", packed.core_scale
-    yield from ((f"width/{n}", width) for n, width in enumerate(packed.width) if width is not None)
+    yield from ((f"rice/{n}", entries) for n, entries in enumerate(packed.rice) if entries is not None)
     for n, cluster in enumerate(packed.cluster):
         if cluster is None:
             continue
@@ -109,7 +110,7 @@ class _Level:
             others = np.delete(self.clusters, n, axis=1).prod(1, np.float64)
             of_clusters = self.rows[:, n] * self.mixture[:, n] * self.ranks[:, n]
             numbers[f"basis/{n}"] = of_clusters.astype(np.float64) * others
-        if any(f"{self.name}width/{n}" in self.whole for n in self.decomposed):
+        if any(f"{self.name}rice/{n}" in self.whole for n in self.decomposed):
             self._unpack(numbers)
         self._own("core_offset", "core", numbers["core"])
         self._own("cell_offset", "core_scale", self.cells)
@@ -127,21 +128,22 @@ class _Level:
 
     def _unpack(self, numbers: Mapping[str, NDArray[np.float64]]) -> None:
         """The float16 numbers of a packed level, whose nodes have so many of each array."""
-        width = [self.whole.get(f"{self.name}width/{n}") for n in range(self.rows.shape[1])]
-        for n, own in enumerate(width):
+        rice = [self.whole.get(f"{self.name}rice/{n}") for n in range(self.rows.shape[1])]
+        for n, own in enumerate(rice):
             if own is not None:
-                check_widths(f"{self.name}width/{n}", own, self.ranks[:, n])
+                check_entries(f"{self.name}rice/{n}", own, self.ranks[:, n])
         for name, count in numbers.items():
             stream = self.whole[self.name + name]
             if count.sum() > 8 * stream.size:  # no number has less than a bit: nothing larger is made than that allows
-                raise fault("array-shape", self.name + name, [stream.size], f"the bits of {count.sum():.0f} numbers")
+                raise fault("array-shape", self.name + name, [stream.size], f"the codes of {count.sum():.0f} numbers")
             of_mode = None if name == "core" else int(name.split("/")[1])
-            bits = core_number_bits(width, self.whole[self.name + "shape"]) if of_mode is None else basis_number_bits(
-                cast("U8", width[of_mode]), self.ranks[:, of_mode], count.astype(np.int64))
-            if stream.size != (needed := stream_bytes(int(bits.sum(dtype=np.int64)))):
-                raise fault("array-shape", self.name + name, [stream.size], [needed])
-            each = bits if of_mode is not None else np.repeat(most_core_bits(width, self.ranks), count.astype(np.int64))
-            self.whole[self.name + name] = from_whole(from_stream(stream, bits), each)
+            own = of_core_numbers(rice, self.whole[self.name + "shape"]) if of_mode is None else of_basis_numbers(
+                cast("U8", rice[of_mode]), self.ranks[:, of_mode], count.astype(np.int64))
+            if (bad := fault_in(stream, own)) is not None:
+                reason, found, allowed = bad
+                raise fault(reason, self.name + name, found, allowed)
+            steps = own if of_mode is not None else np.repeat(most_of_core(rice, self.ranks), count.astype(np.int64))
+            self.whole[self.name + name] = from_whole(decoded(stream, own), steps)
 
     def _own(self, offsets: str, array: str, needed: NDArray[np.float64]) -> None:
         found = self.whole[self.name + array]

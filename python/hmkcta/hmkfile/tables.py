@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from ..narrow import U8
 from ..packed import U32, PackedLevel
-from ..widths import MOST_OF_BASIS, basis_bits
 from .reasons import fault
 from .schema import prefix
 
@@ -95,11 +94,8 @@ def check_shapes(shape: Ints, rows: Ints, undecomposed: Sequence[int], name: str
         raise fault("node-empty", name, f"node {bad[0]} without rows in mode {bad[1]} has a shape", "a shape of zeros")
 
 
-def check_widths(name: str, width: U8, ranks: NDArray[np.integer[Any]]) -> None:
-    """Widths of the columns of a mode's bases: as many as the nodes have ranks, of bases of at most 12 bits."""
+def check_entries(name: str, entries: U8, ranks: NDArray[np.integer[Any]]) -> None:
+    """Of the columns of a mode's bases there are as many as the nodes have ranks."""
     columns = int(ranks.sum(dtype=np.int64))
-    if width.shape != (columns,):
-        raise fault("array-shape", name, list(width.shape), [columns])
-    if (bad := first(basis_bits(width) > MOST_OF_BASIS)) is not None:
-        found = f"{width[bad]} at {bad[0]}, {basis_bits(width)[bad]} bits"
-        raise fault("width-range", name, found, f"at most {MOST_OF_BASIS} bits of a basis number")
+    if entries.shape != (columns,):
+        raise fault("array-shape", name, list(entries.shape), [columns])

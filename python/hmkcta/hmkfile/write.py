@@ -37,7 +37,7 @@ from .schema import (
     prefix,
 )
 from .short import shortened
-from .tables import check_widths
+from .tables import check_entries
 
 Piece: TypeAlias = bytes | memoryview
 
@@ -175,7 +175,7 @@ def _arrays(levels: Sequence[PackedLevel], coords: Mapping[str, NDArray[Any]], *
             ) -> dict[str, NDArray[Any]]:
     """Names and arrays in the order of the file; if `wide`, core and basis numbers as they are in memory."""
     stored = [(prefix(level) + name, array) for level, packed in enumerate(levels, 1)
-              for name, array in (*(shortened(packed) if short else replace(packed, width=()).tables()),
+              for name, array in (*(shortened(packed) if short else replace(packed, rice=()).tables()),
                                   *(packed.wide() if wide else packed.coefficients()))]
     return file_order([*coords.items(), *stored])
 
@@ -186,7 +186,7 @@ def _infos(levels: Sequence[PackedLevel], coords: Mapping[str, NDArray[Any]], *,
              for name, array in _arrays(levels, coords, short=short, wide=True).items()}
     for level, packed in enumerate(levels, 1):
         for name, array in packed.wide() if packed.bits == 8 else ():
-            if short and packed.width:  # of a whole file offsets are still to be checked, by which bits are counted
+            if short and packed.rice:  # of a whole file offsets are still to be checked, by which bits are counted
                 stored = packed.core_bytes if name == "core" else packed.basis_bytes(int(name.split("/")[1]))
                 infos[prefix(level) + name] = ArrayInfo("U8", (stored,))
             else:
@@ -200,16 +200,16 @@ def _check_bytes(arrays: Mapping[str, NDArray[Any]], levels: Sequence[PackedLeve
         for name, numbers in packed.wide() if packed.bits == 8 else ():
             stored = arrays[prefix(level) + name]
             table = CORE_NUMBERS if name == "core" else BASIS_NUMBERS
-            differ = (packed.unpacked(name, stored) if packed.width else widened(stored, table)) != numbers
+            differ = (packed.unpacked(name, stored) if packed.rice else widened(stored, table)) != numbers
             if not differ.any():
                 continue
             found = numbers[differ][0]
             raise fault("array-dtype" if np.isfinite(found) else "not-finite", prefix(level) + name, found,
-                        "numbers of the bits of their columns" if packed.width else "numbers that a byte stands for")
+                        "whole numbers that there are codes for" if packed.rice else "numbers that a byte stands for")
 
 
 def _check_types(levels: Sequence[PackedLevel]) -> None:
-    """Wrong types and widths are refused first, as they would also spoil the order and the sizes in the file."""
+    """Wrong types and parameters are refused first, as they would also spoil the order and the sizes in the file."""
     for level, packed in enumerate(levels, 1):
         if packed.shape.ndim != 3:
             raise fault("array-shape", f"{prefix(level)}shape", list(packed.shape.shape), "[nodes, 3, modes]")
@@ -221,17 +221,17 @@ def _check_types(levels: Sequence[PackedLevel]) -> None:
 
 
 def _check_columns(packed: PackedLevel, level: str) -> None:
-    """Without sound widths there is no telling how long the arrays of a packed level are."""
-    if packed.width and len(packed.width) != packed.order:
-        raise fault("array-shape", f"{level}width", f"of {len(packed.width)} modes", f"of {packed.order}, or of none")
-    for n, (width, basis) in enumerate(zip(packed.width, packed.basis, strict=bool(packed.width))):
-        if width is not None and (packed.bits != 8 or basis is None):
-            raise fault("array-unexpected", f"{level}width/{n}", "an array", "one beside a basis of few bits alone")
-        if basis is not None and width is None:
-            raise fault("array-missing", f"{level}width/{n}", "no such array", "one for each decomposed mode")
-        if width is not None:
-            check_widths(f"{level}width/{n}", width, packed.shape[:, 2, n])
-    if packed.width and all(basis is None for basis in packed.basis):
+    """Without sound parameters there is no telling how long the arrays of a packed level are."""
+    if packed.rice and len(packed.rice) != packed.order:
+        raise fault("array-shape", f"{level}rice", f"of {len(packed.rice)} modes", f"of {packed.order}, or of none")
+    for n, (entries, basis) in enumerate(zip(packed.rice, packed.basis, strict=bool(packed.rice))):
+        if entries is not None and (packed.bits != 8 or basis is None):
+            raise fault("array-unexpected", f"{level}rice/{n}", "an array", "one beside a basis of few bits alone")
+        if basis is not None and entries is None:
+            raise fault("array-missing", f"{level}rice/{n}", "no such array", "one for each decomposed mode")
+        if entries is not None:
+            check_entries(f"{level}rice/{n}", entries, packed.shape[:, 2, n])
+    if packed.rice and all(basis is None for basis in packed.basis):
         raise fault("array-dtype", f"{level}core", "packed", "a level with bases")
 
 

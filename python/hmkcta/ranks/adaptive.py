@@ -25,11 +25,11 @@ from ..fitting.hierarchy import (
 from ..fitting.memberships import by_subspaces, start_candidates
 from ..goals import LEAST
 from ..metrics import noise_at
+from ..parameters import LEFT
 from ..plan import LevelSpec
 from ..streaming.budget import MODEL, PROCESS
 from ..streaming.streamed import Streamed
 from ..support.memory import check_memory, format_bytes, give_back_freed_memory
-from ..widths import LEFT
 from .allocation import Allocation, Spectrum, allocate, merged, stored_bits, trimmed
 from .examining import EXAMINING, Goal, Way, examined
 from .reckoning import SHARE, SHARES, Found, Reckoning

@@ -13,12 +13,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ..widths import MOST_OF_BASIS
-
 F64 = NDArray[np.float64]
 
 #: Fewest bits that numbers take on average.
-FEWEST_BITS = 3.0
+FEWEST_BITS, MOST_BITS = 2.0, 14.0
 #: How many choices are at most changed to some off the convex hulls, once the multiplier is found: the last step along
 #: the hulls leaves some of the goal unused.
 TRIMS = 8
@@ -29,7 +27,7 @@ CLOSE = 0.01
 #: A choice is left out that, taken by all nodes, leaves more than so many times the error of a cheaper one.
 ASIDE = 2.0
 #: Bits that a number of a packed level takes on average at 0 dB, and how many more for each dB; and where no SNR tells.
-BITS_AT, BITS_UNTOLD = (2.4, 0.1), 5.6
+BITS_AT, BITS_UNTOLD = (1.7, 0.08), 4.2
 #: Shapes of nodes whose choices are kept: those of a grid differ by a row along each mode.
 SHAPES = 16
 
@@ -38,11 +36,11 @@ def stored_bits(bits: int, snr: float | None) -> float:
     """Bits that a number takes, on average, of a level of ranks of its own with so many `bits`, for an SNR in dB.
 
     >>> stored_bits(16, 30.0), stored_bits(8, 30.0)
-    (16, 5.4)
+    (16, 4.1)
     """
     if bits == 16:
         return bits
-    return BITS_UNTOLD if snr is None else min(max(BITS_AT[0] + BITS_AT[1] * snr, FEWEST_BITS), MOST_OF_BASIS)
+    return BITS_UNTOLD if snr is None else min(max(BITS_AT[0] + BITS_AT[1] * snr, FEWEST_BITS), MOST_BITS)
 
 
 def empty_node_bytes(order: int, stored: int, bits: float = 16) -> float:

@@ -8,11 +8,9 @@ from math import log, log2
 
 import numpy as np
 
-from ..fitting.columns import FEWEST
 from ..fitting.hierarchy import Node
 from ..metrics import snr_db
-from ..widths import MOST_OF_BASIS
-from .allocation import Allocation, Spectrum, allocate, stored_bits
+from .allocation import FEWEST_BITS, MOST_BITS, Allocation, Spectrum, allocate, stored_bits
 from .examining import Way
 
 #: What the rounding of columns leaves, as a share of what the ranks leave: where nothing tells, and the least and most.
@@ -64,7 +62,7 @@ class Reckoning:
     def _bits(self, chosen: Allocation) -> float:
         """Bits that a number should take: more for a higher SNR, as of fits before, and fewer for a larger share."""
         fewer = log2((self.share or SHARE) / SHARE) / 2
-        return min(max(stored_bits(8, self.snr(chosen)) + self.more - fewer, FEWEST), MOST_OF_BASIS)
+        return min(max(stored_bits(8, self.snr(chosen)) + self.more - fewer, FEWEST_BITS), MOST_BITS)
 
     def learn(self, chosen: Allocation, nbytes: int) -> None:
         """A fit of the choices made a file of so many bytes."""
