@@ -203,7 +203,7 @@ class Parts {
       delete metadata.arrays[name];
     } else {
       const checksum = crc32(array.data);
-      metadata.arrays[name] = ["1.2", "1.3"].includes(metadata.version) ? checksum
+      metadata.arrays[name] = ["1.2", "1.4"].includes(metadata.version) ? checksum
         : { dtype: array.dtype, shape: array.shape, crc32: checksum };
     }
     this.text = JSON.stringify(metadata);

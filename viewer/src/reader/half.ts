@@ -26,6 +26,24 @@ export function halfBits(value: number): number {
   return (value < 0 ? 0x8000 : 0) + ((exponent + 14) << 10) + nearest;
 }
 
+/** The pattern nearest to a whole number below 2^18 in magnitude, divided by a power of two from 2^2 to 2^17. */
+export function halfOfSteps(whole: number, power: number): number {
+  const size = Math.abs(whole);
+  const digits = 32 - Math.clz32(size);
+  const exponent = digits + 14 - power; // as it is stored
+  let pattern: number;
+  if (size === 0 || exponent < 1) {
+    pattern = size << (24 - power); // the steps of the smallest numbers are finer than these
+  } else if (digits <= 11) {
+    pattern = (size << (11 - digits)) + ((exponent - 1) << 10);
+  } else {
+    const shift = digits - 11;
+    const odd = (size >> shift) & 1; // ties to even; what is rounded up to 2048 counts as one more of the exponent
+    pattern = ((size + (1 << (shift - 1)) - 1 + odd) >> shift) + ((exponent - 1) << 10);
+  }
+  return whole < 0 ? pattern | 0x8000 : pattern;
+}
+
 /** The value of one 16-bit pattern. */
 export function halfValue(bits: number): number {
   const sign = bits & 0x8000 ? -1 : 1;

@@ -8,9 +8,9 @@ import { fault } from "./reasons";
 
 /** The number types that core and basis numbers may have, by the version of the file. */
 export const NUMBER_TYPES: Record<Version, readonly Dtype[]> = {
-  "1.0": ["F16"], "1.1": ["F16", "I8"], "1.2": ["F16", "I8"], "1.3": ["F16", "I8"],
+  "1.0": ["F16"], "1.1": ["F16", "I8"], "1.2": ["F16", "I8"], "1.4": ["F16", "I8"],
 };
-const VERSIONS = ["1.0", "1.1", "1.2", "1.3"] as const;
+const VERSIONS = ["1.0", "1.1", "1.2", "1.4"] as const;
 export type Version = (typeof VERSIONS)[number];
 const KINDS = ["svbrdf", "lightfield", "volume", "generic"] as const;
 const ROLES = ["space", "view", "light", "time", "channel", "other"] as const;
@@ -84,12 +84,12 @@ export interface ArrayRecord {
 
 /** Whether files of the version leave out what follows from other arrays (`short.ts`). */
 export function isShort(version: Version): boolean {
-  return version === "1.2" || version === "1.3";
+  return version === "1.2" || version === "1.4";
 }
 
-/** Whether levels of the version may be packed (`widths.ts`). */
+/** Whether levels of the version may be packed (`rice.ts`). */
 export function mayPack(version: Version): boolean {
-  return version === "1.3";
+  return version === "1.4";
 }
 
 /** Metadata as parsed: `coords` names the coordinate arrays by axis number, which the axes still lack. */

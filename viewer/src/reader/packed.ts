@@ -4,7 +4,7 @@
  * The arrays of one level with S nodes of a tensor with N modes; null where the format leaves an array out.
  *
  * Lists are indexed by mode. Half-precision numbers are kept as their 16-bit patterns, as they go to the GPU; those that
- * the file has in a byte each, or in as many bits as they are worth, are kept so too (`narrow.ts`, `widths.ts`).
+ * the file has in a byte each, or in codes of few bits, are kept so too (`narrow.ts`, `rice.ts`).
  */
 export interface PackedLevel {
   nodes: number;

@@ -31,7 +31,7 @@ export function loads(bytes: Uint8Array<ArrayBuffer>, limits: Limits = DEFAULT_L
   const reading = new Reading(bytes.subarray(LENGTH_BYTES, LENGTH_BYTES + length), bytes.length, limits);
   const aligned = bytes.byteOffset % 8 === 0 ? bytes : bytes.slice();
   reading.verify(aligned, [...reading.header.entries.keys()]);
-  reading.readTables(aligned, false);
+  reading.readTables(aligned, true);
   for (let level = 1; level <= reading.metadata.levels.length; level += 1) {
     reading.readLevel(level, aligned, false);
   }
@@ -91,9 +91,14 @@ export class Reading {
     }
   }
 
-  /** Check all tables; `file` is the memory of the whole file, filled at least up to `tablesEnd`. */
-  readTables(file: Uint8Array<ArrayBuffer>, verify = true): void {
-    if (verify) {
+  /**
+   * Check all tables; `file` is the memory of the whole file, filled at least up to `tablesEnd`.
+   *
+   * Where all of it is `there`, and compared with its checksums, the codes of packed levels are checked with them, as
+   * the order of checks has it; else not before `readLevel`.
+   */
+  readTables(file: Uint8Array<ArrayBuffer>, there = false): void {
+    if (!there) {
       this.verify(file, this.names((name) => !isNumbers(name)));
     }
     const array = this.arraysIn(file);
@@ -103,7 +108,7 @@ export class Reading {
       this.metadata.axes[n]!.coords = { values, width: this.header.entries.get(name)?.shape[1] ?? 0 };
     }
     const order = this.metadata.modeSizes.length;
-    const whole = isShort(this.parsed.version) ? completed(array, this.metadata) : array;
+    const whole = isShort(this.parsed.version) ? completed(array, this.metadata, there) : array;
     this.levels = this.metadata.levels.map((_, l) => levelOf(whole, l + 1, order));
     this.geometries = checkTables(this.metadata, this.levels);
   }

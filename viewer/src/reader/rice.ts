@@ -1,165 +1,200 @@
 /**
- * Bits of the numbers of a packed level (`docs/format.md`, section 3), and the half-precision numbers that they stand for.
+ * The Golomb-Rice code of a packed level's numbers (`docs/format.md`, section 3), and what these stand for.
  *
- * A width is a byte for each column of a basis: the lower four bits are one less than the bits of the column's numbers,
- * the upper four one less than the most bits of the core numbers that stand for this column. A core number, which stands
- * for a column of each mode, has the least of these.
+ * An array `rice/<n>` has a byte for each column of a mode's bases: the lower four bits are the parameter of the codes
+ * of its numbers, the upper four the largest one of the core numbers that stand for this column. A core number, which
+ * stands for a column of each mode, has the least of these.
  */
 
 import { BitStream } from "./bitstream";
-import { halfBits } from "./half";
-import { fault } from "./reasons";
+import { halfOfSteps } from "./half";
+import { type HmkError, fault } from "./reasons";
 import type { Find } from "./schema";
 import { type Geometry, type Nodes, nameIn } from "./tables";
 
-const MOST_OF_BASIS = 12;
-const MOST_OF_CORE = 16;
+const MOST_ZEROS = 12; // of a code, and how many bits such a code has besides, whatever its parameter is
+const OWN_BITS = 16;
+const LARGEST_PARAMETER = 15;
+const BELOW_ONE = 2; // a number is q / 2^(k + 2): about one at the most, as codes are short where 2^k is near most q
 
 /** By mode: of each node [R_n]; null of an undecomposed mode. */
-type Widths = (Uint8Array | null)[];
+type Rice = (Uint8Array | null)[];
 
-function basisBits(width: number): number {
-  return (width & 15) + 1;
+/**
+ * Numbers one after the other: so many `times` one for each of the parameters from `begin` to `end`. They count steps
+ * of the `largest` parameter or, where it is null, of their own.
+ */
+type Take = (parameters: Uint8Array, begin: number, end: number, times: number, largest: number | null) => void;
+/** Tells of all numbers of an array, node after node; the parameters are there until the next call. */
+type Codes = (take: Take) => void;
+
+function riceOf(nodes: Nodes, array: Find): Rice {
+  return nodes.ranks.map((_, n) => array(nameIn(nodes, `rice/${n}`)) as Uint8Array | null);
 }
 
-function coreBits(width: number): number {
-  return (width >> 4) + 1;
-}
-
-function widthsOf(nodes: Nodes, array: Find): Widths {
-  return nodes.ranks.map((_, n) => array(nameIn(nodes, `width/${n}`)) as Uint8Array | null);
-}
-
-/** Widths, and the lengths of the arrays of which nodes have so many `numbers`, `core` or `basis/<n>`, by their names. */
-export function checkPacked(nodes: Nodes, array: Find, numbers: Map<string, (s: number) => number>): void {
-  const widths = widthsOf(nodes, array);
+/**
+ * Parameters, and the arrays of which nodes have so many `numbers`, `core` or `basis/<n>`, by their names.
+ *
+ * Unless their bytes are `there` it is only seen to it that nothing larger is made than their lengths allow: the codes
+ * are looked at when the level is unpacked.
+ */
+export function checkPacked(
+  nodes: Nodes, array: Find, numbers: Map<string, (s: number) => number>, there: boolean,
+): void {
+  const rice = riceOf(nodes, array);
   for (const n of nodes.decomposed) {
-    checkWidths(nameIn(nodes, `width/${n}`), widths[n]!, nodes.ranks[n]!);
+    checkParameters(nameIn(nodes, `rice/${n}`), rice[n]!, nodes.ranks[n]!);
   }
   for (const [name, count] of numbers) {
-    const [full, stored] = [nameIn(nodes, name), array(nameIn(nodes, name))!.length];
+    const [full, stored] = [nameIn(nodes, name), array(nameIn(nodes, name)) as Uint8Array];
     let all = 0;
     for (let s = 0; s < nodes.nodes; s += 1) {
       all += count(s);
     }
-    if (all > 8 * stored) { // no number has less than a bit: nothing larger is made than that allows
-      throw fault("array-shape", full, `[${stored}]`, `the bits of ${all} numbers`);
+    if (all > 8 * stored.length) { // no number has less than a bit
+      throw fault("array-shape", full, `[${stored.length}]`, `the codes of ${all} numbers`);
     }
-    const n = Number(name.split("/")[1]);
-    const bits = name === "core" ? bitsOfCores(nodes, widths) : bitsOfBases(widths[n]!, nodes.ranks[n]!, count);
-    if (stored !== Math.ceil(bits / 8)) {
-      throw fault("array-shape", full, `[${stored}]`, `[${Math.ceil(bits / 8)}]`);
+    if (there) {
+      const n = Number(name.split("/")[1]);
+      const codes = name === "core" ? codesOfCores(nodes, rice) : codesOfBases(rice[n]!, nodes.ranks[n]!, count);
+      checkCodes(full, stored, codes);
     }
   }
 }
 
-/** Widths of a mode's columns: as many as the nodes have ranks, of bases of at most 12 bits. */
-function checkWidths(name: string, width: Uint8Array, ranks: Uint32Array): void {
+/** Of a mode's columns there are as many as the nodes have ranks. */
+function checkParameters(name: string, rice: Uint8Array, ranks: Uint32Array): void {
   const columns = ranks.reduce((all, each) => all + each, 0);
-  if (width.length !== columns) {
-    throw fault("array-shape", name, `[${width.length}]`, `[${columns}]`);
-  }
-  const bad = width.findIndex((each) => basisBits(each) > MOST_OF_BASIS);
-  if (bad >= 0) {
-    throw fault("width-range", name, `${width[bad]} at ${bad}, ${basisBits(width[bad]!)} bits`,
-      `at most ${MOST_OF_BASIS} bits of a basis number`);
+  if (rice.length !== columns) {
+    throw fault("array-shape", name, `[${rice.length}]`, `[${columns}]`);
   }
 }
 
-/** Bits of all basis numbers of a mode, of which nodes have so many. */
-function bitsOfBases(width: Uint8Array, ranks: Uint32Array, numbers: (s: number) => number): number {
-  let bits = 0;
-  for (let s = 0, column = 0; s < ranks.length; s += 1) {
-    const rows = numbers(s) / ranks[s]!;
-    for (const end = column + ranks[s]!; column < end; column += 1) {
-      bits += rows * basisBits(width[column]!);
+/** The codes of a mode's bases, of which nodes have so many numbers. */
+function codesOfBases(rice: Uint8Array, ranks: Uint32Array, numbers: (s: number) => number): Codes {
+  const parameters = rice.map((each) => each & 15);
+  return (take) => {
+    for (let s = 0, column = 0; s < ranks.length; column += ranks[s]!, s += 1) {
+      if (ranks[s]! > 0) {
+        take(parameters, column, column + ranks[s]!, numbers(s) / ranks[s]!, null);
+      }
     }
-  }
-  return bits;
+  };
 }
 
-function bitsOfCores(nodes: Nodes, widths: Widths): number {
-  let bits = 0;
-  eachNode(nodes, widths, (s, own) => {
-    bits += nodes.cells[s]! * own.reduce((all, each) => all + each, 0);
-  });
-  return bits;
-}
-
-/** For each node the bits of a cell's core numbers, in their order; they are there until the next node's turn. */
-function eachNode(nodes: Nodes, widths: Widths, take: (s: number, bits: Uint8Array) => void): void {
+/** The codes of cores: all cells of a node have the same parameters. */
+function codesOfCores(nodes: Nodes, rice: Rice): Codes {
+  const parameters = rice.map((each) => each?.map((both) => both >> 4) ?? null);
   let most = 0;
   for (let s = 0; s < nodes.nodes; s += 1) {
     most = Math.max(most, nodes.ranks.reduce((all, rank) => all * rank[s]!, 1));
   }
-  const bits = new Uint8Array(most);
-  const column = new Float64Array(widths.length); // the node's first one, by mode
-  for (let s = 0; s < nodes.nodes; s += 1) {
-    bits[0] = MOST_OF_CORE;
-    let count = 1;
-    for (const [n, width] of widths.entries()) {
-      const rank = nodes.ranks[n]![s]!;
-      spread(bits, count, rank, width, column[n]!);
-      count *= rank;
-      column[n]! += rank;
+  return (take) => {
+    const own = new Uint8Array(most);
+    const column = new Float64Array(rice.length); // the node's first one, by mode
+    for (let s = 0; s < nodes.nodes; s += 1) {
+      own[0] = LARGEST_PARAMETER;
+      let count = 1;
+      for (const [n, each] of parameters.entries()) {
+        const rank = nodes.ranks[n]![s]!;
+        spread(own, count, rank, each, column[n]!);
+        count *= rank;
+        column[n]! += rank;
+      }
+      take(own, 0, count, nodes.cells[s]!, largestOf(own, count));
     }
-    take(s, bits.subarray(0, count));
-  }
+  };
 }
 
-/** The least bits by the indices of one mode more: in the same place, so from the last one on. */
-function spread(bits: Uint8Array, count: number, rank: number, width: Uint8Array | null, column: number): void {
+/** The least parameters by the indices of one mode more: in the same place, so from the last one on. */
+function spread(own: Uint8Array, count: number, rank: number, parameters: Uint8Array | null, column: number): void {
   for (let at = count - 1; at >= 0; at -= 1) {
-    const least = bits[at]!;
+    const least = own[at]!;
     for (let r = rank - 1; r >= 0; r -= 1) {
-      bits[at * rank + r] = width === null ? least : Math.min(least, coreBits(width[column + r]!));
+      own[at * rank + r] = parameters === null ? least : Math.min(least, parameters[column + r]!);
     }
   }
 }
 
-let shares: Uint16Array | undefined;
-
-/** The number of every whole one of 16 bits, divided by 2^15: those of fewer bits are multiples of powers of two. */
-function sharesOfOne(): Uint16Array {
-  shares ??= Uint16Array.from({ length: 65536 }, (_, bits) => halfBits(((bits << 16) >> 16) / 32768));
-  return shares;
-}
-
-/** Fill a packed level with the numbers that its bits, which `checkPacked` has let through, stand for. */
-export function unpackLevel(geometry: Geometry, array: Find): void {
-  const { packed, ranks } = geometry;
-  const widths = widthsOf(geometry, array);
-  const streamOf = (name: string): BitStream => new BitStream(array(nameIn(geometry, name)) as Uint8Array);
-  unpackCores(streamOf("core"), geometry, widths, packed.core);
-  for (const n of geometry.decomposed) {
-    unpackBases(streamOf(`basis/${n}`), widths[n]!, ranks[n]!, packed.basisOffset[n]!, packed.basis[n]!);
+function largestOf(own: Uint8Array, count: number): number {
+  let largest = 0;
+  for (let at = 0; at < count; at += 1) {
+    largest = Math.max(largest, own[at]!);
   }
+  return largest;
 }
 
-function unpackCores(stream: BitStream, nodes: Nodes, widths: Widths, into: Uint16Array): void {
-  const number = sharesOfOne();
-  let at = 0;
-  eachNode(nodes, widths, (s, bits) => {
-    const up = 16 - bits.reduce((most, each) => Math.max(most, each), 0); // to whole numbers of 16 bits
-    for (let cell = 0; cell < nodes.cells[s]!; cell += 1) {
-      for (let i = 0; i < bits.length; i += 1, at += 1) {
-        into[at] = number[(stream.next(bits[i]!) << up) & 0xffff]!;
+/** Check that an array holds the codes of its numbers and no more; the byte at which the second sequence begins. */
+function checkCodes(name: string, stored: Uint8Array, codes: Codes): number {
+  const first = new BitStream(stored);
+  let bits = 0; // of the second sequence
+  codes((parameters, begin, end, times) => {
+    for (let time = 0; time < times; time += 1) {
+      for (let i = begin; i < end; i += 1) {
+        const zeros = first.zeros();
+        if (zeros > MOST_ZEROS) {
+          throw badCode(name, zeros, stored.length);
+        }
+        bits += zeros === MOST_ZEROS ? OWN_BITS : parameters[i]!;
       }
     }
   });
+  const needed = first.end + Math.ceil(bits / 8);
+  if (stored.length !== needed) {
+    throw fault("array-shape", name, `[${stored.length}]`, `[${needed}]`);
+  }
+  return first.end;
 }
 
-function unpackBases(
-  stream: BitStream, width: Uint8Array, ranks: Uint32Array, offsets: Uint32Array, into: Uint16Array,
-): void {
-  const number = sharesOfOne();
-  for (let s = 0, first = 0; s < ranks.length; s += 1) {
-    const end = first + ranks[s]!;
-    for (let at = offsets[s]!, column = first; at < offsets[s + 1]!; at += 1) {
-      const bits = basisBits(width[column]!);
-      into[at] = number[(stream.next(bits) << (16 - bits)) & 0xffff]!;
-      column = column + 1 === end ? first : column + 1;
-    }
-    first = end;
+function badCode(name: string, zeros: number, length: number): HmkError {
+  return zeros < Infinity
+    ? fault("code-range", name, `${zeros} bits of 0`, `at most ${MOST_ZEROS}`)
+    : fault("array-shape", name, `[${length}]`, "the codes of all its numbers");
+}
+
+/** The pattern of the number of so many steps of a parameter, which are folded: 0, -1, 1, -2, .. */
+function numberOf(folded: number, parameter: number): number {
+  return halfOfSteps((folded >> 1) ^ -(folded & 1), parameter + BELOW_ONE);
+}
+
+const SMALL = 4096;
+let table: Uint16Array | undefined;
+
+/** The numbers of few steps, parameter after parameter: most are such, and quicker looked up than made. */
+function smallNumbers(): Uint16Array {
+  table ??= Uint16Array.from({ length: (LARGEST_PARAMETER + 1) * SMALL },
+    (_, at) => numberOf(at % SMALL, Math.floor(at / SMALL)));
+  return table;
+}
+
+/** Fill a packed level, whose tables `checkPacked` has let through, with the numbers that its codes stand for. */
+export function unpackLevel(geometry: Geometry, array: Find): void {
+  const { packed, ranks } = geometry;
+  const rice = riceOf(geometry, array);
+  const unpackArray = (name: string, codes: Codes, into: Uint16Array): void =>
+    unpack(nameIn(geometry, name), array(nameIn(geometry, name)) as Uint8Array, codes, into);
+  unpackArray("core", codesOfCores(geometry, rice), packed.core);
+  for (const n of geometry.decomposed) {
+    const offsets = packed.basisOffset[n]!;
+    const codes = codesOfBases(rice[n]!, ranks[n]!, (s) => offsets[s + 1]! - offsets[s]!);
+    unpackArray(`basis/${n}`, codes, packed.basis[n]!);
   }
+}
+
+function unpack(name: string, stored: Uint8Array, codes: Codes, into: Uint16Array): void {
+  const second = new BitStream(stored, checkCodes(name, stored, codes));
+  const first = new BitStream(stored);
+  const small = smallNumbers();
+  let at = 0;
+  codes((parameters, begin, end, times, largest) => {
+    for (let time = 0; time < times; time += 1) {
+      for (let i = begin; i < end; i += 1, at += 1) {
+        const parameter = parameters[i]!;
+        const zeros = first.zeros();
+        const folded = zeros === MOST_ZEROS ? second.next(OWN_BITS) : (zeros << parameter) | second.next(parameter);
+        const steps = largest ?? parameter;
+        into[at] = folded < SMALL ? small[steps * SMALL + folded]! : numberOf(folded, steps);
+      }
+    }
+  });
 }

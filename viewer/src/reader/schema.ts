@@ -6,8 +6,8 @@ import { type ArrayRecord, MAX_COORD_DIMENSIONS, NUMBER_TYPES, type Parsed, isSh
 import { BASIS_NUMBERS, CORE_NUMBERS, widen } from "./narrow";
 import type { PackedLevel } from "./packed";
 import { fault } from "./reasons";
+import { unpackLevel } from "./rice";
 import { type Geometry, nameIn } from "./tables";
-import { unpackLevel } from "./widths";
 
 const RAGGED = -1;
 
@@ -38,7 +38,7 @@ function levelSchema(
   result.push(["core", ragged(numbers)], ["core_offset", offsets], ["core_scale", ragged("F32")], ["cell_offset", offsets]);
   for (let n = 0; n < order && numbers === "U8"; n += 1) {
     if (!undecomposed.includes(n)) {
-      result.push([`width/${n}`, ragged("U8")]);
+      result.push([`rice/${n}`, ragged("U8")]);
     }
   }
   for (let n = 0; n < order; n += 1) {

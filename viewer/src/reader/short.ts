@@ -1,20 +1,20 @@
-/** Short tables (`docs/format.md`, section 3): what files of versions 1.2 and 1.3 leave out, made again of the rest. */
+/** Short tables (`docs/format.md`, section 3): what files of versions 1.2 and 1.4 leave out, made again of the rest. */
 
 import { checkChildren, eachRow, rowsOfChildren, rowsOwned, slotStarts } from "./checkTree";
 import type { Metadata } from "./metadata";
 import { fault } from "./reasons";
+import { checkPacked } from "./rice";
 import type { Find, TypedArray } from "./schema";
 import { type Nodes, nameIn, nodesOf } from "./tables";
-import { checkPacked } from "./widths";
 
 const MAX_U32 = 2 ** 32 - 1;
 
 /**
  * The arrays, which `checkSchema` has let through, and all that is left out, in the types of memory.
  *
- * Nothing is made that is larger than what the file holds allows; core and basis numbers need not be there yet.
+ * Nothing is made that is larger than what the file holds allows; core and basis numbers need not be `there` yet.
  */
-export function completed(array: Find, metadata: Metadata): Find {
+export function completed(array: Find, metadata: Metadata, there: boolean): Find {
   const made = new Map<string, TypedArray>();
   let rows: Float64Array[] = metadata.modeSizes.map((size) => Float64Array.of(size));
   for (let level = 1; level <= metadata.levels.length; level += 1) {
@@ -25,7 +25,7 @@ export function completed(array: Find, metadata: Metadata): Find {
     }
     const nodes = nodesOf(shape, rows, level, metadata.undecomposed);
     const own = new Completion(nodes, array, made);
-    own.completeRagged();
+    own.completeRagged(there);
     const below = array(`level/${level + 1}/shape`);
     rows = below === null ? rows : own.completeTree(below.length / (3 * rows.length));
   }
@@ -47,12 +47,12 @@ class Completion {
   }
 
   /** Offsets, by what the shapes of nodes need, and clusters where each mode has one. */
-  completeRagged(): void {
+  completeRagged(there: boolean): void {
     const { rows, mixture, cells, decomposed } = this.nodes;
     const numbers = this.numbers();
     const packed = this.array(nameIn(this.nodes, "core")) instanceof Uint8Array;
     if (packed) {
-      checkPacked(this.nodes, this.array, numbers);
+      checkPacked(this.nodes, this.array, numbers, there);
     }
     const ownNumbers = (offsets: string, array: string): void => {
       const needed = numbers.get(array)!;
