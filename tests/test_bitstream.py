@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from hmkcta import bitstream
-from hmkcta.bitstream import U8, from_stream, stream_bytes, to_stream
+from hmkcta.bitstream import U8, from_stream, from_unary, stream_bytes, to_stream, to_unary
 
 
 def naive_stream(stored: Sequence[int], bits: Sequence[int]) -> bytes:
     """The bits of each number, the lowest first, as digits; then eight digits a byte, the lowest first."""
-    digits = "".join(f"{q % 2**own:0{own}b}"[::-1] for q, own in zip(stored, bits, strict=True))
+    digits = "".join(f"{q % 2**own:0{own}b}"[::-1] if own else "" for q, own in zip(stored, bits, strict=True))
     digits += "0" * (-len(digits) % 8)
     return bytes(int(digits[at : at + 8][::-1], 2) for at in range(0, len(digits), 8))
 
@@ -28,8 +28,7 @@ def arrays(numbers: Sequence[tuple[int, int]]) -> tuple[NDArray[np.int32], U8]:
 
 
 #: Whole numbers with as many bits as they need, or more.
-NUMBERS = st.integers(1, 16).flatmap(
-    lambda bits: st.tuples(st.integers(-(2 ** (bits - 1)), 2 ** (bits - 1) - 1), st.just(bits)))  # fmt: skip
+NUMBERS = st.integers(0, 16).flatmap(lambda bits: st.tuples(st.integers(0, 2**bits - 1), st.just(bits)))
 
 
 @settings(max_examples=300, deadline=None)
@@ -52,20 +51,27 @@ def test_long_streams() -> None:
     """Longer than what is looked at together, and twice as long to the number."""
     rng = np.random.default_rng(0)
     for count in (2 << 14, 50_000):
-        bits = rng.integers(1, 17, count).astype(np.uint8)
-        stored = rng.integers(-(1 << bits.astype(np.int64) - 1), 1 << bits.astype(np.int64) - 1)
+        bits = rng.integers(0, 17, count).astype(np.uint8)
+        stored = rng.integers(0, 1 << bits.astype(np.int64))
         stream = to_stream(stored, bits)
         assert stream.tobytes() == naive_stream(stored.tolist(), bits.tolist())
         np.testing.assert_array_equal(from_stream(stream, bits), stored)
 
 
-def test_the_example_of_the_text() -> None:
-    stored, bits = np.array([1, -3, -1, 1]), np.array([2, 3, 2, 3], np.uint8)
-    assert to_stream(stored, bits).tolist() == [0xF5, 0x00]
-    np.testing.assert_array_equal(from_stream(np.array([0xF5, 0x00], np.uint8), bits), stored)
+@settings(max_examples=300, deadline=None)
+@given(st.lists(st.integers(0, 30), max_size=60), st.integers(1, 20), st.binary(max_size=5))
+def test_bits_of_0_before_bits_of_1(zeros: list[int], together: int, after: bytes) -> None:
+    """Whatever follows them, and where there are fewer than are asked for."""
+    own = np.array(zeros, np.uint8)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bitstream, "_TOGETHER", together)
+        stream = to_unary(own)
+        assert stream.tobytes() == naive_stream([1 << each for each in zeros], [each + 1 for each in zeros])
+        longer = np.concatenate([stream, np.frombuffer(after, np.uint8)])
+        np.testing.assert_array_equal(from_unary(longer, own.size), own)
+        np.testing.assert_array_equal(from_unary(stream, own.size + 3), own)
 
 
-def test_a_number_of_too_few_bits_loses_its_upper_ones() -> None:
-    """By which the writer sees that a column is too narrow."""
-    stored, bits = np.array([4, -5, 2**31 - 1], np.int32), np.array([3, 3, 16], np.uint8)
-    assert from_stream(to_stream(stored, bits), bits).tolist() == [-4, 3, -1]
+def test_of_a_number_of_too_few_bits_the_lowest_are_kept() -> None:
+    stored, bits = np.array([4, 11, 2**31 - 1], np.int32), np.array([3, 3, 16], np.uint8)
+    assert from_stream(to_stream(stored, bits), bits).tolist() == [4, 3, 2**16 - 1]

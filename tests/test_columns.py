@@ -1,4 +1,4 @@
-"""Columns of a basis have as many bits as they are worth: what rounding leaves is the share that was asked for."""
+"""Columns of a basis have steps as fine as they are worth: what rounding leaves is the share that was asked for."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from hmkcta.fitting.columns import left_of, rounded_by_columns, whole_steps
 from hmkcta.fitting.hierarchy import Node
 from hmkcta.pack import pack_levels
 from hmkcta.packed import PackedLevel
+from hmkcta.parameters import whole_of_core
 from hmkcta.plan import LevelSpec
 from hmkcta.streaming import budget
-from hmkcta.widths import basis_bits, whole_of_core
 
 SIZES = (24, 30, 16)
 ONE, SEVERAL = (1, 1, 1), (2, 3, 1)
@@ -95,22 +95,20 @@ def test_what_is_left_is_what_cells_do_not_hold() -> None:
         assert left_of(cells, 0.5 * held) < 1e-12 * held
 
 
-def test_columns_that_count_for_more_have_more_bits() -> None:
-    """A bit for each factor of two, where widths are not at a limit."""
-    cells = make_cells(ONE, 0.3)
+def test_columns_that_count_for_more_have_finer_steps() -> None:
+    """Half as large for each factor of two."""
+    rng, cells = np.random.default_rng(0), make_cells(ONE, 0.3)
     cells.cores[:] = 0
     for r, size in enumerate((8.0, 4.0, 2.0, 1.0)):
         cells.cores[0, r, r, r] = size
-        for n in range(3):  # of the same peaks
-            column = np.where(np.arange(SIZES[n]) % 4 == r, 1.0, 0.0)
-            cells.bases[n][:, 0, 0, r] = column / np.linalg.norm(column)
-    width = packed(rounded_by_columns(cells, 0.05)).width[2]
-    assert width is not None
-    # Of columns of ones, whose bits in the file are fewer, the finest step tells how many they were given.
-    steps = [np.log2(np.diff(np.unique(np.append(column, [0, 1]))).min()) for column in
-             rounded_by_columns(cells, 0.05).bases[2][:, 0, 0, :4].T]  # fmt: skip
-    np.testing.assert_allclose(np.diff(steps), 1, atol=1.01)
-    assert (np.diff(basis_bits(width)[:4].astype(int)) <= 0).all()
+    for n, basis in enumerate(cells.bases):
+        basis[:, 0, 0] = np.linalg.qr(rng.standard_normal((SIZES[n], basis.shape[-1])))[0]
+    steps = []
+    for column in rounded_by_columns(cells, 0.05).bases[2][:, 0, 0, :4].T:
+        used = np.unique(np.abs(column[column != 0]))
+        step = np.gcd.reduce(np.rint(used * 2**17).astype(np.int64)) / 2**17
+        steps.append(step / np.linalg.norm(column))
+    np.testing.assert_allclose(np.diff(np.log2(steps)), 1, atol=0.1)
 
 
 @pytest.mark.parametrize("clusters", [ONE, SEVERAL], ids=["one", "several"])
@@ -133,15 +131,16 @@ def test_packed_and_unpacked_they_are_the_rounded_numbers(
 
 @pytest.mark.parametrize("left", [0.0, 1e-30, 1e30])
 @pytest.mark.parametrize("factor", [1e-12, 1.0, 1e12])
-def test_widths_end_at_their_limits(left: float, factor: float) -> None:
-    """Where nothing is left as much as bits can hold, where all is the least; packed they are what was rounded."""
+def test_steps_end_at_their_limits(left: float, factor: float) -> None:
+    """Where nothing is left as fine as float16 holds, where all is as coarse; packed they are what was rounded."""
     cells = make_cells(SEVERAL, 0.3)
     cells.cores *= np.float32(factor)
     rounded = rounded_by_columns(cells, left)
     assert np.isfinite(rounded.cores).all()
     level = packed(rounded)
-    own = np.concatenate([basis_bits(width) for width in level.width if width is not None])
-    assert own.max() == 12 if left < 1 else own.max() <= 2
+    bases = [(f"basis/{n}", basis) for n, basis in enumerate(level.basis) if basis is not None]
+    most = [np.abs(level._whole(name, basis)[0]).max() for name, basis in bases]
+    assert min(most) > 1000 if left < 1 else max(most) <= 2
     np.testing.assert_array_equal(level.core.reshape(rounded.cores.shape) * level.core_scale.reshape(-1, 1, 1, 1),
                                   rounded.cores)
     if left < 1e-20:
@@ -150,8 +149,8 @@ def test_widths_end_at_their_limits(left: float, factor: float) -> None:
 
 
 @pytest.mark.parametrize("peak", [1.0, 0.99999, 32767.0, -1.0])
-def test_cores_of_the_most_bits_are_packed_whatever_their_peak(peak: float) -> None:
-    """Powers of two, and what float16 rounds to one, have the bits of the number below, which is read as the same."""
+def test_the_largest_cores_are_packed_whatever_their_peak(peak: float) -> None:
+    """Powers of two, and what float16 rounds to one, have the code of the number below, which is read as the same."""
     cells = make_cells(ONE, 0.3)
     cells.cores *= np.float32(abs(peak) / 2 / np.abs(cells.cores).max())
     cells.cores[0, 0, 0, 0] = peak
@@ -177,12 +176,12 @@ def test_columns_and_cores_of_zeros_stay_zero(clusters: tuple[int, int, int]) ->
     assert not rounded.cores.any()
     level = packed(rounded)
     assert not level.core.any()
-    assert (level.core_bits() == 1).all()
+    assert level.core_bytes == -(-level.core.size // 8)  # a bit each
 
 
 @pytest.mark.parametrize("clusters", [ONE, SEVERAL], ids=["one", "several"])
 def test_rounding_twice_makes_little_more(clusters: tuple[int, int, int]) -> None:
-    """Mostly nothing: what is on the grid stays on it, unless a width is near the next one."""
+    """Mostly nothing: what is on the grid stays on it, unless a step is near the next one."""
     cells = make_cells(clusters, 0.3)
     once = rounded_by_columns(cells, 0.01)
     twice = rounded_by_columns(once, 0.01)
@@ -229,7 +228,7 @@ def test_a_small_file_is_no_worse_for_widths() -> None:
 
 @pytest.mark.parametrize("size", [1e-36, 1e-30, 1e30])
 def test_cores_of_any_size_stay_finite(size: float) -> None:
-    rounded = whole_steps(np.array([[1.0, -0.3]], np.float32) * np.float32(size), size / 1000)
+    rounded = whole_steps(np.array([[1.0, -0.3]], np.float32) * np.float32(size), np.array([size / 1000]))
     assert np.allclose(rounded / np.float32(size), [[1.0, -0.3]], atol=2e-3)
 
 
@@ -238,16 +237,18 @@ def test_cores_of_any_size_stay_finite(size: float) -> None:
     st.lists(st.floats(-1, 1, width=32), min_size=1, max_size=20), st.floats(1e-6, 4), st.sampled_from([1, 1e-40, 1e30])
 )
 def test_cores_are_whole_steps_and_found_again(numbers: list[float], step: float, size: float) -> None:
-    cores = (np.array([numbers]) * size).astype(np.float32)
-    rounded, peak = whole_steps(cores, step * size), np.abs(cores).max()
-    assert np.abs(rounded - cores).max() <= max(0.76 * step * size, 3e-3 * peak)
+    cores = (np.array([numbers, numbers[::-1]]) * size * [[1], [0.01]]).astype(np.float32)
+    rounded, peak = whole_steps(cores, step * size * np.array([1, 0.01])), np.abs(cores).max(axis=1)
+    off = np.abs(rounded - cores).max(axis=1)
+    assert (off <= np.maximum(0.76 * step * size * np.array([1, 0.01]), 3e-3 * peak)).all()
     whole, found = whole_of_core(rounded)
-    assert np.abs(whole).max() * step * size <= 1.01 * max(peak, step * size) + step * size
-    assert np.array_equal((whole.astype(np.float16).astype(np.float64) * found).astype(np.float32), rounded)
+    assert (np.abs(whole).max(axis=1) * step * size * [1, 0.01] <= 1.01 * peak + 2 * step * size).all()
+    wide = (whole.astype(np.float16).astype(np.float64) * found[:, None]).astype(np.float32)
+    assert np.array_equal(wide, rounded)
 
 
 @pytest.mark.parametrize("value", [3.5, -1e-8, 1e9])
 def test_core_numbers_that_are_alike_stay_as_they_are(value: float) -> None:
     """As those of constants are: the largest number is the one that steps are whole parts of."""
     cores = np.full((1, 3, 2), value, np.float32)
-    np.testing.assert_allclose(whole_steps(cores, abs(value) / 5.3), cores, rtol=2e-4)
+    np.testing.assert_allclose(whole_steps(cores, np.array([abs(value) / 5.3])), cores, rtol=2e-4)

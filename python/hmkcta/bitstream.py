@@ -58,7 +58,7 @@ def from_stream(stream: U8, bits: U8) -> I32:
 
 
 def to_unary(zeros: U8) -> U8:
-    """So many bits of 0 and one of 1 for each number, as bytes.
+    """So many bits of 0, up to 30, and one of 1 for each number, as bytes.
 
     >>> to_unary(np.array([2, 0, 4], np.uint8)).tolist()  # 001, 1, 00001
     [12, 1]

@@ -50,7 +50,7 @@ SMALL_FILE = 1 << 13
 FINEST_SHARE = 2e-3
 #: How often a fit is repeated at most with fewer bits that still reach the SNR, how far above it is near enough, in dB,
 #: and what share of the bytes is worth another fit.
-SHARE_ATTEMPTS, NEAR, WORTH = 4, 0.06, 0.005
+SHARE_ATTEMPTS, NEAR, WORTH = 6, 0.06, 0.005
 #: By how many bits all columns are changed at most at once.
 MOST_BITS = 2
 #: How often a fit to a size is repeated at most, the share of it that is enough, and that is aimed at.
