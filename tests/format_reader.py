@@ -38,23 +38,39 @@ def of_bytes(name: str, stored: Sequence[int]) -> tuple[float, ...]:
     return tuple(struct.unpack("<e", struct.pack("<e", q * abs(q) / 16129))[0] for q in stored)
 
 
-def of_bits(stored: Sequence[int], bits: Sequence[int]) -> tuple[int, ...]:
-    """Section 3, packed levels: whole numbers of so many bits each, which take up all the bytes."""
-    sequence, done, numbers = int.from_bytes(bytes(stored), "little"), 0, list[int]()
-    for own in bits:
-        whole = (sequence >> done) % 2**own
-        numbers.append(whole - 2**own if whole >= 2 ** (own - 1) else whole)
-        done += own
-    assert len(stored) == math.ceil(done / 8)
+def bits_of(stored: Sequence[int]) -> list[int]:
+    """The bits of bytes, the lowest of each first."""
+    return [byte // 2**place % 2 for byte in stored for place in range(8)]
+
+
+def of_codes(stored: Sequence[int], parameters: Sequence[int]) -> tuple[int, ...]:
+    """Section 3, packed levels: whole numbers of these parameters, whose codes take up all the bytes."""
+    bits, at, zeros = bits_of(stored), 0, list[int]()
+    for _ in parameters:
+        u = 0
+        while bits[at] == 0:
+            at, u = at + 1, u + 1
+        assert u <= 12
+        zeros.append(u)
+        at += 1
+    at += -at % 8
+    numbers = list[int]()
+    for u, k in zip(zeros, parameters, strict=True):
+        own = bits[at : at + (16 if u == 12 else k)]
+        assert len(own) == (16 if u == 12 else k)
+        at += len(own)
+        z = sum(bit * 2**place for place, bit in enumerate(own)) + (0 if u == 12 else 2**k * u)
+        numbers.append(z // 2 if z % 2 == 0 else -(z + 1) // 2)
+    assert len(stored) == math.ceil(at / 8)
     return tuple(numbers)
 
 
-def nearest_half(whole: int, bits: int) -> float:
-    """Section 3, packed levels: the float16 number, of 11 binary digits, nearest to whole / 2^(bits-1)."""
+def nearest_half(whole: int, k: int) -> float:
+    """Section 3, packed levels: the float16 number, of 11 binary digits, nearest to whole / 2^(k+2)."""
     low = max(abs(whole).bit_length() - 11, 0)  # digits that float16 has no room for
     kept, rest = divmod(abs(whole), 2**low)
     kept += 2 * rest > 2**low or (2 * rest == 2**low and kept % 2 == 1)
-    return math.copysign(kept * 2**low, whole) / 2 ** (bits - 1)
+    return math.copysign(kept * 2**low, whole) / 2 ** (k + 2)
 
 
 class Reader:
@@ -89,11 +105,12 @@ class Reader:
 
     @property
     def _is_short(self) -> bool:
-        return self.metadata["version"] in ("1.2", "1.3")
+        return self.metadata["version"] in ("1.2", "1.4")
 
     def _check_types(self, header: dict[str, Any]) -> None:
-        """Section 3, types: one for the numbers of a level, no F16 after another, widths beside U8 alone."""
-        allowed = {"1.0": ["F16"], "1.3": ["F16", "I8", "U8"]}.get(self.metadata["version"], ["F16", "I8"])
+        """Section 3, types: one for the numbers of a level, no F16 after another, parameters beside U8 alone."""
+        types = {"1.0": ["F16"], "1.1": ["F16", "I8"], "1.2": ["F16", "I8"], "1.4": ["F16", "I8", "U8"]}
+        allowed = types[self.metadata["version"]]
         decomposed = {n for n, _ in enumerate(self.metadata["organisation"])} - {*self.metadata["undecomposed"]}
         before = "F16"
         for level, _ in enumerate(self.metadata["levels"], 1):
@@ -103,9 +120,9 @@ class Reader:
             assert core != "U8" or decomposed
             for name, entry in header.items():
                 assert not name.startswith(f"level/{level}/basis/") or entry["dtype"] == core
-            widths = {name for name in header if name.startswith(f"level/{level}/width")}
-            assert widths == {f"level/{level}/width/{n}" for n in decomposed if core == "U8"}
-            assert all(header[name]["dtype"] == "U8" for name in widths)
+            rice = {name for name in header if name.startswith(f"level/{level}/rice")}
+            assert rice == {f"level/{level}/rice/{n}" for n in decomposed if core == "U8"}
+            assert all(header[name]["dtype"] == "U8" for name in rice)
             before = core
 
     def _complete(self, sizes: Sequence[int]) -> None:
@@ -160,40 +177,40 @@ class Reader:
             for choice in product(*map(range, node.clusters))
         ]
 
-    def _widths(self, level: int, n: int, nodes: Sequence[Node]) -> list[list[tuple[int, int]]]:
-        """Section 3, packed levels: bits of basis and of core numbers of each node's columns."""
-        columns = [(width % 16 + 1, width // 16 + 1) for width in self.arrays[f"level/{level}/width/{n}"]]
-        assert all(lower <= 12 for lower, _ in columns)
+    def _rice(self, level: int, n: int, nodes: Sequence[Node]) -> list[list[tuple[int, int]]]:
+        """Section 3, packed levels: of each node's columns the parameters of basis and, at most, of core numbers."""
+        columns = [(entry % 16, entry // 16) for entry in self.arrays[f"level/{level}/rice/{n}"]]
         own = [[columns.pop(0) for _ in range(node.ranks[n])] for node in nodes]
         assert not columns
         return own
 
     def _unpack(self, level: int, n: int, nodes: Sequence[Node], counts: Sequence[int]) -> None:
         """Section 3, packed levels: the numbers of a mode's bases, of which each node has so many."""
-        if f"level/{level}/width/{n}" not in self.arrays:
+        if f"level/{level}/rice/{n}" not in self.arrays:
             return
-        bits = list[int]()
-        for columns, count in zip(self._widths(level, n, nodes), counts, strict=True):
-            bits += [columns[i % len(columns)][0] for i in range(count)]
+        parameters = list[int]()
+        for columns, count in zip(self._rice(level, n, nodes), counts, strict=True):
+            parameters += [columns[i % len(columns)][0] for i in range(count)]
         basis = f"level/{level}/basis/{n}"
-        whole = of_bits(self.arrays[basis], bits)
-        self.arrays[basis] = tuple(q / 2 ** (own - 1) for q, own in zip(whole, bits, strict=True))
+        whole = of_codes(self.arrays[basis], parameters)
+        self.arrays[basis] = tuple(nearest_half(q, k) for q, k in zip(whole, parameters, strict=True))
 
     def _unpack_core(self, level: int, nodes: Sequence[Node]) -> None:
         """Section 3, packed levels: core numbers, for which the columns of all decomposed modes count."""
-        modes = [n for n, _ in enumerate(self.modes) if f"level/{level}/width/{n}" in self.arrays]
+        modes = [n for n, _ in enumerate(self.modes) if f"level/{level}/rice/{n}" in self.arrays]
         if not modes:
             return
-        bits, ones, widths = list[int](), list[int](), {n: self._widths(level, n, nodes) for n in modes}
+        parameters, steps, rice = list[int](), list[int](), {n: self._rice(level, n, nodes) for n in modes}
         for node in nodes:
             if not any(node.clusters):
                 continue
-            own = [min(widths[n][node.s][r[n]][1] for n in modes) for r in product(*map(range, node.ranks))]
-            bits += own * prod(node.clusters)
-            most = min(max(core for _, core in widths[n][node.s]) for n in modes)
-            ones += [most] * (len(own) * prod(node.clusters))
-        whole = of_bits(self.arrays[f"level/{level}/core"], bits)
-        self.arrays[f"level/{level}/core"] = tuple(nearest_half(q, own) for q, own in zip(whole, ones, strict=True))
+            own = [min(rice[n][node.s][r[n]][1] for n in modes) for r in product(*map(range, node.ranks))]
+            parameters += own * prod(node.clusters)
+            most = min(max(core for _, core in rice[n][node.s]) for n in modes)
+            assert most == max(own)
+            steps += [most] * (len(own) * prod(node.clusters))
+        whole = of_codes(self.arrays[f"level/{level}/core"], parameters)
+        self.arrays[f"level/{level}/core"] = tuple(nearest_half(q, k) for q, k in zip(whole, steps, strict=True))
 
     def value(self, index: Sequence[int], levels: int) -> float:
         """Section 4: one element, by its index in the source array, up to a level."""

@@ -121,7 +121,7 @@ class Parts:
         if name in self.arrays:
             dtype, shape, data = self.arrays[name]
             crc = zlib.crc32(data)
-            short = metadata["version"] in ("1.2", "1.3")
+            short = metadata["version"] in ("1.2", "1.4")
             metadata["arrays"][name] = crc if short else {"dtype": dtype, "shape": shape, "crc32": crc}
         else:
             del metadata["arrays"][name]

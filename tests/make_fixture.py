@@ -3,7 +3,7 @@
 Run as ``python tests/make_fixture.py`` after a new version is released. Later code must decode them to the values
 that were written down beside them, so they are evidence only as long as nobody regenerates them. Those of version 1.0
 were made of `small_model` and `merged_model`, those of 1.1 of `eight_model` and `mixed_model`, those of 1.2 also
-of `lone_model`.
+of `lone_model`. Version 1.3 was never released, so it has none.
 """
 
 from __future__ import annotations
@@ -15,11 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from hmk_corpus import Parts, apply_edit
+from hmk_corpus import apply_edit
 from hmkcta.axes import Axis, mode_sizes
-from hmkcta.hmkfile import VERSION, check_output, encode, loads, save
-from hmkcta.hmkfile.schema import is_number
+from hmkcta.hmkfile import VERSION, check_output, encode, loads, prefix, save
+from hmkcta.narrow import U8
 from hmkcta.packed import LevelQuality, Metadata, PackedLevel
+from hmkcta.parameters import of_basis_numbers, of_core_numbers
 from literal_decode import element
 from random_models import Shapes, random_model
 
@@ -78,10 +79,10 @@ def lone_model() -> tuple[Metadata, tuple[PackedLevel, ...]]:
 def packed_model() -> tuple[Metadata, tuple[PackedLevel, ...]]:
     """Two modes, one of them undecomposed, two packed levels, spare bits at the end.
 
-    Nodes of one level have different ranks, one is zero, and core numbers have up to 16 bits.
+    Nodes of one level have different ranks, one is zero; parameters are the least, the largest and others.
     """
     axes = (Axis("x", 5, "space", np.array([0.0, 0.5, 1.0, 2.5, 3.0]), "mm"), Axis("t", 3, "time"))
-    metadata, levels = random_model(np.random.default_rng(52), (5, 3), 2, (1,), axes=axes,
+    metadata, levels = random_model(np.random.default_rng(12265), (5, 3), 2, (1,), axes=axes,
                                     organisation=(("x",), ("t",)), eight_from=1, packed_share=1.0,
                                     shapes=Shapes(max_rank=3, zero=0.3, leaf=0.0))
     return replace(metadata, kind="volume", seed=13), levels
@@ -91,25 +92,50 @@ def partly_model() -> tuple[Metadata, tuple[PackedLevel, ...]]:
     """As the mixed model, but level 2 is packed, level 3 in bytes."""
     axes = (Axis("light", 8, "light"), Axis("texel", 7, "space"), Axis("frame", 2, "time"), Axis("rgb", 3, "channel"))
     organisation = (("light", "rgb"), ("texel",), ("frame",))
-    metadata, levels = random_model(np.random.default_rng(5), mode_sizes(axes, organisation), 3, (2,), axes=axes,
+    metadata, levels = random_model(np.random.default_rng(1971), mode_sizes(axes, organisation), 3, (2,), axes=axes,
                                     organisation=organisation, eight_from=2, packed_share=0.5,
                                     shapes=Shapes(2, 2, 2, 4, 0.15, 0.25))
     return replace(metadata, kind="svbrdf"), levels
 
 
 def any_bits() -> bytes:
-    """Three modes in two packed levels, whose core and basis numbers are any bits, spare ones too.
+    """Three modes in two packed levels, whose core and basis numbers are any codes, spare bits too.
 
-    So core numbers have more digits than float16, which no writer that begins with float16 numbers would write.
+    So core numbers have more digits than float16, numbers of few bits are in 16, and what has more than these is not:
+    no writer that begins with float16 numbers would write that.
     """
     shapes = Shapes(2, 2, 3, 4, zero=0.0, leaf=0.0)
-    metadata, levels = random_model(np.random.default_rng(110), (6, 5, 4), 2, shapes=shapes, eight_from=1,
+    metadata, levels = random_model(np.random.default_rng(341), (6, 5, 4), 2, shapes=shapes, eight_from=1,
                                     packed_share=1.0)
     data, rng = b"".join(encode(replace(metadata, seed=14), levels)), np.random.default_rng(0)
-    for name, (_, _, stored) in Parts.split(data).arrays.items():
-        if is_number(name):
-            data = apply_edit(data, {"op": "array-put", "name": name, "at": 0, "hex": rng.bytes(len(stored)).hex()})
+    for level, packed in enumerate(levels, 1):
+        for name, _ in packed.wide():
+            codes = any_codes(rng, parameters_of(packed, name)).tolist()
+            data = apply_edit(data, {"op": "array-set", "name": prefix(level) + name, "dtype": "U8",
+                                     "shape": [len(codes)], "values": codes})
     return data
+
+
+def any_codes(rng: np.random.Generator, parameters: U8) -> U8:
+    """Codes of numbers of these parameters, any bits: the first sequence and the second, filled up to whole bytes."""
+    zeros = rng.integers(13, size=parameters.size)
+    places = np.cumsum(zeros + 1)
+    first = np.isin(np.arange(places[-1] if places.size else 0), places - 1)
+    second = rng.integers(2, size=int(np.where(zeros < 12, parameters, 16).sum()))
+    filled = [np.append(bits, rng.integers(2, size=-bits.size % 8)).astype(np.uint8)
+              for bits in (first.astype(np.int64), second)]
+    return np.concatenate([np.packbits(bits, bitorder="little") for bits in filled])
+
+
+def parameters_of(level: PackedLevel, name: str) -> U8:
+    """The parameter of each number of an array of a packed level."""
+    if name == "core":
+        return of_core_numbers(level.rice, level.shape)
+    n = int(name.split("/")[1])
+    entries, starts = level.rice[n], level.basis_offset[n]
+    assert entries is not None
+    assert starts is not None
+    return of_basis_numbers(entries, level.shape[:, 2, n], np.diff(starts.astype(np.int64)))
 
 
 def expectations(metadata: Metadata, levels: tuple[PackedLevel, ...]) -> dict[str, Any]:

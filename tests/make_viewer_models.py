@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 
 from hmkcta import Axis, Model, compress, synthetic
 from hmkcta.bitstream import I32
+from hmkcta.core_parameters import core_parameters
 from hmkcta.narrow import BASIS_NUMBERS, CORE_NUMBERS, U8, narrowed, widened
 from hmkcta.packed import F16, U32, PackedLevel
+from hmkcta.parameters import BELOW_ONE, bytes_of, from_whole, most_of_core, of_columns, whole
 from hmkcta.render import Camera, Compare, Light, Look, Renderer, Scene, Surface, Viewpoint
 from hmkcta.render.layout import value_range
-from hmkcta.widths import from_whole, most_core_bits, widths_of
 
 SIZE = 64
 LEVELS = "R=3,3,4,4 / R=1,1,2,2 C=2 K=2"
@@ -137,26 +138,28 @@ def volume_packed() -> tuple[Model, Any]:
 
 
 def in_columns(level: PackedLevel) -> PackedLevel:
-    """A packed level without undecomposed modes: columns of 12, 10, .. bits by turns, cores in steps of 1/8192."""
+    """A packed level without undecomposed modes: columns of finer and coarser steps, cores in steps of 1/8192."""
     bases = [own.copy() for own in level.basis if own is not None]
-    width = [[np.zeros(0, np.uint8)] for _ in bases]
+    rice = [[np.zeros(0, np.uint8)] for _ in bases]
     core, scale = level.core.copy(), level.core_scale.copy()
     for s, ranks in enumerate(level.shape[:, 2]):
         if not ranks.any():
             continue
-        for basis, starts, rank in zip(bases, level.basis_offset, ranks, strict=True):
-            own = _of_node(starts, s)
-            basis[own] = _by_turns(basis[own].reshape(-1, rank)).reshape(-1)
         own, cells = _of_node(level.core_offset, s), _of_node(level.cell_offset, s)
         numbers, steps = _in_steps(core[own].reshape(-1, *ranks))
-        columns = widths_of(numbers, [basis[_of_node(starts, s)].reshape(-1, rank)
-                                      for basis, starts, rank in zip(bases, level.basis_offset, ranks, strict=True)])
-        most = most_core_bits(columns, ranks[None])
-        core[own], scale[cells] = from_whole(numbers, most).reshape(-1), scale[cells] * steps * 2.0 ** (most - 1)
-        for told, each in zip(width, columns, strict=True):
+        entries = list[U8 | None]()
+        for n, of_core in enumerate(core_parameters(numbers, [True] * ranks.size)):
+            part = _of_node(level.basis_offset[n], s)
+            basis = _by_turns(bases[n][part].reshape(-1, ranks[n]))
+            bases[n][part] = basis.reshape(-1)
+            entries.append(bytes_of(of_columns(basis.astype(np.float32)), cast("U8", of_core)))
+        most = most_of_core(entries, ranks[None])
+        core[own] = from_whole(numbers, most).reshape(-1)
+        scale[cells] *= np.ldexp(steps, int(most[0]) + BELOW_ONE)
+        for told, each in zip(rice, entries, strict=True):
             told.append(cast("U8", each))
     return replace(level, core=core, core_scale=scale, basis=tuple(bases), bits=8,
-                   width=tuple(np.concatenate(own) for own in width))
+                   rice=tuple(np.concatenate(own) for own in rice))
 
 
 def _of_node(offsets: U32 | None, s: int) -> slice:
@@ -171,9 +174,9 @@ def _in_steps(cores: F16) -> tuple[I32, NDArray[np.float32]]:
 
 
 def _by_turns(basis: F16) -> F16:
-    """The nearest numbers of as many bits as the column's turn is."""
-    ones = np.exp2(np.resize(np.array([11.0, 9, 7, 5, 3]), basis.shape[1]))
-    return (np.clip(np.rint(basis * ones), -ones, ones - 1) / ones).astype(np.float16)
+    """The nearest numbers of the parameter that is the column's turn."""
+    k = np.resize(np.array([9, 7, 5, 3, 1], np.uint8), basis.shape[1])
+    return from_whole(whole(basis, k), k)
 
 
 def stack() -> tuple[Model, Any]:

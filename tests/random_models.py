@@ -87,34 +87,34 @@ def _in_bytes(rng: np.random.Generator, level: PackedLevel) -> PackedLevel:
 
 
 def _in_columns(rng: np.random.Generator, level: PackedLevel) -> PackedLevel:
-    """The level packed, node after node, with columns of any widths and any numbers of so many bits."""
+    """The level packed, node after node, with columns of any parameters and numbers of their sizes."""
     stored = [n for n, basis in enumerate(level.basis) if basis is not None]
     if not stored:
         return level
-    width: list[list[U8]] = [[] for _ in level.basis]
+    rice: list[list[U8]] = [[] for _ in level.basis]
     cores, bases = list[F16](), [list[F16]() for _ in level.basis]
     for s, (clusters, _, ranks) in enumerate(level.shape.tolist()):
-        own = np.full(ranks, 16)
+        own = np.full(ranks, 15)
         for n in stored:
-            lower, upper = (_bits(rng, most, int(ranks[n])) for most in (12, 16))
-            width[n].append((lower - 1 + 16 * (upper - 1)).astype(np.uint8))
+            lower, upper = (_parameters(rng, int(ranks[n])) for _ in range(2))
+            rice[n].append((lower + 16 * upper).astype(np.uint8))
             own = np.minimum(own, upper.reshape([-1 if m == n else 1 for m in range(level.order)]))
             count = _lengths(level.basis_offset[n])[s]
             bases[n].append(_drawn(rng, np.resize(lower, count), np.resize(lower, count)))
         each = np.tile(own.reshape(-1), prod(clusters))
-        cores.append(_drawn(rng, each, np.full(each.size, own.max(initial=1))))
+        cores.append(_drawn(rng, each, np.full(each.size, own.max(initial=0))))
     return replace(
         level,
         core=np.concatenate([np.zeros(0, np.float16), *cores]),
         basis=tuple(np.concatenate([np.zeros(0, np.float16), *own]) if n in stored else None
                     for n, own in enumerate(bases)),
-        width=tuple(np.concatenate([np.zeros(0, np.uint8), *own]) if n in stored else None
-                    for n, own in enumerate(width)),
+        rice=tuple(np.concatenate([np.zeros(0, np.uint8), *own]) if n in stored else None
+                   for n, own in enumerate(rice)),
     )
 
 
-def _bits(rng: np.random.Generator, most: int, columns: int) -> Ints:
-    return rng.integers(1, most + 1, columns)
+def _parameters(rng: np.random.Generator, columns: int) -> Ints:
+    return rng.integers(16, size=columns)
 
 
 def _lengths(starts: U32 | None) -> list[int]:
@@ -122,10 +122,12 @@ def _lengths(starts: U32 | None) -> list[int]:
     return np.diff(starts.astype(np.int64)).tolist()
 
 
-def _drawn(rng: np.random.Generator, bits: Ints, ones: Ints) -> F16:
-    """Whole numbers of so many bits, each as likely as any, as shares of what so many `ones` would be near 1 in."""
-    whole = rng.integers(-(1 << bits - 1), 1 << bits - 1)
-    return (whole / 2.0 ** (ones - 1)).astype(np.float16)
+def _drawn(rng: np.random.Generator, parameters: Ints, steps: Ints) -> F16:
+    """Whole numbers in steps that go with other parameters: most below where codes are longest, some beyond."""
+    most = np.where(rng.random(parameters.size) < 1 / 8, 16, 8) << parameters
+    folded = rng.integers(0, np.minimum(most, 1 << 16))
+    whole = np.where(folded % 2 == 0, folded // 2, -(folded + 1) // 2)
+    return (whole / 2.0 ** (steps + 2)).astype(np.float16)
 
 
 def bounds_of(level: PackedLevel) -> LevelBounds:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import hmkcta
-from format_reader import Reader, nearest_half, of_bits
+from format_reader import Reader, nearest_half, of_codes
 from hmk_corpus import FIXTURES
 from hmkcta.model import Model
 from hmkcta.transform import TRANSFORMS
@@ -63,10 +63,10 @@ def test_a_reader_by_the_text_alone_agrees_on_bytes(
     )
     model.save(tmp_path / "a.hmk")
     reader, opened = Reader(tmp_path / "a.hmk"), hmkcta.open(tmp_path / "a.hmk")
-    packed = [bool(level.width) for level in model.levels]
+    packed = [bool(level.rice) for level in model.levels]
     assert packed_share == 0.6 or any(packed) == bool(packed_share)
-    assert reader.metadata["version"] == ("1.3" if any(packed) else "1.2")
-    assert packed == [f"level/{level}/width/0" in reader.arrays for level in (1, 2, 3)]
+    assert reader.metadata["version"] == ("1.4" if any(packed) else "1.2")
+    assert packed == [f"level/{level}/rice/0" in reader.arrays for level in (1, 2, 3)]
     for level in range(1, 4):
         decoded = np.asarray(opened.at_level(level))
         assert np.abs(decoded).max() > 0.1
@@ -85,24 +85,50 @@ def test_a_reader_by_the_text_alone_agrees_on_fixtures(path: Path) -> None:
             for axis in reversed(mode):
                 i, place[axis] = divmod(i, reader.sizes[axis])
         for level, value in enumerate(values, 1):
-            assert reader.value([place[axis] for axis in reader.sizes], level) == pytest.approx(value, abs=1e-9)
+            found = reader.value([place[axis] for axis in reader.sizes], level)
+            assert found == pytest.approx(value, rel=1e-12, abs=1e-9)
 
 
 def test_the_example_of_the_text_is_packed_so() -> None:
     """The bytes and the numbers are those of section 3, packed levels."""
     text = FORMAT.read_text(encoding="utf-8").replace("\n", " ")
-    assert "columns of 2 and 3 bits and the numbers 0.5, -0.75, -0.5, 0.25 of two rows of a basis" in text
-    assert "are the whole numbers 1, -3, -1, 1, in the order of the sequence `10 101 11 100`" in text
-    assert ": the bytes 0xF5 and 0x00." in text
-    assert of_bits([0xF5, 0x00], [2, 3, 2, 3]) == (1, -3, -1, 1)
+    assert "columns of parameters 1 and 0 and the numbers 0.25, -0.25, -0.5, 0.75 of two rows of a basis" in text
+    assert "are q = 2, -1, -4, 3, that is z = 4, 1, 7, 6 and u = 2, 1, 3, 6: the first sequence" in text
+    assert "`001 01 0001 0000001`, the second one, of the first column alone, `0 1`; the bytes" in text
+    assert "the bytes 0x14, 0x81 and 0x02." in text
+    assert of_codes([0x14, 0x81, 0x02], [1, 0, 1, 0]) == (2, -1, -4, 3)
+    assert [nearest_half(q, k) for q, k in ((2, 1), (-1, 0), (-4, 1), (3, 0))] == [0.25, -0.25, -0.5, 0.75]
+
+
+@pytest.mark.parametrize(("stored", "parameters", "numbers"), [
+    ([], [], ()),
+    ([0xFF], [0] * 8, (0,) * 8),  # no second sequence
+    ([0xFF, 0xFF], [1] * 8, (-1,) * 8),  # both end at the end of a byte
+    ([0x00, 0xF0, 0x05, 0x00], [3], (-3,)),  # a small number in 16 bits, spare bits of 1
+    ([0x00, 0x10, 0xFF, 0xFF], [0], (-32768,)),
+    ([0x00, 0x08, 0xFF, 0x7F], [15], (-196608,)),  # the largest one without
+])  # fmt: skip
+def test_codes_at_their_limits(stored: list[int], parameters: list[int], numbers: tuple[int, ...]) -> None:
+    assert of_codes(stored, parameters) == numbers
+
+
+@pytest.mark.parametrize(("stored", "parameters", "error"), [
+    ([0x00, 0x20, 0x00, 0x00], [0], AssertionError),  # 13 bits of 0
+    ([0x0F], [0] * 5, IndexError),  # four codes
+    ([0x01], [4], AssertionError),  # no second sequence
+    ([0x01, 0x00], [0], AssertionError),  # a byte too many
+])  # fmt: skip
+def test_codes_that_are_none(stored: list[int], parameters: list[int], error: type[Exception]) -> None:
+    with pytest.raises(error):
+        of_codes(stored, parameters)
 
 
 def test_halves_of_whole_numbers_are_those_of_numpy() -> None:
-    """All that a core number of 16 bits may be, of which those above 2048 lose digits, and some of fewer bits."""
-    for bits in (16, 13, 12, 1):
-        whole = range(-(2 ** (bits - 1)), 2 ** (bits - 1))
-        expected = (np.array(whole, np.float64) / 2.0 ** (bits - 1)).astype(np.float16)
-        assert [nearest_half(q, bits) for q in whole] == expected.tolist()
+    """All that a core number in 16 bits may be, of which those above 2048 lose digits, and the largest without."""
+    for k, most in ((15, 196608), (12, 32768), (5, 32768), (0, 32768)):
+        whole = range(-most, most)
+        expected = (np.array(whole, np.float64) / 2.0 ** (k + 2)).astype(np.float16)
+        assert [nearest_half(q, k) for q in whole] == expected.tolist()
 
 
 def test_the_text_says_how_every_transform_is_undone() -> None:

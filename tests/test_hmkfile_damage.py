@@ -27,9 +27,9 @@ MIXED = (FIXTURES / "v1.1-mixed.hmk").read_bytes()
 SHORT_EIGHT = (FIXTURES / "v1.2-eight.hmk").read_bytes()
 SHORT_MIXED = (FIXTURES / "v1.2-mixed.hmk").read_bytes()
 LONE = (FIXTURES / "v1.2-lone.hmk").read_bytes()
-PACKED = (FIXTURES / "v1.3-packed.hmk").read_bytes()
-PARTLY = (FIXTURES / "v1.3-partly.hmk").read_bytes()
-BITS = (FIXTURES / "v1.3-bits.hmk").read_bytes()
+PACKED = (FIXTURES / "v1.4-packed.hmk").read_bytes()
+PARTLY = (FIXTURES / "v1.4-partly.hmk").read_bytes()
+BITS = (FIXTURES / "v1.4-bits.hmk").read_bytes()
 PYTHON = Path(__file__).parent.parent / "python"
 
 

@@ -115,7 +115,7 @@ def test_level_without_nodes(eight_from: int | None, packed_share: float) -> Non
     model = random_model(np.random.default_rng(0), (4, 3), 3, shapes=Shapes(leaf=1.0), eight_from=eight_from,
                          packed_share=packed_share)
     assert [level.nodes for level in model[1]] == [1, 0, 0]
-    assert [len(level.width) for level in model[1]] == [2 * (packed_share > 0)] * 3
+    assert [len(level.rice) for level in model[1]] == [2 * (packed_share > 0)] * 3
     assert_same(loads(encoded(model)), model)
 
 
@@ -221,7 +221,7 @@ def payload(data: bytes) -> int:
 
 
 @pytest.mark.parametrize(("eight_from", "packed_share", "version"), [
-    (None, 0.0, "1.0"), (1, 0.0, "1.2"), (2, 0.0, "1.2"), (1, 1.0, "1.3"), (2, 1.0, "1.3")])  # fmt: skip
+    (None, 0.0, "1.0"), (1, 0.0, "1.2"), (2, 0.0, "1.2"), (1, 1.0, "1.4"), (2, 1.0, "1.4")])  # fmt: skip
 def test_the_version_hangs_on_number_types(
     eight_from: int | None, packed_share: float, version: str, tmp_path: Path
 ) -> None:
@@ -238,17 +238,17 @@ def test_the_version_hangs_on_number_types(
 
 @pytest.mark.parametrize("make", [packed_model, partly_model])
 def test_the_schema_of_packed_levels_tells_types(make: Callable[[], Model]) -> None:
-    """All of a level that is not left out, with widths of its decomposed modes where it is packed."""
+    """All of a level that is not left out, with parameters of its decomposed modes where it is packed."""
     metadata, levels = make()
     header = header_of(encoded((metadata, levels)))[1]
     for number, level in enumerate(levels, 1):
         schema = dict(level_schema(level.order, metadata.undecomposed, level.nodes, level.child is None, level.bits,
-                                   short=True, packed=bool(level.width)))
+                                   short=True, packed=bool(level.rice)))
         found = {name.removeprefix(prefix(number)): entry["dtype"] for name, entry in header.items()
                  if name.startswith(prefix(number))}
-        assert {name for name in found if "width" in name} == {name for name in schema if "width" in name}
-        assert {name: found[name] for name in schema if name.startswith(("core", "basis", "width"))} == {
-            name: info.dtype for name, info in schema.items() if name.startswith(("core", "basis", "width"))}
+        assert {name for name in found if "rice" in name} == {name for name in schema if "rice" in name}
+        assert {name: found[name] for name in schema if name.startswith(("core", "basis", "rice"))} == {
+            name: info.dtype for name, info in schema.items() if name.startswith(("core", "basis", "rice"))}
 
 
 def test_what_follows_is_left_out() -> None:
