@@ -23,6 +23,8 @@ U32 = NDArray[np.uint32]
 
 #: Numbers looked at together: what is made of them on the way stays in the cache.
 _TOGETHER = 1 << 14
+#: Larger ones, for which there is no code either, are taken for this.
+_LARGEST = (1 << 30) - 1
 #: A number is q / 2^(k + 2): about one at the most, as codes are short where 2^k is near the size of most q.
 BELOW_ONE = 2
 #: About what the finest steps of a fit leave of the energy of what a level is to hold.
@@ -156,7 +158,8 @@ def whole(numbers: F16 | F32, k: U8) -> I32:
     found, flat = np.empty(numbers.size, np.int32), numbers.reshape(-1)
     each = np.broadcast_to(k, numbers.shape).reshape(-1)
     for part in _parts(found.size):
-        found[part] = np.rint(np.ldexp(flat[part].astype(np.float64), each[part].astype(np.int32) + BELOW_ONE))
+        scaled = np.ldexp(flat[part].astype(np.float64), each[part].astype(np.int32) + BELOW_ONE)
+        found[part] = np.clip(np.rint(scaled), -_LARGEST, _LARGEST)
     return found.reshape(numbers.shape)
 
 
