@@ -110,12 +110,11 @@ def balls() -> NDArray[np.float32]:
     return (values + 0.01 * rng.standard_normal(values.shape)).astype(np.float32)
 
 
-def test_what_has_sharp_edges_gets_nodes_of_clusters() -> None:
-    """Each with ranks of its own, as most lines are alike; blocks take 28 kB."""
+def test_what_has_sharp_edges_gets_clusters() -> None:
+    """As most lines are alike; blocks take more than twice as much."""
     model = compress(balls(), snr=27.0, threads=1)
     assert 27 <= model.snr < 27.3
-    assert model.nbytes < 24_000
-    assert len(model.levels) == 2
+    assert model.nbytes < 13_000
     assert max(model.bounds[0].clusters) > 16
 
 
@@ -130,7 +129,7 @@ def sensors() -> NDArray[np.float32]:
 def test_of_few_columns_clusters_are_found_between_the_ranks() -> None:
     """All four columns take four bytes a row and reach 45 dB; clusters of rank two take three, of rank one two."""
     model = compress(sensors(), snr=20.0, threads=1)
-    assert 20 <= model.snr < 23
+    assert 20 <= model.snr < 20.3
     assert model.nbytes < 0.8 * sensors().size
 
 
@@ -142,7 +141,7 @@ def test_what_is_longer_than_all_else_is_told_to_make_windows() -> None:
     assert folded.nbytes < 0.7 * model.nbytes
     assert notes(folded, windows) == []
     with pytest.raises(HmkctaError, match=r"array\.reshape\(200, 150, 4\)"):
-        compress(sensors(), size=20_000)
+        compress(sensors(), size=10_000)
 
 
 @pytest.mark.parametrize(("name", "role"), [("lat", "space"), ("longitude", "space"), ("band", "channel")])

@@ -70,14 +70,14 @@ class PackedLevel:
     @property
     def core_bytes(self) -> int:
         """Bytes of the core numbers in the file."""
-        return code_bytes(*self._whole("core", self.core)) if self.rice else self.bits // 8 * self.core.size
+        return code_bytes(*self.whole_numbers("core", self.core)) if self.rice else self.bits // 8 * self.core.size
 
     def basis_bytes(self, n: int) -> int:
         """Bytes of the basis numbers of a mode in the file."""
         basis = self.basis[n]
         if basis is None:
             return 0
-        return code_bytes(*self._whole(f"basis/{n}", basis)) if self.rice else self.bits // 8 * basis.size
+        return code_bytes(*self.whole_numbers(f"basis/{n}", basis)) if self.rice else self.bits // 8 * basis.size
 
     def tables(self) -> Iterator[tuple[str, NDArray[Any]]]:
         """Names (without ``level/<l>/``) and arrays of the small integer and scale tables."""
@@ -108,12 +108,12 @@ class PackedLevel:
         """The same as the file has them: bytes, or in a packed level codes."""
         for name, array in self.wide():
             if self.rice:
-                yield name, encoded(*self._whole(name, array))
+                yield name, encoded(*self.whole_numbers(name, array))
             else:
                 table = CORE_NUMBERS if name == "core" else BASIS_NUMBERS
                 yield name, narrowed(array, table) if self.bits == 8 else array
 
-    def _whole(self, name: str, array: F16) -> tuple[I32, U8]:
+    def whole_numbers(self, name: str, array: F16) -> tuple[I32, U8]:
         """The whole numbers of an array of a packed level, and the parameters of their codes."""
         parameters, steps = self._parameters(name)
         # The largest number is one more in float16, for which there is no code.

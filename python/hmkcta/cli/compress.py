@@ -165,7 +165,7 @@ def unused(model: Model, goal: Goal, plan: str | None) -> list[str]:
     elif plan is None:
         why = "nothing larger that was tried is better. Next: as good is a smaller --size"
     elif _keeps_no_more(model):
-        numbers = "packed" if model.levels[-1].width else f"{model.levels[-1].bits}-bit"
+        numbers = "packed" if model.levels[-1].rice else f"{model.levels[-1].bits}-bit"
         why = f"the plan's {numbers} numbers keep no more. Next: add a level"
     elif bound:
         why = (f"the ranks of the plan allow no more within --decode-cost {cost}. Next: write higher ranks, and allow "
@@ -177,7 +177,7 @@ def unused(model: Model, goal: Goal, plan: str | None) -> list[str]:
 
 def _keeps_no_more(model: Model) -> bool:
     """Whether the numbers of all levels reach what their bits can."""
-    return model.snr > sum(PACKED_SNR if level.width else NUMBERS_SNR[level.bits] for level in model.levels)
+    return model.snr > sum(PACKED_SNR if level.rice else NUMBERS_SNR[level.bits] for level in model.levels)
 
 
 def _is_bound_by_cost(model: Model, goal: Goal) -> bool:

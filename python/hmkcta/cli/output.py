@@ -53,7 +53,7 @@ def number_bits(level: PackedLevel) -> float:
     >>> number_bits(example_level())
     16
     """
-    return 8 * level.number_bytes / level.numbers() if level.width and level.numbers() else level.bits
+    return 8 * level.number_bytes / level.numbers() if level.rice and level.numbers() else level.bits
 
 
 def shown_bits(bits: float) -> str:

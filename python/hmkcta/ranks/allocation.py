@@ -27,7 +27,7 @@ CLOSE = 0.01
 #: A choice is left out that, taken by all nodes, leaves more than so many times the error of a cheaper one.
 ASIDE = 2.0
 #: Bits that a number of a packed level takes on average at 0 dB, and how many more for each dB; and where no SNR tells.
-BITS_AT, BITS_UNTOLD = (2.9, 0.045), 4.2
+BITS_AT, BITS_UNTOLD = (2.9, 0.045), 4.5
 #: Shapes of nodes whose choices are kept: those of a grid differ by a row along each mode.
 SHAPES = 16
 
