@@ -103,11 +103,11 @@ def test_columns_that_count_for_more_have_finer_steps() -> None:
         cells.cores[0, r, r, r] = size
     for n, basis in enumerate(cells.bases):
         basis[:, 0, 0] = np.linalg.qr(rng.standard_normal((SIZES[n], basis.shape[-1])))[0]
-    steps = []
+    steps = list[float]()
     for column in rounded_by_columns(cells, 0.05).bases[2][:, 0, 0, :4].T:
         used = np.unique(np.abs(column[column != 0]))
         step = np.gcd.reduce(np.rint(used * 2**17).astype(np.int64)) / 2**17
-        steps.append(step / np.linalg.norm(column))
+        steps.append(float(step / np.linalg.norm(column)))
     np.testing.assert_allclose(np.diff(np.log2(steps)), 1, atol=0.1)
 
 
@@ -139,7 +139,7 @@ def test_steps_end_at_their_limits(left: float, factor: float) -> None:
     assert np.isfinite(rounded.cores).all()
     level = packed(rounded)
     bases = [(f"basis/{n}", basis) for n, basis in enumerate(level.basis) if basis is not None]
-    most = [np.abs(level._whole(name, basis)[0]).max() for name, basis in bases]
+    most = [np.abs(level.whole_numbers(name, basis)[0]).max() for name, basis in bases]
     assert min(most) > 1000 if left < 1 else max(most) <= 2
     np.testing.assert_array_equal(level.core.reshape(rounded.cores.shape) * level.core_scale.reshape(-1, 1, 1, 1),
                                   rounded.cores)

@@ -23,8 +23,6 @@ from make_fixture import eight_model, merged_model, packed_model, partly_model, 
 from random_models import random_model
 
 TESTS = Path(__file__).parent
-#: `PackedLevel.whole_numbers` takes all numbers for less than 2^15; above a parameter of 12 there are codes of more.
-TOO_LARGE = pytest.mark.xfail(reason="whole_numbers in packed.py", raises=HmkctaError)
 
 
 def refusal(path: Path, metadata: Metadata, levels: tuple[PackedLevel, ...], **options: Any) -> HmkctaError:
@@ -296,7 +294,7 @@ def test_columns_may_have_larger_parameters_than_need_be(rice: list[int], tmp_pa
     np.testing.assert_array_equal(level.core, model[1][0].core)
 
 
-@pytest.mark.parametrize("k", [*range(13), *(pytest.param(k, marks=TOO_LARGE) for k in (13, 14, 15))])
+@pytest.mark.parametrize("k", range(16))
 def test_all_numbers_that_are_read_can_be_written(k: int, tmp_path: Path) -> None:
     """Also the largest ones in 16 bits and in fewer, which float16 rounds up."""
     most = (1 << 15, 6 << k)

@@ -72,3 +72,10 @@ def test_other_candidates_stay_as_they_are_where_several_modes_have_clusters() -
     assert [len(found(level, 3)) for level in ("R=2 C=4,1", "R=2 C=4,2")] == [4, 3]
     assert len(found("R=2 C=4,1", 1)) == 1
     assert found("R=2 C=4,1", 3)[:3] == found("R=39,40 C=4,1", 3)[:3]
+
+
+def test_few_rows_have_subspaces_of_no_more_dimensions() -> None:
+    """Than the rows span: of six long ones any six, where more were asked for."""
+    rows = np.random.default_rng(0).standard_normal((6, 500)).astype(np.float32)
+    labels = subspace_clusters(rows, 3, 8, np.random.default_rng(0))
+    assert sorted(set(labels.tolist())) == [0, 1, 2]

@@ -18,7 +18,7 @@ from .axes import Axis, Organisation
 from .bitstream import I32
 from .narrow import BASIS_NUMBERS, CORE_NUMBERS, I8, U8, narrowed
 from .parameters import from_whole, most_of_core, of_basis_numbers, of_core_numbers, whole
-from .rice import MOST, code_bytes, decoded, encoded
+from .rice import MOST, MOST_ZEROS, code_bytes, decoded, encoded
 
 U16 = NDArray[np.uint16]
 U32 = NDArray[np.uint32]
@@ -116,8 +116,9 @@ class PackedLevel:
     def whole_numbers(self, name: str, array: F16) -> tuple[I32, U8]:
         """The whole numbers of an array of a packed level, and the parameters of their codes."""
         parameters, steps = self._parameters(name)
-        # The largest number is one more in float16, for which there is no code.
-        return np.minimum(whole(array, steps), MOST - 1), parameters
+        # The largest number that there is a code for may be one more in float16.
+        most = np.maximum(MOST, (MOST_ZEROS // 2) << parameters.astype(np.int32)) - 1
+        return np.minimum(whole(array, steps), most), parameters
 
     def unpacked(self, name: str, codes: U8) -> F16:
         """The numbers of an array of a packed level, of their codes in the file."""

@@ -48,6 +48,7 @@ def subspace_clusters(
     """
     dimension = min(dimension, DIMENSIONS)
     points = _coordinates(rows, max(COORDINATES, dimension + MORE), rng)
+    dimension = min(dimension, points.shape[1])  # few rows span no more
     some = points if len(points) <= ROWS else points[np.sort(rng.permutation(len(points))[:ROWS])]
     best, most = np.zeros((clusters, points.shape[1], dimension), np.float32), -1.0
     for _ in range(restarts if clusters <= MANY else min(restarts, FEWER)):

@@ -252,6 +252,9 @@ function parseTransform(value: Json, where: string): Transform {
   const fields = asObject(value, where, ["name", ...(known === undefined ? [] : TRANSFORMS[known])]);
   asText(fields["name"] ?? null, `${where}.name`);
   const scale = "scale" in fields ? asNumber(fields["scale"] ?? null, `${where}.scale`) : 1;
+  if (scale <= 0) {
+    throw fault("field-value", `${where}.scale`, `${scale}`, "a number above 0");
+  }
   return { name: known ?? "identity", scale };
 }
 
