@@ -31,11 +31,11 @@ def core_parameters(whole: I32, stored: Sequence[bool]) -> list[U8 | None]:
     z = folded(whole)
     said = [_first(z, n) if kept else None for n, kept in enumerate(stored)]
     for _ in range(ROUNDS):
-        before = [None if own is None else own.copy() for own in said]
+        before = _joined(said)
         for n, kept in enumerate(stored):
             if kept:
                 said[n] = _improved(z, said, n)
-        if all(np.array_equal(own, last) for own, last in zip(said, before, strict=True) if own is not None):
+        if np.array_equal(_joined(said), before):
             break
     return [None if own is None else own.astype(np.uint8) for own in said]
 
@@ -59,6 +59,10 @@ def _improved(z: I32, said: Sequence[NDArray[np.int64] | None], n: int) -> NDArr
         for each in tried
     ]
     return tried[np.argmin(taken, axis=0), np.arange(own.size)]
+
+
+def _joined(said: Sequence[NDArray[np.int64] | None]) -> NDArray[np.int64]:
+    return np.concatenate([own for own in said if own is not None])
 
 
 def _along(said: NDArray[np.int64], n: int, dimensions: int) -> NDArray[np.int64]:
