@@ -21,6 +21,8 @@ ROUNDING_FROM = {16: 55.0, 8: 55.0}
 EITHER = (60.0, 72.0)
 #: Below a level of rank one the same holds up to so many dB.
 EITHER_BELOW = 80.0
+#: Bytes are tried in a first level of files of fewer dB: they leave it some 43.
+BYTES_DO = 42.0
 #: Blocks of a mode up to which clusters of the data take their place: finding more takes minutes.
 FEW_CLUSTERS = 512
 #: How many times as many nodes of clusters are tried as there were clusters in a node.
@@ -99,6 +101,20 @@ def with_bits(plan: Plan, bits: int) -> Plan:
     """
     above = (replace(level, bits=max(bits, level.bits)) for level in plan.levels[:-1])
     return replace(plan, levels=(*above, replace(plan.levels[-1], bits=bits)))
+
+
+def first_in_bytes(plan: Plan, snr: float) -> Iterator[Plan]:
+    """The plan, which came to so many dB, with bytes instead of float16 in its first level above a packed one.
+
+    Where that level leaves little of them for the last one to do better: it may hold a quarter of all bytes.
+
+    >>> from hmkcta import parse_plan
+    >>> [str(each) for each in first_in_bytes(parse_plan("R=1 C=1,4 / R<=8 bits=8", (("y",), ("x",))), 30.0)]
+    ['R=1,1 C=1,4 bits=8 / R<=8,8 bits=8']
+    """
+    first, *others = plan.levels
+    if others and others[-1].bits < first.bits and not first.own and _asked(plan, snr) < BYTES_DO:
+        yield replace(plan, levels=(replace(first, bits=min(BITS)), *others))
 
 
 def nodes_of_clusters(plan: Plan) -> Iterator[Plan]:

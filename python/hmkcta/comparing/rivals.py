@@ -15,6 +15,7 @@ from .alternatives import (
     ROUNDING_FROM,
     alternatives,
     below_rank_one,
+    first_in_bytes,
     narrower,
     nodes_of_clusters,
     with_bits,
@@ -66,7 +67,7 @@ def follow_any(
     1. The task's plan, and beside it the `others` that are rivals: for a size all of them; for an SNR, of small arrays
        (`is_worth`) and of transformed values, all but the verbatim ones.
     2. Of small arrays plans like the best (`alternatives`), plans of two levels where rounding leaves too much for one,
-       and more and fewer clusters of the data. Of larger ones that memory holds the best plan, packed instead of
+       more and fewer clusters of the data, and bytes in a first level. Of larger ones that memory holds the best plan, packed instead of
        float16 numbers, and plans of two levels where a size leads beyond 64 dB.
     3. Where the best ends far beyond its goal, as one rank more is a large step: the same plan with a `finer` choice of
        blocks, with merged modes parted and, for an SNR, the first of the others that are left.
@@ -135,7 +136,9 @@ def _in_other_ways(given: Task, followed: Sequence[Followed], others: Sequence[P
     if (task.plan.snr or model.snr) > NEARLY:
         plans = dict.fromkeys(below_rounding(given, others))
         task, model = best_of([Followed(task, model), *further(given, plans, Followed(task, model))])
-    return with_best_clusters(Followed(task, model), followed)
+    best = with_best_clusters(Followed(task, model), followed)
+    plans = first_in_bytes(best.task.plan, best.model.snr) if task.bits is None else ()
+    return best_of([best, *further(best.task, plans, best)])
 
 
 def _chosen_anew(given: Task, found: Followed, left: list[Plan], choose: Choose) -> tuple[Followed, list[Plan]]:
