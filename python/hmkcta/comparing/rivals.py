@@ -67,8 +67,8 @@ def follow_any(
     1. The task's plan, and beside it the `others` that are rivals: for a size all of them; for an SNR, of small arrays
        (`is_worth`) and of transformed values, all but the verbatim ones.
     2. Of small arrays plans like the best (`alternatives`), plans of two levels where rounding leaves too much for one,
-       more and fewer clusters of the data, and bytes in a first level. Of larger ones that memory holds the best plan, packed instead of
-       float16 numbers, and plans of two levels where a size leads beyond 64 dB.
+       more and fewer clusters of the data, and bytes in a first level. Of larger ones that memory holds the best plan,
+       packed instead of float16 numbers, and plans of two levels where a size leads beyond 64 dB.
     3. Where the best ends far beyond its goal, as one rank more is a large step: the same plan with a `finer` choice of
        blocks, with merged modes parted and, for an SNR, the first of the others that are left.
     4. With `choose`, nodes for clusters along two axes, of arrays of up to 2^22 elements; and plans that are chosen
