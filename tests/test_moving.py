@@ -44,9 +44,9 @@ def test_frames_are_cut_apart_where_each_has_low_ranks() -> None:
     assert large.plan.levels[0].clusters[0] == 12
 
 
-def test_pixels_that_change_together_make_nodes_with_ranks_for_time_and_colour() -> None:
+def test_pixels_that_change_together_make_clusters() -> None:
     """Without them the file has 28.8 dB."""
     model = compress(disc(), axes="time,y,x,rgb", size=32_000, threads=1)
-    assert model.snr > 30.3
+    assert model.snr > 31
     assert ("y", "x") in model.plan.organisation
-    assert len(model.plan.levels) == 2
+    assert max(model.bounds[0].clusters) > 8

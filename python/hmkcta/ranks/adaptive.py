@@ -44,8 +44,8 @@ ATTEMPTS = 16
 FEW_ATTEMPTS = 3
 #: How far above the goal a level of several nodes aims, in dB: its choices come in small steps.
 MARGIN = 0.05
-#: Files below so many bytes may do better without widths.
-SMALL_FILE = 1 << 13
+#: Files below so many bytes may do better without tables of parameters.
+SMALL_FILE = 3 << 10
 #: The least, where ranks fall short of an SNR.
 FINEST_SHARE = 2e-3
 #: How often a fit is repeated at most with fewer bits that still reach the SNR, how far above it is near enough, in dB,
@@ -55,6 +55,9 @@ SHARE_ATTEMPTS, NEAR, WORTH = 6, 0.06, 0.005
 MOST_BITS = 2
 #: How often a fit to a size is repeated at most, the share of it that is enough, and that is aimed at.
 SIZE_ATTEMPTS, USED, AIMED = 5, 0.98, 0.99
+#: How many times the bytes of what was fitted the next higher ranks take at most, how often these are fitted with fewer
+#: bits, and up to what share.
+FURTHER_RANKS, MORE_ATTEMPTS, MOST_SHARE = (1.05, 1.1, 1.2, 1.4, 1.7, 2.0), 3, 40.0
 #: A plan is given up that promises more than so many times the bytes of another one: before the first fit, and after
 #: it, when it is known how far promises are off.
 PROMISED = 1.1, 1.02
@@ -141,6 +144,10 @@ def _aimed(snr: float, now: Reached, poor: Reached, good: Reached) -> float:
     return poor[0] + (good[0] - poor[0]) * (snr - poor[1]) / (good[1] - poor[1])
 
 
+#: Choices that were fitted, what they took in bytes, and the share of the error that rounding was to leave.
+Fitted = tuple[Allocation, int, float]
+
+
 class _LastLevel:
     """The fit before the last level, and the choices of ranks from which each attempt starts afresh."""
 
@@ -182,7 +189,7 @@ class _LastLevel:
         Ranks are chosen again by what that told. Where it leads to ranks that were fitted before, all columns get more
         bits, or fewer.
         """
-        best, tried, chosen = None, set[tuple[bytes, float]](), self.reckoned.filling(size)
+        best, left, tried, chosen = None, inf, set[tuple[bytes, float]](), self.reckoned.filling(size)
         usual = self.reckoned.share = self.reckoned.share_of(chosen)
         for _ in range(SIZE_ATTEMPTS):
             if (chosen.choice.tobytes(), self.reckoned.share) in tried or not self._stores(chosen):
@@ -191,7 +198,7 @@ class _LastLevel:
             self._fit(chosen)
             taken = self.goal.file_bytes(self.tree)
             if taken <= size and (best is None or taken > best[1]):
-                best = chosen, taken, self.reckoned.share
+                best, left = (chosen, taken, self.reckoned.share), self.tree.error
             if USED * size <= taken <= size:
                 break
             other = self.reckoned.filling(AIMED * size)
@@ -200,14 +207,37 @@ class _LastLevel:
                 continue
             fewer = 8 * (taken - AIMED * size) / max(self.reckoned.numbers(chosen), 1)  # bits of each number
             self.reckoned.share = min(max(self.reckoned.share * 4.0 ** min(fewer, MOST_BITS), SHARES[0]), SHARES[1])
+        if best is not None and best[1] < USED * size:
+            best = self._with_more_ranks(size, best, left)
         chosen, _, self.reckoned.share = best or (self._within(size), 0, 0.0)
         if self.fitted != (chosen.choice.tobytes(), self.reckoned.share):
             self._fit(chosen)
         if best is not None and size < SMALL_FILE:
             self._unless_bytes_do(size, chosen, self.reckoned.share)
 
+    def _with_more_ranks(self, size: int, best: Fitted, left: float) -> Fitted:
+        """What was fitted, its bytes and share, or the next higher ranks with as few bits as fit, if these leave less.
+
+        Where data end at a rank, all its ranks are worth more than bits.
+        """
+        chosen, _, self.reckoned.share = best
+        more = (allocate(self.spectra, nbytes=times * chosen.nbytes) for times in FURTHER_RANKS)
+        further = next((each for each in more if not np.array_equal(each.choice, chosen.choice)), chosen)
+        taken, numbers = self.reckoned.nbytes(further), max(self.reckoned.numbers(further), 1)
+        for _ in range(MORE_ATTEMPTS if further is not chosen else 0):
+            self.reckoned.share *= 4.0 ** (8 * (taken - AIMED * size) / numbers)
+            if not SHARES[0] < self.reckoned.share < MOST_SHARE:
+                break
+            self._fit(further)
+            taken = self.goal.file_bytes(self.tree)
+            if taken <= size and self.tree.error < left:
+                best, left = (further, taken, self.reckoned.share), self.tree.error
+            if USED * size <= taken <= size:
+                break
+        return best
+
     def _unless_bytes_do(self, size: int, chosen: Allocation, share: float) -> None:
-        """What is fitted, or a byte for each number, where that leaves less: widths take some bytes, too."""
+        """What is fitted, or a byte for each number, where that leaves less: parameters take some bytes, too."""
         left = self.tree.error
         try:
             others = self._within(size)
