@@ -144,6 +144,13 @@ def by_cells(cells: Cells, n: int, columns: NDArray[Any]) -> NDArray[Any]:
     return columns.reshape(clusters[n], before, after, -1).swapaxes(0, 1).reshape(cells.spec.cells, -1)
 
 
+def by_columns(cells: Cells, n: int, each: F64) -> F64:
+    """What is told of columns of mode n for each cell, `[PC, R_n]`, for each column: `[C_n, PC_-n, R_n]`."""
+    clusters = cells.spec.clusters
+    before, after = prod(clusters[:n]), prod(clusters[n + 1 :])
+    return each.reshape(before, clusters[n], after, -1).swapaxes(0, 1).reshape(clusters[n], before * after, -1)
+
+
 def round_cores(cores: F32, bits: int = 16) -> tuple[NDArray[np.float16], F32]:
     """Cores `[PC, ..]` as float16 with the largest number of each near 1, and the float32 factors `[PC]`.
 

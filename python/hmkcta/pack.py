@@ -18,6 +18,8 @@ from .parameters import BELOW_ONE, bytes_of, from_whole, most_of_core, of_column
 from .streaming.pieces import places_of
 
 Ragged = list[NDArray[Any]]
+#: Entries of a node's columns, mode by mode, its core numbers, and the factor of each of its cells.
+Cores = tuple[list[U8 | None], F16, F32]
 
 
 def pack_levels(
@@ -48,10 +50,9 @@ def _pack(nodes: Sequence[Node], undecomposed: Sequence[int], unit: float, bits:
         if node.cells is not None:
             shape[s] = node.cells.spec.clusters, node.cells.spec.mixture, node.cells.ranks
     fewer = any(node.cells is not None and node.cells.spec.packed for node in nodes)
-    columns = [_columns(node, undecomposed) if fewer else [] for node in nodes]
-    rounded = [_cores(node, bits, own) for node, own in zip(nodes, columns, strict=True)]
-    core, core_offset = _ragged([numbers for numbers, _ in rounded], np.float16)
-    scale, cell_offset = _ragged([factors for _, factors in rounded], np.float32)
+    rounded = [_coded(node, stored) if fewer else _plain(node, bits) for node in nodes]
+    core, core_offset = _ragged([numbers for _, numbers, _ in rounded], np.float16)
+    scale, cell_offset = _ragged([factors for *_, factors in rounded], np.float32)
     scale = (scale * unit).astype(np.float32)
     cluster = [
         _ragged([_members(node, n) for node in nodes], np.uint16) if stored[n] else (None, None) for n in range(order)
@@ -77,30 +78,26 @@ def _pack(nodes: Sequence[Node], undecomposed: Sequence[int], unit: float, bits:
             _joined([_local(node, n) for node in nodes], np.uint32) if inner[n] else None for n in range(order)
         ),
         bits=bits,
-        rice=_entries(columns, stored) if fewer else (),
+        rice=_entries([columns for columns, *_ in rounded], stored) if fewer else (),
     )
 
 
-def _cores(node: Node, bits: int, columns: Sequence[U8 | None]) -> tuple[F16, F32]:
-    """Core numbers of a node, and the factor of each of its cells; `columns`: entries, of a packed level."""
+def _plain(node: Node, bits: int) -> Cores:
+    """Those of a node of a level that is not packed."""
     if node.cells is None:
-        return np.zeros(0, np.float16), np.zeros(0, np.float32)
-    if not columns:
-        return round_cores(node.cells.cores, bits)
-    numbers, step = whole_of_core(node.cells.cores)
+        return [], np.zeros(0, np.float16), np.zeros(0, np.float32)
+    return [], *round_cores(node.cells.cores, bits)
+
+
+def _coded(node: Node, stored: Sequence[bool]) -> Cores:
+    """Those of a node of a packed level; no entries of a mode that is not stored."""
+    if node.cells is None:
+        return [np.zeros(0, np.uint8) if kept else None for kept in stored], *_plain(node, 8)[1:]
+    whole, step = whole_of_core(node.cells.cores)
+    columns = [None if own is None else bytes_of(of_columns(basis), own)
+               for basis, own in zip(node.cells.bases, core_parameters(whole, stored), strict=True)]
     most = most_of_core(columns, np.array([node.cells.ranks]))
-    return from_whole(numbers, most), np.ldexp(step, int(most[0]) + BELOW_ONE).astype(np.float32)
-
-
-def _columns(node: Node, undecomposed: Sequence[int]) -> list[U8 | None]:
-    """Entries of the columns of a node of a packed level; None of an undecomposed mode."""
-    none = np.zeros(0, np.uint8)
-    if node.cells is None:
-        return [None if n in undecomposed else none for n in range(len(node.rows))]
-    stored = [n not in undecomposed for n in range(len(node.rows))]
-    of_core = core_parameters(whole_of_core(node.cells.cores)[0], stored)
-    return [None if own is None else bytes_of(of_columns(basis), own)
-            for basis, own in zip(node.cells.bases, of_core, strict=True)]
+    return columns, from_whole(whole, most), np.ldexp(step, int(most[0]) + BELOW_ONE).astype(np.float32)
 
 
 def _entries(columns: Sequence[Sequence[U8 | None]], stored: Sequence[bool]) -> tuple[U8 | None, ...]:

@@ -53,8 +53,7 @@ def code_bits(z: I32, k: U8) -> I32:
 
 def code_bytes(q: NDArray[Any], k: U8) -> int:
     """Bytes of the array in which numbers of these parameters are stored."""
-    zeros = _zeros(folded(q), k)
-    return stream_bytes(int(zeros.sum(dtype=np.int64)) + zeros.size) + stream_bytes(_rest(zeros, k))
+    return _bytes(_zeros(folded(q), k), k)
 
 
 def encoded(q: NDArray[Any], k: U8) -> U8:
@@ -68,26 +67,28 @@ def encoded(q: NDArray[Any], k: U8) -> U8:
     return np.concatenate([to_unary(zeros), to_stream(z, _rest_of_each(zeros, k))])
 
 
-def decoded(stream: U8, k: U8) -> I32:
-    """The numbers of these parameters; the array must be as `fault_in` wants it.
+def decoded(stream: U8, k: U8, zeros: I32 | None = None) -> I32:
+    """The numbers of these parameters; the array must be as `fault_in` wants it. `zeros`: of its codes, if known.
 
     >>> decoded(np.array([20, 129, 2], np.uint8), np.array([1, 0, 1, 0], np.uint8)).tolist()
     [2, -1, -4, 3]
     """
-    zeros = from_unary(stream, k.size).astype(np.uint8)
-    first = stream_bytes(int(zeros.sum(dtype=np.int64)) + zeros.size)
-    rest = from_stream(stream[first:], _rest_of_each(zeros, k))
-    return unfolded(np.where(zeros < MOST_ZEROS, (zeros.astype(np.int32) << k) | rest, rest))
+    zeros = from_unary(stream, k.size) if zeros is None else zeros
+    rest = from_stream(stream[_first_bytes(zeros) :], _rest_of_each(zeros, k))
+    return unfolded(np.where(zeros < MOST_ZEROS, (zeros << k) | rest, rest))
 
 
-def fault_in(stream: U8, k: U8) -> tuple[str, object, object] | None:
-    """Why the array cannot hold the codes of numbers of these parameters: a reason, what was found, what is allowed."""
-    zeros = from_unary(stream, k.size)
+def fault_in(stream: U8, k: U8, zeros: I32 | None = None) -> tuple[str, object, object] | None:
+    """Why the array cannot hold the codes of numbers of these parameters: a reason, what was found, what is allowed.
+
+    `zeros`: of its codes, if known.
+    """
+    zeros = from_unary(stream, k.size) if zeros is None else zeros
     if (bad := np.flatnonzero(zeros > MOST_ZEROS)).size:
         return "code-range", f"{zeros[bad[0]]} bits of 0 in code {bad[0]}", f"at most {MOST_ZEROS}"
     if zeros.size < k.size:
         return "array-shape", [stream.size], f"the codes of {k.size} numbers"
-    needed = stream_bytes(int(zeros.sum(dtype=np.int64)) + zeros.size) + stream_bytes(_rest(zeros, k))
+    needed = _bytes(zeros, k)
     return None if stream.size == needed else ("array-shape", [stream.size], [needed])
 
 
@@ -100,5 +101,11 @@ def _rest_of_each(zeros: NDArray[Any], k: U8) -> U8:
     return np.where(zeros < MOST_ZEROS, k, RAW).astype(np.uint8)
 
 
-def _rest(zeros: NDArray[Any], k: U8) -> int:
-    return int(_rest_of_each(zeros, k).sum(dtype=np.int64))
+def _first_bytes(zeros: NDArray[Any]) -> int:
+    """Bytes of the first sequence, of bits of 0 and 1."""
+    return stream_bytes(int(zeros.sum(dtype=np.int64)) + zeros.size)
+
+
+def _bytes(zeros: NDArray[Any], k: U8) -> int:
+    """Bytes of both sequences."""
+    return _first_bytes(zeros) + stream_bytes(int(_rest_of_each(zeros, k).sum(dtype=np.int64)))

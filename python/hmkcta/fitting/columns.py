@@ -8,13 +8,13 @@ core, and how much all of them together may leave is a share of what the ranks l
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import prod, sqrt
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import F32, F64
-from ..cells import Cells, by_cells, column_peaks, column_squares
+from ..cells import Cells, by_cells, by_columns, column_peaks, column_squares
 from ..parameters import BELOW_ONE
 from ..rice import MOST, PARAMETERS, code_bits, folded
 
@@ -115,13 +115,6 @@ def whole_steps(cores: F64 | F32, steps: F64) -> F32:
     stored = np.ldexp(np.maximum(np.rint(np.ldexp(about, -exponent)), 1), exponent)
     whole = np.rint(np.where(most > 0, 1.0, 0.0)[:, None] * each / stored[:, None]).astype(np.float16)
     return (whole.astype(np.float64) * stored[:, None]).astype(np.float32).reshape(cores.shape)
-
-
-def by_columns(cells: Cells, n: int, each: F64) -> F64:
-    """What is told of columns of mode n for each cell, `[PC, R_n]`, for each column: `[C_n, PC_-n, R_n]`."""
-    clusters = cells.spec.clusters
-    before, after = prod(clusters[:n]), prod(clusters[n + 1 :])
-    return each.reshape(before, clusters[n], after, -1).swapaxes(0, 1).reshape(clusters[n], before * after, -1)
 
 
 def _along(each: F64, n: int, dimensions: int) -> F64:

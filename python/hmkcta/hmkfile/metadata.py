@@ -265,10 +265,11 @@ def _parse_transform(value: Json, where: str) -> dict[str, Any]:
     fields = as_object(value, where, ("name", *TRANSFORMS[name])) if isinstance(name, str) else as_object(
         value, where, ("name",))
     as_text(fields["name"], f"{where}.name")
-    for key, item in fields.items():
-        if key != "name" and as_number(item, f"{where}.{key}") <= 0:
-            raise fault("field-value", f"{where}.{key}", item, "a number above 0")
-    return {key: item if key == "name" else as_number(item, f"{where}.{key}") for key, item in fields.items()}
+    found: dict[str, Any] = {key: item if key == "name" else as_number(item, f"{where}.{key}")
+                             for key, item in fields.items()}
+    if "scale" in found and found["scale"] <= 0:
+        raise fault("field-value", f"{where}.scale", found["scale"], "a number above 0")
+    return found
 
 
 def _parse_quality(value: Json, where: str, levels: int) -> tuple[LevelQuality, ...]:

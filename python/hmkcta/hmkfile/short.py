@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bitstream import U8
+from ..bitstream import U8, from_unary
 from ..packed import U16, U32, PackedLevel
 from ..parameters import from_whole, most_of_core, of_basis_numbers, of_core_numbers
 from ..rice import decoded, fault_in
@@ -139,11 +139,12 @@ class _Level:
             of_mode = None if name == "core" else int(name.split("/")[1])
             own = of_core_numbers(rice, self.whole[self.name + "shape"]) if of_mode is None else of_basis_numbers(
                 cast("U8", rice[of_mode]), self.ranks[:, of_mode], count.astype(np.int64))
-            if (bad := fault_in(stream, own)) is not None:
+            zeros = from_unary(stream, own.size)
+            if (bad := fault_in(stream, own, zeros)) is not None:
                 reason, found, allowed = bad
                 raise fault(reason, self.name + name, found, allowed)
             steps = own if of_mode is not None else np.repeat(most_of_core(rice, self.ranks), count.astype(np.int64))
-            self.whole[self.name + name] = from_whole(decoded(stream, own), steps)
+            self.whole[self.name + name] = from_whole(decoded(stream, own, zeros), steps)
 
     def _own(self, offsets: str, array: str, needed: NDArray[np.float64]) -> None:
         found = self.whole[self.name + array]
