@@ -87,7 +87,7 @@ def test_back_fitting_of_blocks_is_as_in_memory(cloth: Any, monkeypatch: pytest.
 
 def test_a_model_that_memory_does_not_hold_is_refused(cloth: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(budget, "SMALLEST", 1000)
-    monkeypatch.setattr("hmkcta.ranks.adaptive.MODEL", 1e6)
+    monkeypatch.setattr("hmkcta.ranks.last_level.MODEL", 1e6)
     memory = budget.PROCESS + budget.WORKING * cloth.values.size // 3
     with pytest.raises(HmkctaError, match=r"memory for a model of .*--max-memory"):
         fitted(cloth, monkeypatch, cloth.values.size // 3, "R<=8 grid=y:2,x:3", snr=14.5, max_memory=memory)

@@ -1,4 +1,4 @@
-"""Data of few exact ranks: float16 numbers where bytes would hide them, and bytes for what these leave."""
+"""Data of few exact ranks: float16 numbers where bytes would hide them, all ranks in as many bits as fit or do."""
 
 from __future__ import annotations
 
@@ -47,3 +47,39 @@ def test_no_more_clusters_are_tried_than_there_are_rows() -> None:
     assert more is not None
     assert max(more.levels[0].clusters) == 4
     assert not fits(task, more, model)
+
+
+def labels_apart() -> NDArray[np.float32]:
+    """Twelve labels of boxes, `[20, 24, 22, 12]`, 1 where the label is the last index: of ranks 5, 6, 11, 12."""
+    boxes = np.random.default_rng(7).integers(0, 12, (5, 6, 11))
+    labels = boxes.repeat(4, axis=0).repeat(4, axis=1).repeat(2, axis=2)
+    return (labels[..., None] == np.arange(12)).astype(np.float32)
+
+
+def boxes() -> NDArray[np.float32]:
+    """A number for each box, `[20, 24, 22, 12]`, of ranks 5, 4, 2, 3."""
+    values = np.random.default_rng(8).integers(0, 9, (5, 4, 2, 3))
+    return values.repeat(4, axis=0).repeat(6, axis=1).repeat(11, axis=2).repeat(4, axis=3).astype(np.float32)
+
+
+@pytest.mark.parametrize(("size", "least"), [(5_000, 17.0), (6_000, 29.0), (8_000, 52.0)])
+def test_a_size_is_filled_by_all_ranks_where_data_end(size: int, least: float) -> None:
+    """Ranks by what each is worth in usual bits, and fewer of them, end at 5 to 12 dB."""
+    model = compress(labels_apart(), "R<=20,24,22,12 bits=8", size=size, threads=1)
+    assert model.nbytes <= size
+    assert model.snr > least
+
+
+def test_a_larger_size_does_more_where_data_end() -> None:
+    """Some plans end at 16 dB; the whole, uncut, is always fitted beside them."""
+    reached = [compress(boxes(), size=size, threads=1).snr for size in (2_000, 2_600, 3_600, 4_600)]
+    assert reached == sorted(reached)
+    assert reached[2] > 65
+
+
+@pytest.mark.parametrize("snr", [10.0, 20.0, 30.0, 40.0])
+def test_an_snr_is_just_met_where_data_end(snr: float) -> None:
+    """All ranks promise too much and the next fewer too little: bits alone meet it, far from where they began."""
+    factors = [np.random.default_rng(n).standard_normal((rows, 6)) for n, rows in enumerate((40, 50, 60))]
+    values = np.einsum("ir,jr,kr->ijk", *factors).astype(np.float32)
+    assert snr <= compress(values, "R<=40,50,60 bits=8", snr=snr, threads=1).snr < snr + 0.3

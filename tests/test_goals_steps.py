@@ -96,7 +96,7 @@ def test_no_fit_is_wasted_where_ranks_are_large_steps(monkeypatch: pytest.Monkey
         fits.append(1)
         fit_nodes(*arguments)
 
-    monkeypatch.setattr("hmkcta.ranks.adaptive.fit_nodes", counted)
+    monkeypatch.setattr("hmkcta.ranks.last_level.fit_nodes", counted)
     model = fitted(plan=BRICKS + "5", organisation=MERGED, snr=36.0)
     assert 36.5 < model.snr < 37
     assert len(fits) == 1

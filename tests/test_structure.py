@@ -72,7 +72,15 @@ WITHIN = {
         ("disjoint",),
         ("hierarchy",),
     ),
-    "ranks": (("allocation",), ("examining",), ("reckoning",), ("adaptive",)),
+    "ranks": (
+        ("allocation",),
+        ("examining",),
+        ("reckoning",),
+        ("last_level",),
+        ("ends", "to_snr"),
+        ("to_size",),
+        ("adaptive",),
+    ),
     "streaming": (
         ("budget", "scratch"),
         ("collecting", "pieces"),

@@ -18,6 +18,7 @@ from .alternatives import (
     first_in_bytes,
     narrower,
     nodes_of_clusters,
+    whole_plan,
     with_bits,
 )
 from .cluster_counts import FINEST, with_best_clusters, with_joined, with_other_clusters
@@ -222,6 +223,8 @@ def _near(followed: Sequence[Followed]) -> Sequence[Plan]:
             near = alternatives(task.plan, task.source.organisation(None), model.snr, model.nbytes)
             plans |= {plan: None for plan in near if may_be(task, plan) and plan not in tried}
     task, best = best_of(followed)
+    whole = with_bits(whole_plan(task.plan, task.source.organisation(None)), task.bits or min(BITS))
+    plans |= {} if whole in tried else {whole: None}
     for other, model in followed:
         if not is_behind(model, best, task.plan.snr, FAR_BEHIND):
             plans |= dict.fromkeys(nodes_of_clusters(other.plan))

@@ -1,0 +1,51 @@
+"""All ranks of data that end at a rank, where fewer bits make up for more ranks."""
+
+from __future__ import annotations
+
+from math import inf, sqrt
+
+from ..metrics import noise_at
+from ..streaming.streamed import Streamed
+from .allocation import Allocation, allocate
+from .last_level import Fitted, LastLevel
+
+#: Data end at ranks that leave no more than so many dB, and these are tried up to so many times the bytes.
+ENDS, SOON = 90.0, 3.0
+#: How often all ranks are fitted at most, and which share of a size is enough, and aimed at.
+ATTEMPTS, USED, AIMED = 6, 0.98, 0.99
+#: What rounding is to leave at first, as a share of what float32 leaves of all ranks: some 60 dB.
+FIRST_SHARE = 1.0
+
+
+def ends_of(level: LastLevel, nbytes: float) -> Allocation | None:
+    """The ranks where data end, if they end within a few times as many bytes, as choices count them."""
+    if not level.reckoned.packed or isinstance(level.tree.residual, Streamed):
+        return None
+    error = noise_at(ENDS, level.goal.energy)
+    ends = allocate(level.spectra, error=error)
+    return ends if ends.error <= error and ends.nbytes <= SOON * nbytes else None
+
+
+def filled(level: LastLevel, ends: Allocation, size: int) -> Fitted | None:
+    """All ranks, with as many bits as fill the size; None where the fewest that are tried do not fit.
+
+    A bit more of each number leaves a quarter of the error: shares follow each other by that, between those that were
+    too small for the size and those that fit.
+    """
+    best, share, low, high, before = None, FIRST_SHARE, 0.0, inf, inf
+    for _ in range(ATTEMPTS):
+        fitted = level.fit(ends, share)
+        if size < before <= fitted.nbytes:  # fewer bits there are not
+            break
+        before = fitted.nbytes
+        if fitted.nbytes <= size:
+            high, best = share, fitted if best is None or fitted.error < best.error else best
+        else:
+            low = share
+        more = 4.0 ** (8 * (fitted.nbytes - AIMED * size) / max(level.reckoned.numbers(ends), 1))
+        if USED * size <= fitted.nbytes <= size or (more < 1 and share <= FIRST_SHARE):
+            break
+        share *= more
+        if not low < share < high:
+            share = sqrt(low * high)
+    return best
