@@ -176,7 +176,6 @@ def test_a_rank_far_beyond_its_goal_is_parted(monkeypatch: pytest.MonkeyPatch) -
 
     monkeypatch.setattr("hmkcta.encode.tune", tuned)
     alone, parted = (compress(values, plan, axes="light,view,y,x", snr=15.0, threads=1) for plan in (matrix, None))
-    assert alone.snr > 15.5
     assert parted.plan.organisation[-2:] == (("y",), ("x",))
     assert parted.snr >= 15
     assert parted.nbytes < 0.97 * alone.nbytes

@@ -20,6 +20,8 @@ JOINED = (4, 12)
 SPARED = 0.9
 #: More or fewer of them are tried from so many dB below the SNR on.
 CATCHING_UP = 3.0
+#: Clusters along two axes are not tried where a model takes more than this share of the values as float32.
+DENSE = 0.2
 #: Elements up to which the number of clusters is looked for in all `STEPS`; of larger arrays in the last one alone.
 IN_ALL_STEPS = 1 << 22
 #: Factors by which the number of clusters is raised and lowered, one after the other, and for each how far a model may
@@ -41,9 +43,16 @@ def with_best_clusters(best: Followed, followed: Sequence[Followed]) -> Followed
     starts, tried = [best_of(same) for same in kinds.values()], set[Plan]()
     for step in STEPS if prod(best.task.source.shape) <= IN_ALL_STEPS else [FINEST]:
         near = [start for start in starts if not is_behind(start.model, best.model, snr, STEPS[step])]
+        near = [start for start in near if not _is_hopeless(start, best)]
         starts = [with_other_clusters(start, [step], tried) for start in near]
         best = best_of([best, *starts])
     return best
+
+
+def _is_hopeless(start: Followed, best: Followed) -> bool:
+    """Whether it is far from an SNR that the best reaches in fewer bytes: more clusters take more of them."""
+    goal = best.task.plan.snr
+    return goal is not None and start.model.snr < goal - CATCHING_UP and best.model.nbytes < start.model.nbytes
 
 
 def with_other_clusters(start: Followed, steps: Iterable[float], tried: set[Plan]) -> Followed:
@@ -63,7 +72,7 @@ def with_other_clusters(start: Followed, steps: Iterable[float], tried: set[Plan
 def with_joined(own: Followed) -> Followed:
     """The best of a model and of nodes for clusters along two axes at a time."""
     task, plain = own.task, own.task.source.organisation(None)
-    if not _is_small(task) or misses(own.model.snr, task.plan.snr):
+    if not _is_small(task) or misses(own.model.snr, task.plan.snr) or _is_dense(own):
         return own
     few, more = (list(joined(task.plan, plain, count)) for count in JOINED)
     narrow = min(BITS) if task.bits is None and own.model.snr < EITHER_BELOW else task.plan.levels[-1].bits
@@ -105,6 +114,11 @@ def _least_reaching(own: Followed, goal: float, begin: Sequence[Plan]) -> Follow
         if misses(best.model.snr, goal):
             return found
         found, size, begin = best, size // 2, [best.task.plan]
+
+
+def _is_dense(own: Followed) -> bool:
+    """Whether a model takes so much of the values that there is no outline of a thing outside which all is alike."""
+    return own.model.nbytes > DENSE * 4 * prod(own.task.source.shape)
 
 
 def _is_small(task: Task) -> bool:

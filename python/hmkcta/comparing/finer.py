@@ -23,6 +23,8 @@ LARGE = 1 << 24
 MOST_AXES = 3
 #: An SNR goal is far exceeded by more than so many dB.
 ABOVE = 0.3
+#: One rank more is a large step up from this one.
+FEW_RANKS = 3
 #: A size goal is far from used where less than this share of it is.
 USED = 0.95
 
@@ -99,3 +101,15 @@ def is_far_beyond(plan: Plan, snr: float, nbytes: int) -> bool:
     if plan.snr is not None:
         return plan.snr + ABOVE < snr and not isinf(snr)
     return plan.size is not None and nbytes < USED * plan.size
+
+
+def has_large_steps(fitted: Plan) -> bool:
+    """Whether a rank of its one node is a large step, so that few bits or many had to make up for what was between two.
+
+    >>> from hmkcta import parse_plan
+    >>> modes = [("light",), ("y", "x")]
+    >>> [has_large_steps(parse_plan(text, modes)) for text in ("R=*,2", "R=*,9", "R=2,2 C=4,4")]
+    [True, False, False]
+    """
+    first, *more = fitted.levels
+    return not more and first.cells == 1 and 0 < max(rank or 0 for rank in first.ranks) <= FEW_RANKS

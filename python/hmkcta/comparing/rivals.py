@@ -22,7 +22,7 @@ from .alternatives import (
     with_bits,
 )
 from .cluster_counts import FINEST, with_best_clusters, with_joined, with_other_clusters
-from .finer import finer, is_far_beyond, more_blocks, parted
+from .finer import finer, has_large_steps, is_far_beyond, more_blocks, parted
 from .follow import Task
 from .followed import (
     Followed,
@@ -70,7 +70,7 @@ def follow_any(
     2. Of small arrays plans like the best (`alternatives`), plans of two levels where rounding leaves too much for one,
        more and fewer clusters of the data, and bytes in a first level. Of larger ones that memory holds the best plan,
        packed instead of float16 numbers, and plans of two levels where a size leads beyond 64 dB.
-    3. Where the best ends far beyond its goal, as one rank more is a large step: the same plan with a `finer` choice of
+    3. Where the best ends far beyond its goal, or one rank more is a large step: the same plan with a `finer` choice of
        blocks, with merged modes parted and, for an SNR, the first of the others that are left.
     4. With `choose`, nodes for clusters along two axes, of arrays of up to 2^22 elements; and plans that are chosen
        anew by what the fit told, under a value transform and where packed numbers fall short (`_chosen_anew`).
@@ -88,7 +88,7 @@ def follow_any(
     followed, given = fitted_with(task, rivals, FAR_BEHIND[1]), task
     (task, model), followed = _compared(task, followed, others)
     left = [plan for plan in others if plan not in rivals]
-    if is_far_beyond(task.plan, model.snr, model.nbytes):
+    if is_far_beyond(task.plan, model.snr, model.nbytes) or has_large_steps(model.plan):
         nearer = _nearer(task, model, left)
         again = nearer.model is not model and is_worth(nearer.task)
         task, model = with_other_clusters(nearer, [FINEST], set()) if again else nearer
