@@ -153,7 +153,7 @@ def hemisphere(count: int, seed: int) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize(
-    ("shape", "size", "snr"), [((16, 14, 28, 24), 225_792, 41.0), ((12, 10, 24, 20), 34_560, 16.0)]
+    ("shape", "size", "snr"), [((12, 10, 20, 16), 57_600, 54.0), ((12, 10, 24, 20), 34_560, 16.0)]
 )
 def test_matrices_with_clusters_are_found_far_behind(shape: tuple[int, int, int, int], size: int, snr: float) -> None:
     """Thinned samples tell too little of matrices, and matrices without clusters too little of those with them."""

@@ -41,6 +41,7 @@ def test_a_climb_exchanges_blocks_of_two_axes(monkeypatch: pytest.MonkeyPatch) -
     assert climbed(search, Candidate(PLAIN, (3, 2, 3), (), True), 1 << 12, 0.0).candidate.grid == (3, 4, 2)
 
 
+@pytest.mark.usefixtures("one_goal")
 def test_waves_are_cut_as_waves_like_it() -> None:
     """Along each axis for itself blocks of (3, 2, 3) are the best: 31.3 dB."""
     y, x = np.mgrid[:112, :112]

@@ -33,6 +33,8 @@ CASES: dict[str, dict[str, Any]] = {
     "bytes": {"plan": "R=2,1,2,2 / R=1 C=2,1,2,2 K=2", "bits": 8},
     "transform": {"plan": "R=2,1,2,2 / R=1 C=2,1,2,2 K=2", "transform": "log1p"},
 }
+#: More calls than any run makes.
+MANY = 10**6
 
 
 def fitted(**options: Any) -> Model:
@@ -54,17 +56,17 @@ def interrupted(folder: Path, calls: int, **options: Any) -> None:
 
 def calls_of(**options: Any) -> int:
     """How often a whole run tells its progress."""
-    many = 10**6
-    counter = After(many)
+    counter = After(MANY)
     fitted(progress=counter, **options)
-    return many - counter.left
+    return MANY - counter.left
 
 
+@pytest.mark.usefixtures("one_goal")
 @pytest.mark.parametrize("name", CASES)
 def test_the_same_bytes_wherever_it_stopped(name: str, tmp_path: Path) -> None:
     options = CASES[name]
-    reference = file_of(fitted(**options), tmp_path)
-    calls = calls_of(**options)
+    counter = After(MANY)
+    reference, calls = file_of(fitted(progress=counter, **options), tmp_path), MANY - counter.left
     for share in (0.3, 0.6, 0.95):
         interrupted(tmp_path, int(share * calls), **options)
         assert resumed(tmp_path, **options)[0] == reference
