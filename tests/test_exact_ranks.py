@@ -70,6 +70,22 @@ def test_a_size_is_filled_by_all_ranks_where_data_end(size: int, least: float) -
     assert model.snr > least
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_data_end_though_float32_does_not_tell_exactly_where(seed: int) -> None:
+    """What spectra leave of ranks (4, 5, 6) is some 80 dB, or nothing; fewer ranks than these end at 40 dB."""
+    rng = np.random.default_rng(seed)
+    factors = [rng.standard_normal((rows, rank)) for rows, rank in ((16, 4), (18, 5), (20, 6))]
+    values = np.einsum("abc,ia,jb,kc->ijk", rng.standard_normal((4, 5, 6)), *factors).astype(np.float32)
+    assert compress(values, "R<=16,18,20 bits=8", size=2269, threads=1).snr > 45
+
+
+def test_a_level_that_is_left_nothing_fills_no_size() -> None:
+    """All energy is in the first level's blocks: below it no rank is worth its bytes, however many there are."""
+    values = np.random.default_rng(0).standard_normal((16, 16)).repeat(4, 0).repeat(4, 1)[..., None].repeat(8, 2)
+    model = compress(values.astype(np.float32), "R=1 C=16,16,1 / R<=4,4,8 bits=8", size=18_000, threads=1)
+    assert model.snr > 60
+
+
 def test_a_larger_size_does_more_where_data_end() -> None:
     """Some plans end at 16 dB; the whole, uncut, is always fitted beside them."""
     reached = [compress(boxes(), size=size, threads=1).snr for size in (2_000, 2_600, 3_600, 4_600)]

@@ -162,7 +162,7 @@ def test_more_is_never_worse() -> None:
     assert snr_at == sorted(snr_at)
 
 
-def test_a_rank_far_beyond_its_goal_is_parted(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_rank_that_is_a_large_step_is_parted(monkeypatch: pytest.MonkeyPatch) -> None:
     """A rank of all texels together costs as many numbers; of rows and of columns a few, which take less to come to."""
     y, x = np.ogrid[0:1:40j, 0:1:44j]
     texels = 1.5 + np.sin(3 * x + 2 * y) + 0.5 * np.cos(4 * x * y)

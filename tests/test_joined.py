@@ -125,6 +125,26 @@ def test_more_clusters_are_tried_from_what_is_hardly_behind(monkeypatch: pytest.
     assert with_best_clusters(plain, as_told(task, others[:1], plain)) == plain, "4 dB behind"
 
 
+@pytest.mark.parametrize(("best", "start", "tried"), [(30.0, 26.0, False), (30.0, 28.0, True), (29.0, 26.0, True)])
+def test_no_more_clusters_are_tried_of_what_takes_more_and_is_far_behind(
+    best: float, start: float, tried: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of an SNR of 30 dB: unless nothing reaches that."""
+    plans_tried = list[Plan]()
+
+    def none(_: Task, plans: Sequence[Plan], __: Followed) -> list[Followed]:
+        plans_tried.extend(plans)
+        return []
+
+    monkeypatch.setattr(cluster_counts, "further", none)
+    task = followed(np.random.default_rng(0).standard_normal((4, 8, 16, 16)), "R<=4,* C=8,1", 30.0).task
+    plain = replace(task, plan=replace(task.plan, levels=parse_plan("R<=4,*", task.plan.organisation).levels))
+    nearest = Followed(plain, cast("Model", SimpleNamespace(snr=best, nbytes=1000)))
+    behind = Followed(task, cast("Model", SimpleNamespace(snr=start, nbytes=1100)))
+    with_best_clusters(nearest, [behind])
+    assert bool(plans_tried) is tried
+
+
 def followed(values: NDArray[np.float64], plan: str, snr: float) -> Followed:
     """A plan in which x is a mode of its own, and what it comes to."""
     source = prepare(values, ["t", "z", "y", "x"], None, None, 1)

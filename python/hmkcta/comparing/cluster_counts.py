@@ -52,7 +52,9 @@ def with_best_clusters(best: Followed, followed: Sequence[Followed]) -> Followed
 def _is_hopeless(start: Followed, best: Followed) -> bool:
     """Whether it is far from an SNR that the best reaches in fewer bytes: more clusters take more of them."""
     goal = best.task.plan.snr
-    return goal is not None and start.model.snr < goal - CATCHING_UP and best.model.nbytes < start.model.nbytes
+    if goal is None or misses(best.model.snr, goal):
+        return False
+    return start.model.snr < goal - CATCHING_UP and best.model.nbytes < start.model.nbytes
 
 
 def with_other_clusters(start: Followed, steps: Iterable[float], tried: set[Plan]) -> Followed:

@@ -111,5 +111,5 @@ def has_large_steps(fitted: Plan) -> bool:
     >>> [has_large_steps(parse_plan(text, modes)) for text in ("R=*,2", "R=*,9", "R=2,2 C=4,4")]
     [True, False, False]
     """
-    first, *more = fitted.levels
-    return not more and first.cells == 1 and 0 < max(rank or 0 for rank in first.ranks) <= FEW_RANKS
+    one = fitted.levels[0] if len(fitted.levels) == 1 else None  # of zeros nothing is stored, not even a level
+    return one is not None and one.cells == 1 and 0 < max(rank or 0 for rank in one.ranks) <= FEW_RANKS

@@ -18,7 +18,6 @@ from .alternatives import (
     first_in_bytes,
     narrower,
     nodes_of_clusters,
-    whole_plan,
     with_bits,
 )
 from .cluster_counts import FINEST, with_best_clusters, with_joined, with_other_clusters
@@ -36,7 +35,7 @@ from .followed import (
     is_worth,
     may_be,
 )
-from .second_levels import PACKED, ROUNDED, below_rounding, deeper, packed_below_bytes, with_packed_below
+from .second_levels import PACKED, ROUNDED, below_rounding, deeper, packed_below_bytes, whole_of, with_packed_below
 
 #: SNR in dB above which plans of two levels are tried: one level of float16 numbers may not reach it.
 NEARLY = 64.0
@@ -67,9 +66,10 @@ def follow_any(
 
     1. The task's plan, and beside it the `others` that are rivals: for a size all of them; for an SNR, of small arrays
        (`is_worth`) and of transformed values, all but the verbatim ones.
-    2. Of small arrays plans like the best (`alternatives`), plans of two levels where rounding leaves too much for one,
-       more and fewer clusters of the data, and bytes in a first level. Of larger ones that memory holds the best plan,
-       packed instead of float16 numbers, and plans of two levels where a size leads beyond 64 dB.
+    2. Of small arrays plans like the best (`alternatives`), the whole without blocks or clusters, plans of two levels
+       where rounding leaves too much for one, more and fewer clusters of the data, and bytes in a first level. Of
+       larger ones that memory holds the best plan, packed instead of float16 numbers, and plans of two levels where a
+       size leads beyond 64 dB.
     3. Where the best ends far beyond its goal, or one rank more is a large step: the same plan with a `finer` choice of
        blocks, with merged modes parted and, for an SNR, the first of the others that are left.
     4. With `choose`, nodes for clusters along two axes, of arrays of up to 2^22 elements; and plans that are chosen
@@ -88,7 +88,8 @@ def follow_any(
     followed, given = fitted_with(task, rivals, FAR_BEHIND[1]), task
     (task, model), followed = _compared(task, followed, others)
     left = [plan for plan in others if plan not in rivals]
-    if is_far_beyond(task.plan, model.snr, model.nbytes) or has_large_steps(model.plan):
+    few = is_worth(task) and not misses(model.snr, task.plan.snr) and has_large_steps(model.plan)
+    if few or is_far_beyond(task.plan, model.snr, model.nbytes):
         nearer = _nearer(task, model, left)
         again = nearer.model is not model and is_worth(nearer.task)
         task, model = with_other_clusters(nearer, [FINEST], set()) if again else nearer
@@ -214,8 +215,8 @@ def _unless_missed(best: Followed, spare: Sequence[Plan], missed: Callable[[str]
 
 
 def _near(followed: Sequence[Followed]) -> Sequence[Plan]:
-    """Alternatives of the best with each number of bits, as which of these is better may hang on them; and nodes of the
-    clusters of all."""
+    """Alternatives of the best with each number of bits, as which of these is better may hang on them; the whole,
+    uncut; and nodes of the clusters of all."""
     plans, tried = dict[Plan, None](), {task.plan for task, _ in followed}
     for bits in BITS:
         if of_bits := [each for each in followed if each.task.plan.levels[-1].bits == bits]:
@@ -223,7 +224,7 @@ def _near(followed: Sequence[Followed]) -> Sequence[Plan]:
             near = alternatives(task.plan, task.source.organisation(None), model.snr, model.nbytes)
             plans |= {plan: None for plan in near if may_be(task, plan) and plan not in tried}
     task, best = best_of(followed)
-    whole = with_bits(whole_plan(task.plan, task.source.organisation(None)), task.bits or min(BITS))
+    whole = with_bits(whole_of(task), task.bits or min(BITS))
     plans |= {} if whole in tried else {whole: None}
     for other, model in followed:
         if not is_behind(model, best, task.plan.snr, FAR_BEHIND):

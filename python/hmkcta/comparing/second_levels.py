@@ -37,6 +37,13 @@ LEAST_ABOVE = 12.0
 UNCUT, FEW_ELEMENTS = 5, 1 << 22
 
 
+def whole_of(task: Task) -> Plan:
+    """The plan that merges and cuts nothing, of ranks up to the lengths of its axes."""
+    whole = whole_plan(task.plan, task.source.organisation(None))
+    sizes = mode_sizes(task.source.axes, whole.organisation)
+    return replace(whole, levels=tuple(level.clamped(sizes) for level in whole.levels))
+
+
 def below_rounding(task: Task, others: Sequence[Plan]) -> Iterator[Plan]:
     """The task's plan, the others, and one that merges and cuts nothing, with a first level that ends at what its
     numbers keep, and a second for what that leaves. The first levels are fitted as plans are asked for.
@@ -44,10 +51,7 @@ def below_rounding(task: Task, others: Sequence[Plan]) -> Iterator[Plan]:
     Where ranks do not reach that, the last of them gain little: then one that ends a dB before them, too. What ends
     far below is left: the second level would have too much to do.
     """
-    whole = whole_plan(task.plan, task.source.organisation(None))
-    sizes = mode_sizes(task.source.axes, whole.organisation)
-    whole = replace(whole, levels=tuple(level.clamped(sizes) for level in whole.levels))
-    for plan in dict.fromkeys(map(_in_one, (task.plan, *others, whole))):
+    for plan in dict.fromkeys(map(_in_one, (task.plan, *others, whole_of(task)))):
         if len(plan.levels) != 1 or is_verbatim(plan):
             continue
         enough = ROUNDED[plan.levels[-1].bits]

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from math import inf
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import invalid
 from ..fitting.hierarchy import Hierarchy, LabelsOf, Run
@@ -19,8 +18,6 @@ from .examining import EXAMINING, Goal, Way, examined
 from .last_level import LastLevel, with_ranks
 from .to_size import to_size
 from .to_snr import to_snr
-
-F32 = NDArray[np.float32]
 
 
 def fit_to_goal(tree: Hierarchy, ways: Sequence[Way], goal: Goal, decode_cost: int, run: Run) -> None:

@@ -36,7 +36,8 @@ def with_ranks(spec: LevelSpec, ranks: NDArray[np.int32], share: float = 0.0) ->
 
 
 class Fitted(NamedTuple):
-    """Choices that were fitted, the share of the error that rounding was to leave; bytes of the file, squared error."""
+    """Choices that were fitted, the share of the error that rounding was to leave; bytes of the file, and the squared
+    error, which is 0 for an SNR goal and float16 numbers."""
 
     chosen: Allocation
     share: float
@@ -83,7 +84,9 @@ class LastLevel:
         self._fit(chosen)
         nbytes = self.goal.file_bytes(self.tree)
         self.reckoned.learn(chosen, nbytes)
-        self._last = Fitted(chosen, self.reckoned.share, nbytes, self.tree.error)
+        # Of a size alone is it asked for: the tensor may have to be read for it.
+        error = self.tree.error if self.goal.size is not None and self.reckoned.packed else 0.0
+        self._last = Fitted(chosen, self.reckoned.share, nbytes, error)
         return self._last
 
     def _fit(self, chosen: Allocation) -> None:

@@ -86,7 +86,7 @@ def _with_more_ranks(level: LastLevel, size: int, best: Fitted) -> Fitted:
     further = next((each for each in more if not np.array_equal(each.choice, best.chosen.choice)), best.chosen)
     taken, numbers = level.reckoned.nbytes(further), max(level.reckoned.numbers(further), 1)
     for _ in range(MORE_ATTEMPTS if further is not best.chosen else 0):
-        level.reckoned.share *= 4.0 ** (8 * (taken - AIMED * size) / numbers)
+        level.reckoned.share *= 4.0 ** min(8 * (taken - AIMED * size) / numbers, MOST_BITS)
         if not SHARES[0] < level.reckoned.share < MOST_SHARE:
             break
         fitted = level.fit(further)

@@ -20,8 +20,8 @@ MARGIN = 0.05
 #: The least, where ranks fall short of an SNR.
 FINEST_SHARE = 2e-3
 #: How often a fit is repeated at most with fewer bits that still reach the SNR, how far above it is near enough, in dB,
-#: and what share of the bytes is worth another fit.
-SHARE_ATTEMPTS, NEAR, WORTH = 8, 0.06, 0.005
+#: and what share of the bytes is worth another fit, farther above the SNR as well.
+SHARE_ATTEMPTS, NEAR, WORTH, HARDLY = 8, 0.06, 0.005, 2e-4
 #: A plan is given up that promises more than so many times the bytes of another one: before the first fit, and after
 #: it, when it is known how far promises are off.
 PROMISED = 1.1, 1.02
@@ -97,12 +97,13 @@ def _just_reaching(level: LastLevel, snr: float, chosen: Allocation) -> None:
     good, poor = (best.share, reached), (inf, reached)
     for _ in range(SHARE_ATTEMPTS if level.reckoned.packed and snr + NEAR < reached < inf else 0):
         share = _share_for(snr + NEAR / 2, good, poor)
-        saved = level.reckoned.numbers(chosen) / 16 * log2(max(share / best.share, 1.0))
-        if share < 1.01 * best.share or (good[1] <= snr + OVERSHOOT and saved < WORTH * best.nbytes):
+        most = share if isinf(poor[0]) else poor[0]
+        saved = level.reckoned.numbers(chosen) / 16 * log2(max(most / best.share, 1.0)) / best.nbytes
+        if share <= best.share or saved < (WORTH if good[1] <= snr + OVERSHOOT else HARDLY):
             break
         fitted = level.fit(chosen, share)
         reached = level.goal.snr_now(level.tree)
-        if reached < snr:
+        if not reached >= snr:
             poor = share, reached
             continue
         best, good = fitted, (share, reached)
