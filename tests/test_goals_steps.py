@@ -176,6 +176,7 @@ def test_a_rank_that_is_a_large_step_is_parted(monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr("hmkcta.encode.tune", tuned)
     alone, parted = (compress(values, plan, axes="light,view,y,x", snr=15.0, threads=1) for plan in (matrix, None))
+    assert 15 <= alone.snr < 15.3, "bits make up for what lies between two ranks"
     assert parted.plan.organisation[-2:] == (("y",), ("x",))
     assert parted.snr >= 15
     assert parted.nbytes < 0.97 * alone.nbytes

@@ -54,19 +54,17 @@ def interrupted(folder: Path, calls: int, **options: Any) -> None:
         fitted(journal=journal, progress=After(calls), **options)
 
 
-def calls_of(**options: Any) -> int:
-    """How often a whole run tells its progress."""
+def whole(folder: Path, **options: Any) -> tuple[bytes, int]:
+    """The file of a run that is not stopped, and how often it tells its progress."""
     counter = After(MANY)
-    fitted(progress=counter, **options)
-    return MANY - counter.left
+    return file_of(fitted(progress=counter, **options), folder), MANY - counter.left
 
 
 @pytest.mark.usefixtures("one_goal")
 @pytest.mark.parametrize("name", CASES)
 def test_the_same_bytes_wherever_it_stopped(name: str, tmp_path: Path) -> None:
     options = CASES[name]
-    counter = After(MANY)
-    reference, calls = file_of(fitted(progress=counter, **options), tmp_path), MANY - counter.left
+    reference, calls = whole(tmp_path, **options)
     for share in (0.3, 0.6, 0.95):
         interrupted(tmp_path, int(share * calls), **options)
         assert resumed(tmp_path, **options)[0] == reference
@@ -219,7 +217,7 @@ def test_what_was_cut_into_blocks_is_cut_again(tmp_path: Path, monkeypatch: pyte
     """Levels below blocks of a streamed tensor read it in the order of these, also where their cells are recalled."""
     monkeypatch.setattr("hmkcta.streaming.budget.WORKSET", 5000)
     options = {"plan": "R=2,1,2,2 grid=y:2,x:2 / R=2,1,2,2 / R=1"}
-    reference, calls = file_of(fitted(**options), tmp_path), calls_of(**options)
+    reference, calls = whole(tmp_path, **options)
     for share in (0.3, 0.6, 0.95):
         interrupted(tmp_path, int(share * calls), **options)
         assert resumed(tmp_path, **options)[0] == reference

@@ -225,7 +225,8 @@ def _near(followed: Sequence[Followed]) -> Sequence[Plan]:
             plans |= {plan: None for plan in near if may_be(task, plan) and plan not in tried}
     task, best = best_of(followed)
     whole = with_bits(whole_of(task), task.bits or min(BITS))
-    plans |= {} if whole in tried else {whole: None}
+    if whole not in tried:
+        plans[whole] = None
     for other, model in followed:
         if not is_behind(model, best, task.plan.snr, FAR_BEHIND):
             plans |= dict.fromkeys(nodes_of_clusters(other.plan))

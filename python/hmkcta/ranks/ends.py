@@ -8,14 +8,15 @@ from ..metrics import noise_at
 from ..streaming.streamed import Streamed
 from .allocation import Allocation, allocate
 from .last_level import Fitted, LastLevel
+from .reckoning import USED
 
 #: Data end at ranks that leave no more than so many dB, which float32 tells; these are tried up to so many times the
 #: bytes.
 ENDS, SOON = 65.0, 3.0
 #: Where data end, nearly as many bytes are needed for so many dB less.
 BEFORE, ALIKE = 15.0, 1.15
-#: How often all ranks are fitted at most, and which share of a size is enough, and aimed at.
-ATTEMPTS, USED, AIMED = 6, 0.98, 0.99
+#: How often all ranks are fitted at most.
+ATTEMPTS = 6
 #: By how many bits numbers get shorter at most at once, and what share of the energy is lost where bits are too few.
 MOST_BITS, LOST = 8, 0.5
 #: What rounding is to leave at first, as a share of what float32 leaves of all ranks: some 60 dB.
@@ -45,7 +46,7 @@ def filled(level: LastLevel, ends: Allocation, size: int) -> Fitted | None:
             high, best = share, fitted if best is None or fitted.error < best.error else best
         else:
             low = share
-        longer = 8 * (fitted.nbytes - AIMED * size) / max(level.reckoned.numbers(ends), 1)
+        longer = level.reckoned.longer(ends, fitted.nbytes, size)
         nothing_left = fitted.nbytes > size and fitted.error > LOST * level.goal.energy
         if USED * size <= fitted.nbytes <= size or (longer < 0 and share <= FIRST_SHARE) or nothing_left:
             break

@@ -91,12 +91,7 @@ class LastLevel:
 
     def _fit(self, chosen: Allocation) -> None:
         if isinstance(self.tree.residual, Streamed):
-            give_back_freed_memory()  # of the fit before, which lies where large arrays of this one do not
-        if isinstance(self.tree.residual, Streamed) and self.goal.memory is not None:
-            what = f"a model of {format_bytes(int(chosen.nbytes))}"
-            hint = "raise --max-memory, or ask for a lower SNR or fewer bytes"
-            wide = max(chosen.nbytes, 2 * self.reckoned.numbers(chosen))  # float16, whatever the file has
-            check_memory(PROCESS // 2 + int(MODEL * wide), what, hint, self.goal.memory)
+            self._make_room(chosen)
         restore(self.tree, self.residual)
         for nodes, before in zip(self.tree.levels, self.cells, strict=True):
             for node, cells in zip(nodes, before, strict=True):
@@ -111,6 +106,15 @@ class LastLevel:
         fit_nodes(self.tree, self._specs(chosen), self.run, labels_of)
         for _ in range(self.run.effort.backfits if len(self.tree.levels) > 1 else 0):
             backfit(self.tree, self.run)
+
+    def _make_room(self, chosen: Allocation) -> None:
+        """For a model beside a tensor that memory does not hold."""
+        give_back_freed_memory()  # of the fit before, which lies where large arrays of this one do not
+        if self.goal.memory is not None:
+            what = f"a model of {format_bytes(int(chosen.nbytes))}"
+            hint = "raise --max-memory, or ask for a lower SNR or fewer bytes"
+            wide = max(chosen.nbytes, 2 * self.reckoned.numbers(chosen))  # float16, whatever the file has
+            check_memory(PROCESS // 2 + int(MODEL * wide), what, hint, self.goal.memory)
 
     def _specs(self, chosen: Allocation) -> list[LevelSpec | None]:
         """Each node's chosen way and ranks."""

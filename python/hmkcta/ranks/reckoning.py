@@ -15,6 +15,8 @@ from .examining import Way
 
 #: What the rounding of columns leaves, as a share of what the ranks leave: where nothing tells, and the least and most.
 SHARE, SHARES = 0.1, (0.05, 0.6)
+#: The share of a size that is enough, and that is aimed at.
+USED, AIMED = 0.98, 0.99
 #: How many times the bytes tell what more of them would save of the error.
 FURTHER = 1.2
 
@@ -78,6 +80,10 @@ class Reckoning:
             for size, rank, most, c in zip(self.nodes[s].sizes, ranks, spec.ranks, spec.clusters, strict=True):
                 numbers += 0 if most is None else size * float(rank) * (spec.cells // c)
         return numbers
+
+    def longer(self, chosen: Allocation, nbytes: float, size: int) -> float:
+        """By how many bits each number of the choices is longer than fills a size, in a file of so many bytes."""
+        return 8 * (nbytes - AIMED * size) / max(self.numbers(chosen), 1)
 
     def filling(self, size: float) -> Allocation:
         """The choices that should make a file of so many bytes."""

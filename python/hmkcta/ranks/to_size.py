@@ -8,14 +8,14 @@ from ..errors import HmkctaError
 from .allocation import Allocation, allocate
 from .ends import ends_of, filled
 from .last_level import Fitted, LastLevel
-from .reckoning import SHARES
+from .reckoning import AIMED, SHARES, USED
 
 #: Files below so many bytes may do better without tables of parameters.
 SMALL_FILE = 3 << 10
 #: By how many bits all columns are changed at most at once.
 MOST_BITS = 2
-#: How often a fit to a size is repeated at most, the share of it that is enough, and that is aimed at.
-ATTEMPTS, USED, AIMED = 5, 0.98, 0.99
+#: How often a fit to a size is repeated at most.
+ATTEMPTS = 5
 #: How many times the bytes of what was fitted the next higher ranks take at most, how often these are fitted with fewer
 #: bits, and up to what share.
 FURTHER_RANKS, MORE_ATTEMPTS, MOST_SHARE = (1.05, 1.1, 1.2, 1.4, 1.7, 2.0), 3, 40.0
@@ -74,7 +74,7 @@ def _filled(level: LastLevel, size: int) -> Fitted | None:
         if reckoned.share == usual and (other.choice.tobytes(), usual) not in tried:
             chosen = other
             continue
-        fewer = 8 * (fitted.nbytes - AIMED * size) / max(reckoned.numbers(chosen), 1)  # bits of each number
+        fewer = reckoned.longer(chosen, fitted.nbytes, size)
         reckoned.share = min(max(reckoned.share * 4.0 ** min(fewer, MOST_BITS), SHARES[0]), SHARES[1])
     return best
 
@@ -83,13 +83,15 @@ def _with_more_ranks(level: LastLevel, size: int, best: Fitted) -> Fitted:
     """What was fitted, or the next higher ranks with as few bits as fit, if these leave less."""
     level.reckoned.share = best.share
     more = (allocate(level.spectra, nbytes=times * best.chosen.nbytes) for times in FURTHER_RANKS)
-    further = next((each for each in more if not np.array_equal(each.choice, best.chosen.choice)), best.chosen)
-    taken, numbers = level.reckoned.nbytes(further), max(level.reckoned.numbers(further), 1)
-    for _ in range(MORE_ATTEMPTS if further is not best.chosen else 0):
-        level.reckoned.share *= 4.0 ** min(8 * (taken - AIMED * size) / numbers, MOST_BITS)
-        if not SHARES[0] < level.reckoned.share < MOST_SHARE:
+    further = next((each for each in more if not np.array_equal(each.choice, best.chosen.choice)), None)
+    if further is None:
+        return best
+    share, taken = best.share, level.reckoned.nbytes(further)
+    for _ in range(MORE_ATTEMPTS):
+        share *= 4.0 ** min(level.reckoned.longer(further, taken, size), MOST_BITS)
+        if not SHARES[0] < share < MOST_SHARE:
             break
-        fitted = level.fit(further)
+        fitted = level.fit(further, share)
         taken = fitted.nbytes
         if taken <= size and fitted.error < best.error:
             best = fitted
