@@ -3,6 +3,7 @@
 mod apart;
 mod binding;
 mod block;
+mod block_code;
 mod bundle;
 mod cell_pairs;
 mod cell_projection;
@@ -37,9 +38,11 @@ mod part;
 mod permuted;
 mod pick;
 mod places;
+mod rank_boxes;
 mod real;
 mod reconstruct;
 mod scattered;
+mod search_kernels;
 mod shared;
 mod shuffle;
 mod sorting;
@@ -392,6 +395,8 @@ fn _native(module: &Bound<PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(code_rows, module)?)?;
     module.add_function(wrap_pyfunction!(kmeans::nearest_with_room, module)?)?;
     module.add_function(wrap_pyfunction!(kmeans::cluster_rows, module)?)?;
+    module.add_function(wrap_pyfunction!(search_kernels::rank_boxes, module)?)?;
+    module.add_function(wrap_pyfunction!(search_kernels::code_blocks, module)?)?;
     module.add_function(wrap_pyfunction!(decode_scattered_f32, module)?)?;
     module.add_function(wrap_pyfunction!(decode_scattered_f64, module)?)?;
     module.add_function(wrap_pyfunction!(decode_block, module)?)?;
