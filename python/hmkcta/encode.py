@@ -14,7 +14,6 @@ from typing import Any, cast
 from warnings import warn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from . import backends as kernels
 from .axes import Axis, check_kind, mode_sizes
@@ -198,7 +197,7 @@ def compress(
                 task = _task(source, run, wanted, kind or source.kind, plan)
                 model = follow(task)
     model.made_by = task.plan
-    _warn_of(model, source.array, task.plan.snr if plan else wanted.snr)  # without a goal it ends at 50 dB if it can
+    _warn_of(model, source, task.plan.snr if plan else wanted.snr)  # without a goal it ends at 50 dB if it can
     return model
 
 
@@ -231,9 +230,11 @@ def _task(source: Source, run: Run, wanted: Wanted, kind: str, plan: Plan) -> Ta
     return Task(source, plan, wanted.decode_cost, kind, run, wanted.max_memory, wanted.bits, organised)
 
 
-def _warn_of(model: Model, array: NDArray[Any], goal: float | None) -> None:
-    """Warn, where `compress` was called, of an SNR below the goal, of one that needs no file, and of one that is the
-    offset's alone."""
+def _warn_of(model: Model, source: Source, goal: float | None) -> None:
+    """Warn, where `compress` was called, of what is not kept, of an SNR below the goal, of one that needs no file, and
+    of one that is the offset's alone."""
+    for note in source.notes:
+        warn(note, stacklevel=3)
     if misses(model.snr, goal):
         said = f"the SNR is {model.snr:.2f} dB, below the {goal:g} dB asked for; the model is the best found"
         warn(said, GoalMissed, stacklevel=3)
@@ -241,7 +242,7 @@ def _warn_of(model: Model, array: NDArray[Any], goal: float | None) -> None:
         changed = model.metadata.is_transformed
         better = "another transform, or the same with a larger scale" if changed else "ask for more bytes"
         warn(f"an SNR of {model.snr:.1f} dB is no better than zeros alone. Next: {better}", stacklevel=3)
-    elif lost := lost_beside_offset(model, array):
+    elif lost := lost_beside_offset(model, source.array):
         warn(lost, stacklevel=3)
 
 

@@ -10,10 +10,11 @@ from typing import Any, cast
 import click
 from numpy.typing import NDArray
 
-from ..axes import check_kind, format_organisation, name_axes
+from ..axes import check_kind, format_organisation
 from ..errors import invalid
 from ..fitting.fit import EFFORTS
 from ..hmkfile import KINDS
+from ..labels import labels_of
 from ..plan import AUTO, SCHEMES, Plan, multiply_adds
 from ..readers import open_array, read_coordinates
 from .options import Assignment, ByteSize, Count, Names, memory_option, nan_option, source_options, together
@@ -73,10 +74,10 @@ class Goal:
             HmkctaError: an axis that is not there, coordinates that cannot be read, axes that do not make the --kind.
         """
         if self.kind is not None:
-            check_kind(name_axes(array.shape, self.settings["axes"]), self.kind)
+            check_kind(labels_of(array).named(array.shape, self.settings["axes"]), self.kind)
         if not any(self.along.values()):
             return self.settings
-        axes = {axis.name: axis for axis in name_axes(array.shape, self.settings["axes"])}
+        axes = {axis.name: axis for axis in labels_of(array).named(array.shape, self.settings["axes"])}
         for option, given in self.along.items():
             for name, value in given:
                 if name not in axes:

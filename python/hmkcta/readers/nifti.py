@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..conventions import Packing, scaled_type
+from ..packing import Packing, scaled_type
 from ..support.optional import library
 from .source import Layout, guarded, io_error, map_part
 from .unpacked import Unpacker

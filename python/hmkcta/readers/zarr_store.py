@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import os
+import warnings
 import zipfile
+from collections.abc import Callable, Generator, Iterator, Sequence, Set
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..conventions import packing, zarr_attributes
+from ..conventions import conversion
+from ..errors import sentence
+from ..labels import labelled, labels_of
 from ..support.optional import library
 from .source import Layout, choose, guarded
 from .unpacked import Unpacker
@@ -35,15 +41,69 @@ def open_zarr(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any
         HmkctaError: zarr is missing, the store is damaged, or has no or several such arrays.
     """
     zarr = library("zarr", "zarr", "zarr", "Zarr")
-    with guarded(path, "Zarr store"):
+    with guarded(path, "Zarr store"), warnings.catch_warnings(), ExitStack() as stack:
+        warnings.simplefilter("ignore")  # on what other libraries might make of it
         if path.is_dir():
-            return _array(_chosen(zarr, zarr.open(str(path), mode="r"), str(path), member), str(path), unpacker)
-        store = zarr.storage.ZipStore(str(path), mode="r")
-        try:
-            found = zarr.open(store, path=_root(path) or "", mode="r")
-            return _array(_chosen(zarr, found, str(path), member), str(path), unpacker)
-        finally:
-            store.close()
+            store, root, names = zarr.storage.LocalStore(str(path), read_only=True), "", list(_in_folder(path))
+        else:
+            store, root = stack.enter_context(_opened_zip(zarr, path)), _root(path) or ""
+            names = _in_archive(path, root)
+
+        def node(name: str) -> Any:
+            return zarr.open(store, path="/".join(word for word in (root, name) if word), mode="r")
+
+        name = _chosen(zarr, node, names, str(path), member)
+        where = f"{path}:{name}" if name else str(path)
+        return _array(node(name), where, unpacker)
+
+
+@contextmanager
+def _opened_zip(zarr: Any, path: Path) -> Generator[Any]:
+    store = zarr.storage.ZipStore(str(path), mode="r")
+    try:
+        yield store
+    finally:
+        store.close()
+
+
+def _in_folder(folder: Path) -> Iterator[str]:
+    """Paths of the arrays and groups in a folder, whose links are followed; what is in an array are its chunks."""
+    waiting, seen = [""], set[tuple[int, int]]()
+    while waiting:
+        name = waiting.pop()
+        status = os.stat(folder / name)
+        if (status.st_dev, status.st_ino) in seen:
+            continue
+        seen.add((status.st_dev, status.st_ino))
+        with os.scandir(folder / name) as entries:
+            folders, files = list[str](), set[str]()
+            for entry in entries:
+                if entry.is_dir():
+                    folders.append(entry.name)
+                else:
+                    files.add(entry.name)
+        if not files.isdisjoint(MARKS):
+            yield name
+        if ".zarray" not in files and not _is_array(folder / name, files):
+            waiting += [f"{name}/{each}".lstrip("/") for each in sorted(folders)]
+
+
+def _is_array(folder: Path, files: Set[str]) -> bool:
+    """Whether the metadata of version 3 in a folder are those of an array, or cannot be read."""
+    if "zarr.json" not in files:
+        return False
+    try:
+        return json.loads((folder / "zarr.json").read_bytes())["node_type"] != "group"
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
+        return True
+
+
+def _in_archive(path: Path, root: str) -> list[str]:
+    """The same of a zip archive, in whose folder `root` the store begins."""
+    with zipfile.ZipFile(path) as archive:
+        folders = {name.rpartition("/")[0] for name in archive.namelist() if name.rpartition("/")[2] in MARKS}
+    return [name.removeprefix(root).lstrip("/") for name in folders if name == root or not root
+            or name.startswith(f"{root}/")]
 
 
 def _root(path: Path) -> str | None:
@@ -58,15 +118,24 @@ def _root(path: Path) -> str | None:
     return min(places, key=len) if places else None
 
 
-def _chosen(zarr: Any, found: Any, where: str, member: str | None) -> Any:
-    if isinstance(found, zarr.Array) and member is None:
-        return found
-    held = dict(found.members(max_depth=None)) if isinstance(found, zarr.Group) else {}
-    arrays = {name: item for name, item in held.items() if isinstance(item, zarr.Array)}
-    if member is None:
-        arrays = {name: item for name, item in arrays.items() if not _is_coordinate(name, item)} or arrays
-    shapes = {name: str(Layout(item.shape, np.dtype(item.dtype))) for name, item in arrays.items()}
-    return arrays[choose(where, shapes, None if member is None else member.strip("/"))]
+def _chosen(zarr: Any, node: Callable[[str], Any], names: Sequence[str], where: str, member: str | None) -> str:
+    """The path of an array in the store; each is looked at by itself, as one that is damaged may stand beside it."""
+    wanted = None if member is None else member.strip("/")
+    if wanted is not None and wanted in names and isinstance(node(wanted), zarr.Array):
+        return wanted
+    found, coordinates, unread = dict[str, str](), dict[str, str](), dict[str, str]()
+    for name in names:
+        try:
+            item = node(name)
+            if isinstance(item, zarr.Array):
+                kind = coordinates if _is_coordinate(name, item) else found
+                kind[name] = str(Layout(item.shape, np.dtype(item.dtype)))
+        except Exception as error:  # of a codec or a type that is not known here, or of damaged metadata
+            unread[name or "/"] = sentence(error)
+    if wanted is None:
+        return choose(where, found or coordinates, None, unread)
+    named = {name: text for name, text in {**found, **coordinates}.items() if name}  # not a store that is one array
+    return choose(where, named, wanted, unread)
 
 
 def _is_coordinate(name: str, array: Any) -> bool:
@@ -75,7 +144,6 @@ def _is_coordinate(name: str, array: Any) -> bool:
     return list(along or ()) == [name.rpartition("/")[2]]
 
 
-def _array(array: Any, path: str, unpacker: Unpacker) -> NDArray[Any]:
-    where = f"{path}:{array.path}" if array.path else path
-    convert = packing(zarr_attributes(array), np.dtype(array.dtype))
-    return unpacker.chunks(where, array, array.shards or array.chunks, convert)
+def _array(array: Any, where: str, unpacker: Unpacker) -> NDArray[Any]:
+    numbers = unpacker.chunks(where, conversion(array) or array, array.shards or array.chunks)
+    return labelled(numbers, labels_of(array))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import re
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -20,13 +19,13 @@ from ..axes import (
     checked_coords,
     listed_axes,
     mode_rows,
-    name_axes,
     organise,
     parse_organisation,
     separate,
 )
 from ..conventions import meant
 from ..errors import invalid, shown
+from ..labels import Labels, labels_of
 from ..support.executors import thread_count
 from ..support.memory import LOOKED_AT, drop_pages, looked_at
 from ..support.slabs import moments, slabs
@@ -57,6 +56,7 @@ class Source:
         value_transform: applied before fitting.
         fingerprint: identifies the values, stored in the file.
         unit: power of two near the largest transformed value; fitting works in multiples of it.
+        notes: sentences on what came with the array and is not kept.
         tiny: whether there are values below 2^-60 of the unit, which are taken for zero: their squares would underflow.
     """
 
@@ -68,6 +68,7 @@ class Source:
     fingerprint: dict[str, Any]
     unit: float = 1.0
     tiny: bool = True
+    notes: tuple[str, ...] = ()
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -196,14 +197,14 @@ def described(array: Any, axes: Sequence[Axis | str] | None = None, transform: s
         HmkctaError: not an array of 1 to 8 axes of real numbers, empty, masked, names or coordinates that do not
             fit, or no such transform.
     """
-    axes = axes if axes is not None else _dimensions(array)
+    own = labels_of(array)
     array = as_array(array, "array")
     if not 1 <= array.ndim <= 8 or array.size == 0:
         raise invalid("array-shape", "array", f"shape {array.shape}", "1 to 8 axes, none of them empty",
                       "make axes that belong together one, array.reshape(..)" if array.ndim > 8 else "")
-    named, dtype = _named(array.shape, axes), array.dtype.newbyteorder("=").name
+    named, dtype = _named(array.shape, axes, own), array.dtype.newbyteorder("=").name
     change = parse("identity" if transform is None else transform)
-    return Source(array, named, dtype, None, change, {"sha256": "0" * 64})
+    return Source(array, named, dtype, None, change, {"sha256": "0" * 64}, notes=own.notes)
 
 
 def prepare(
@@ -236,29 +237,14 @@ def prepare(
     return replace(source, unit=unit, tiny=least < TINY * unit)
 
 
-def _dimensions(array: Any) -> Sequence[Axis | str] | None:
-    """Axes that the array has of its own: those of a model, or names, as xarray's have, made words of.
-
-    None: it has none, or two alike.
-    """
-    axes: Any = getattr(getattr(array, "metadata", None), "axes", None)
-    if isinstance(axes, tuple) and all(isinstance(axis, Axis) for axis in cast("tuple[Any, ...]", axes)):
-        return cast("tuple[Axis, ...]", axes)
-    names: Any = getattr(array, "dims", None)
-    if not isinstance(names, tuple):
-        return None
-    words = ["_".join(re.findall(r"[^+, /=:]+", str(name))) for name in cast("tuple[Any, ...]", names)]
-    return words if all(words) and len(set(words)) == len(words) and "".join(words).isprintable() else None
-
-
-def _named(shape: tuple[int, ...], axes: Sequence[Axis | str] | None) -> tuple[Axis, ...]:
+def _named(shape: tuple[int, ...], axes: Sequence[Axis | str] | None, own: Labels) -> tuple[Axis, ...]:
     given: Sequence[Axis | str] = [] if axes is None else listed_axes(axes)
-    named = name_axes(shape, [axis.name if isinstance(axis, Axis) else axis for axis in given] or None)
-    if not given:
-        return named
-    for axis, size in zip(given, shape, strict=True):
+    named = own.named(shape, given)
+    for axis, size in zip(given, shape, strict=False):
         if isinstance(axis, Axis) and axis.size != size:
             raise invalid("axis-size", f"size of axis {axis.name!r}", axis.size, f"{size}, as the array has")
+    if not given:
+        return named
     return tuple(checked_coords(axis) if isinstance(axis, Axis) else by_name
                  for axis, by_name in zip(given, named, strict=True))
 
