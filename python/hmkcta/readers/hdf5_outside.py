@@ -94,7 +94,8 @@ def _raw_file(own: Path, name: str, where: str) -> Path:
                        f"put it beside {own.name}")
     if len(found) == 2 and not os.path.samefile(*found):
         both = f"a file {name} beside {own.name}, and another in the folder at hand"
-        raise io_error("source-incomplete", where, both, "one file of this name", "set HDF5_EXTFILE_PREFIX to the folder that is meant")
+        raise io_error("source-incomplete", where, both, "one file of this name",
+                       "set HDF5_EXTFILE_PREFIX to the folder that is meant")
     return found[0]
 
 

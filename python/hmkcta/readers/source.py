@@ -58,13 +58,22 @@ def opened(path: Path) -> Generator[BinaryIO]:
         # A pipe would block on opening, a device may have no end.
         if not stat.S_ISREG(os.stat(path).st_mode):
             raise io_error("unreadable", str(path), "no regular file", "a file", told="is no regular file")
-        with open(path, "rb") as file:
-            yield file
+        file = open(path, "rb")  # noqa: SIM115 (what is wrong with a path is not what is wrong with its bytes)
     except (OSError, ValueError) as error:  # a path with a zero byte is a ValueError
-        found = getattr(error, "strerror", None) or error
-        hint = "check the path and its permissions"
-        raise io_error("unreadable", str(path), found, "a readable file", hint,
-                       told=f"cannot be read: {found}") from error
+        raise _unreadable(path, error) from error
+    with file:
+        try:
+            yield file
+        except OSError as error:
+            if error.errno is None:  # it is of a library that unpacks, and of the bytes
+                raise
+            raise _unreadable(path, error) from error
+
+
+def _unreadable(path: Path, error: Exception) -> HmkctaError:
+    found = getattr(error, "strerror", None) or error
+    return io_error("unreadable", str(path), found, "a readable file", "check the path and its permissions",
+                    told=f"cannot be read: {found}")
 
 
 @contextmanager
