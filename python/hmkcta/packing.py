@@ -60,8 +60,11 @@ class Packing:
         """The numbers that are meant."""
         stored = np.asarray(stored).view(self.stored)
         values = np.asarray(stored, self.dtype)
-        if (self.scale, self.offset) != (1.0, 0.0):
-            values = values * self.dtype.type(self.scale) + self.dtype.type(self.offset)
+        if (self.scale, self.offset) != (1.0, 0.0):  # in float64, as an offset may be near what it is added to
+            wide = stored.astype(np.float64)
+            wide *= self.scale
+            wide += self.offset
+            values = wide.astype(self.dtype)
         return np.where(np.isin(stored, self.fills), self.dtype.type(np.nan), values) if self.fills.size else values
 
 

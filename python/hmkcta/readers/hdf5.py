@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from numpy.typing import NDArray
 
@@ -18,6 +18,21 @@ from .source import Layout, choose, guarded, io_error, map_part
 from .unpacked import Unpacker
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
+#: How MATLAB 7.3 begins its block before HDF5.
+MATLAB = b"MATLAB 7.3"
+#: The shortest block of the user's before HDF5; longer ones are twice, four times, .. as long.
+USER_BLOCK = 512
+
+
+def begins_behind_block(file: BinaryIO) -> bool:
+    """Whether HDF5 begins behind a block of the user's, of whatever length it may have."""
+    size, at = file.seek(0, 2), USER_BLOCK
+    while at + len(MAGIC) <= size:
+        file.seek(at)
+        if file.read(len(MAGIC)) == MAGIC:
+            return True
+        at *= 2
+    return False
 
 
 def open_hdf5(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any]:
