@@ -20,8 +20,8 @@ ENCODINGS = {"raw": "raw", "gzip": "gzip", "gz": "gzip", "bzip2": "bzip2", "bz2"
 BINARY = ("raw", "gzip", "bzip2")
 #: Bytes that are looked at or passed over at once, and the most letters of a number that is text.
 BLOCK, LONGEST = 1 << 20, 400
-#: A byte of a gzip file holds no more than so many.
-GZIP_RATIO = 1032
+#: A byte of a packed file holds no more than so many.
+RATIOS = {"gzip": 1032, "bzip2": 1 << 21}
 #: Bytes before the numbers, beyond as many as they are, that ``byte skip: -1`` passes over in packed data.
 MOST_BEFORE = 1 << 26
 
@@ -73,12 +73,12 @@ def encoded(kind: str, file: BinaryIO, layout: Layout, leading: Leading) -> Read
     Raises:
         HmkctaError: there are too few for the array, or for what is before it; or too many to look through.
     """
-    file.seek(leading.begin)
-    if kind == "text" or kind == "hex":
+    held = file.seek(0, 2) - leading.begin
+    if _least(kind, layout) > held:  # before there is room made for it
+        raise too_short(leading.where, f"{held} bytes of {kind}", layout)
+    if kind in ("text", "hex"):
         file.seek(leading.begin + leading.skip)
         return _Words(file, layout.dtype).read if kind == "text" else _Hex(file).read
-    if kind == "gzip" and layout.nbytes > GZIP_RATIO * (file.seek(0, 2) - leading.begin):
-        raise too_short(leading.where, f"{file.tell() - leading.begin} bytes of gzip", layout)
     skip = leading.skip
     if skip == -1:
         skip = _length(_unpacker(kind, file, leading.begin), layout, leading.where) - layout.nbytes
@@ -89,6 +89,12 @@ def encoded(kind: str, file: BinaryIO, layout: Layout, leading: Leading) -> Read
             raise too_short(leading.where, f"the end of the file in the {leading.skip} bytes before", layout)
         skip -= passed
     return read
+
+
+def _least(kind: str, layout: Layout) -> int:
+    """Bytes of a file that an array takes at the least."""
+    numbers = layout.nbytes // layout.dtype.itemsize
+    return {"text": 2 * numbers - 1, "hex": 2 * layout.nbytes}.get(kind) or layout.nbytes // RATIOS[kind]
 
 
 def _unpacker(kind: str, file: BinaryIO, begin: int) -> Read:
@@ -140,8 +146,8 @@ class _Words:
         return bool(self.words)
 
     def _numbers(self, words: list[bytes]) -> NDArray[Any]:
-        if any(b"_" in word for word in words):  # which Python allows in numbers
-            raise ValueError("_ between numbers")
+        if any(b"_" in word or len(word) > LONGEST for word in words):  # which Python takes for numbers
+            raise ValueError("_ in a number, or one too long")
         if self.dtype.kind == "f":
             return np.array([float(word) for word in words], self.dtype)
         return np.array([int(word) for word in words], self.dtype)
