@@ -1,4 +1,4 @@
-"""Files are as long as their headers say, in every format: too short and too long are refused, and so are wild counts."""
+"""Files are as long as their headers say, in every format: others are refused, and wild counts end with the file."""
 
 from __future__ import annotations
 

@@ -81,7 +81,9 @@ def labelled(array: NDArray[Any], labels: Labels) -> NDArray[Any]:
 
 
 def labels_of(array: Any) -> Labels:
-    """Labels of an array of xarray, of an open dataset of h5py or Zarr, of a `Model`, or of what `open_array` gave."""
+    """Labels of an array of xarray, of an open dataset of h5py, Zarr or netCDF, of a `Model`, or of what `open_array`
+    gave.
+    """
     known = getattr(array, "hmkcta_labels", None)
     if isinstance(known, Labels):
         return known
@@ -95,7 +97,11 @@ def labels_of(array: Any) -> Labels:
         return _of_stored(array, _zarr_dimensions(array))
     if isinstance(getattr(array, "dims", None), tuple):
         return _of_xarray(array)
-    return Labels()
+    names: Any = getattr(array, "dimensions", None)  # of open variables of h5netcdf and netCDF4
+    if not isinstance(names, tuple):
+        return Labels()
+    said = "coordinates of an open variable are not kept. Next: give its file to hmkcta.open_array, which keeps them"
+    return _labels(np.shape(array), [_Dimension(str(name)) for name in cast("tuple[Any, ...]", names)], [], [said])
 
 
 def _of_xarray(array: Any) -> Labels:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import invalid
+from ..labels import Labels, labelled, labels_of
 from ..support.memory import drop_pages
 from .source import Layout, io_error
 from .unpacked import Part, Unpacker, block_parts
@@ -73,4 +74,12 @@ def open_series(
         drop_pages(array)
         return values
 
-    return unpacker.array(where, layout, block_parts(layout.shape, (1, *first.shape), 1), read)
+    stack = unpacker.array(where, layout, block_parts(layout.shape, (1, *first.shape), 1), read)
+    return labelled(stack, Labels(notes=tuple(_not_kept(labels_of(first)))))
+
+
+def _not_kept(labels: Labels) -> list[str]:
+    """Sentences on labels of the first file, of which other files may have others."""
+    names = [axis.name for axis in labels.axes or () if axis.coords is not None]
+    said = f"coordinates {', '.join(names)} of single files are not kept. Next: give those of the stack by --coords"
+    return [*labels.notes, *([said] if names else [])]

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ..conventions import conversion
 from ..errors import sentence
 from ..labels import labelled, labels_of
+from ..packing import text_of
 from ..support.optional import library
 from .source import Layout, choose, guarded
 from .unpacked import Unpacker
@@ -123,18 +124,21 @@ def _chosen(zarr: Any, node: Callable[[str], Any], names: Sequence[str], where: 
     wanted = None if member is None else member.strip("/")
     if wanted is not None and wanted in names and isinstance(node(wanted), zarr.Array):
         return wanted
-    found, coordinates, unread = dict[str, str](), dict[str, str](), dict[str, str]()
+    found, aside, unread = dict[str, str](), set[str](), dict[str, str]()
     for name in names:
         try:
             item = node(name)
             if isinstance(item, zarr.Array):
-                kind = coordinates if _is_coordinate(name, item) else found
-                kind[name] = str(Layout(item.shape, np.dtype(item.dtype)))
+                found[name] = str(Layout(item.shape, np.dtype(item.dtype)))
+                folder = name.rpartition("/")[0]
+                aside |= {f"{folder}/{word}".lstrip("/") for attribute in ("coordinates", "bounds")
+                          for word in text_of(item.attrs.get(attribute)).split()}
+                aside |= {name} if _is_coordinate(name, item) else set()
         except Exception as error:  # of a codec or a type that is not known here, or of damaged metadata
             unread[name or "/"] = sentence(error)
     if wanted is None:
-        return choose(where, found or coordinates, None, unread)
-    named = {name: text for name, text in {**found, **coordinates}.items() if name}  # not a store that is one array
+        return choose(where, {name: text for name, text in found.items() if name not in aside} or found, None, unread)
+    named = {name: text for name, text in found.items() if name}  # not a store that is one array
     return choose(where, named, wanted, unread)
 
 
