@@ -156,7 +156,7 @@ def test_stacks_of_files_have_other_coordinates_than_each(tmp_path: Path) -> Non
     axes, said = compressed(open_array(f"{tmp_path}/*.nc"))
     assert len(said) == 1
     assert "coordinates time, x of single files are not kept" in said[0]
-    assert list(axes) == ["axis0", "axis1", "axis2", "axis3"]
+    assert list(axes) == ["file", "time", "y", "x"]
 
 
 def test_open_variables_of_netcdf_libraries_are_said() -> None:

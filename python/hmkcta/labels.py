@@ -86,7 +86,11 @@ def labels_of(array: Any) -> Labels:
     """
     known = getattr(array, "hmkcta_labels", None)
     if isinstance(known, Labels):
-        return known
+        return known if known.axes is not None else replace(_own_labels(array), notes=known.notes)
+    return _own_labels(array)
+
+
+def _own_labels(array: Any) -> Labels:
     axes: Any = getattr(getattr(array, "metadata", None), "axes", None)
     if isinstance(axes, tuple) and all(isinstance(axis, Axis) for axis in cast("tuple[Any, ...]", axes)):
         return Labels(cast("tuple[Axis, ...]", axes))

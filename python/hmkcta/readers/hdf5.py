@@ -14,7 +14,7 @@ from ..labels import labelled, labels_of
 from ..support.optional import library
 from .hdf5_members import members_of
 from .hdf5_outside import check_sources, outside_array
-from .source import Layout, choose, guarded, io_error, map_part
+from .source import Layout, choose, guarded, io_error, map_part, opened
 from .unpacked import Unpacker
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
@@ -66,7 +66,7 @@ def _dataset(h5py: Any, file: Any, path: str, member: str | None) -> tuple[Any, 
             raise io_error("source-incomplete", f"{path}:{member}", f"a link to {link}, which cannot be opened",
                            "a link to a dataset that is there", "put that file where the link says, or name another")
     found, unread = members_of(h5py, file, start if within is not None else "/")
-    chosen = choose(path, found, member if within is None else None, unread)
+    chosen = choose(path, found, start if within is None else None, unread)
     return file[chosen], f"{path}:{chosen}"
 
 
@@ -80,6 +80,8 @@ def _link(file: Any, name: str) -> str:
 
 def _array(h5py: Any, where: str, dataset: Any, unpacker: Unpacker) -> NDArray[Any]:
     made, view = dataset.id.get_create_plist(), conversion(dataset)
+    with opened(Path(dataset.file.filename)):  # another than that of the path, where a link leads to it
+        pass
     if made.get_external_count():
         return outside_array(h5py, dataset, where, unpacker, view)
     offset = _offset(h5py, dataset, made)

@@ -116,7 +116,7 @@ def check_sources(h5py: Any, dataset: Any, where: str, depth: int = DEPTH) -> No
         path = own if file_name == "." else _source_file(own, file_name)
         if path is None:
             raise _missing(where, f"no file {file_name}")
-        with h5py.File(path, "r") as file:
+        with opened(path), h5py.File(path, "r") as file:
             source = file.get(name)
             if not isinstance(source, h5py.Dataset):
                 raise _missing(where, f"no dataset {name} in {path}")

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..axes import name_axes
 from ..errors import invalid
 from ..labels import Labels, labelled, labels_of
 from ..support.memory import drop_pages
@@ -75,11 +76,15 @@ def open_series(
         return values
 
     stack = unpacker.array(where, layout, block_parts(layout.shape, (1, *first.shape), 1), read)
-    return labelled(stack, Labels(notes=tuple(_not_kept(labels_of(first)))))
+    return labelled(stack, _stacked(labels_of(first), layout.shape))
 
 
-def _not_kept(labels: Labels) -> list[str]:
-    """Sentences on labels of the first file, of which other files may have others."""
-    names = [axis.name for axis in labels.axes or () if axis.coords is not None]
-    said = f"coordinates {', '.join(names)} of single files are not kept. Next: give those of the stack by --coords"
-    return [*labels.notes, *([said] if names else [])]
+def _stacked(labels: Labels, shape: tuple[int, ...]) -> Labels:
+    """Labels of a stack by those of its first file: other files may have other coordinates."""
+    if labels.axes is None:
+        return labels
+    kept = [axis.name for axis in labels.axes if axis.coords is not None]
+    said = f"coordinates {', '.join(kept)} of single files are not kept. Next: give those of the stack by --coords"
+    names = ["file", *(axis.name for axis in labels.axes)]
+    axes = name_axes(shape, names) if len(set(names)) == len(names) else None
+    return Labels(axes, (*labels.notes, *([said] if kept else [])))

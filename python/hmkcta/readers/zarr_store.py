@@ -6,6 +6,7 @@ import json
 import os
 import warnings
 import zipfile
+from collections import defaultdict
 from collections.abc import Callable, Generator, Iterator, Sequence, Set
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -48,14 +49,13 @@ def open_zarr(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any
             store, root, names = zarr.storage.LocalStore(str(path), read_only=True), "", list(_in_folder(path))
         else:
             store, root = stack.enter_context(_opened_zip(zarr, path)), _root(path) or ""
-            names = _in_archive(path, root)
+            names = list(_in_archive(path, root))
 
-        def node(name: str) -> Any:
-            return zarr.open(store, path="/".join(word for word in (root, name) if word), mode="r")
+        def opened_array(name: str) -> Any:
+            return zarr.open_array(store, path="/".join(word for word in (root, name) if word), mode="r")
 
-        name = _chosen(zarr, node, names, str(path), member)
-        where = f"{path}:{name}" if name else str(path)
-        return _array(node(name), where, unpacker)
+        name = _chosen(opened_array, names, str(path), member)
+        return _array(opened_array(name), f"{path}:{name}" if name else str(path), unpacker)
 
 
 @contextmanager
@@ -68,7 +68,7 @@ def _opened_zip(zarr: Any, path: Path) -> Generator[Any]:
 
 
 def _in_folder(folder: Path) -> Iterator[str]:
-    """Paths of the arrays and groups in a folder, whose links are followed; what is in an array are its chunks."""
+    """Paths of the arrays in a folder, whose links are followed; what is in an array are its chunks."""
     waiting, seen = [""], set[tuple[int, int]]()
     while waiting:
         name = waiting.pop()
@@ -76,35 +76,40 @@ def _in_folder(folder: Path) -> Iterator[str]:
         if (status.st_dev, status.st_ino) in seen:
             continue
         seen.add((status.st_dev, status.st_ino))
-        with os.scandir(folder / name) as entries:
-            folders, files = list[str](), set[str]()
-            for entry in entries:
-                if entry.is_dir():
-                    folders.append(entry.name)
-                else:
-                    files.add(entry.name)
-        if not files.isdisjoint(MARKS):
+        try:
+            with os.scandir(folder / name) as entries:
+                is_folder = {entry.name: entry.is_dir() for entry in entries}
+        except PermissionError:
+            yield name  # opening it says so, and the others are still found
+            continue
+        files = {each for each, folders in is_folder.items() if not folders}
+        if _is_array(files, (folder / name / "zarr.json").read_bytes):
             yield name
-        if ".zarray" not in files and not _is_array(folder / name, files):
-            waiting += [f"{name}/{each}".lstrip("/") for each in sorted(folders)]
+        else:
+            waiting += [f"{name}/{each}".lstrip("/") for each in sorted(is_folder.keys() - files)]
 
 
-def _is_array(folder: Path, files: Set[str]) -> bool:
-    """Whether the metadata of version 3 in a folder are those of an array, or cannot be read."""
-    if "zarr.json" not in files:
-        return False
-    try:
-        return json.loads((folder / "zarr.json").read_bytes())["node_type"] != "group"
-    except (OSError, ValueError, LookupError, TypeError, RecursionError):
-        return True
-
-
-def _in_archive(path: Path, root: str) -> list[str]:
+def _in_archive(path: Path, root: str) -> Iterator[str]:
     """The same of a zip archive, in whose folder `root` the store begins."""
     with zipfile.ZipFile(path) as archive:
-        folders = {name.rpartition("/")[0] for name in archive.namelist() if name.rpartition("/")[2] in MARKS}
-    return [name.removeprefix(root).lstrip("/") for name in folders if name == root or not root
-            or name.startswith(f"{root}/")]
+        files = defaultdict[str, set[str]](set)
+        for place in archive.namelist():
+            folder, _, name = place.rpartition("/")
+            if name in MARKS and (not root or folder == root or folder.startswith(f"{root}/")):
+                files[folder].add(name)
+        for folder, names in files.items():
+            if _is_array(names, lambda folder=folder: archive.read(f"{folder}/zarr.json".lstrip("/"))):
+                yield folder.removeprefix(root).lstrip("/")
+
+
+def _is_array(files: Set[str], metadata: Callable[[], bytes]) -> bool:
+    """Whether there are metadata of an array among the files of a folder, or some of version 3 that nobody can read."""
+    if "zarr.json" not in files:
+        return ".zarray" in files
+    try:
+        return json.loads(metadata())["node_type"] != "group"
+    except Exception:  # of the archive, or of what is no JSON object; opening it will say which
+        return True
 
 
 def _root(path: Path) -> str | None:
@@ -119,21 +124,20 @@ def _root(path: Path) -> str | None:
     return min(places, key=len) if places else None
 
 
-def _chosen(zarr: Any, node: Callable[[str], Any], names: Sequence[str], where: str, member: str | None) -> str:
+def _chosen(opened_array: Callable[[str], Any], names: Sequence[str], where: str, member: str | None) -> str:
     """The path of an array in the store; each is looked at by itself, as one that is damaged may stand beside it."""
     wanted = None if member is None else member.strip("/")
-    if wanted is not None and wanted in names and isinstance(node(wanted), zarr.Array):
+    if wanted and wanted in names:
         return wanted
     found, aside, unread = dict[str, str](), set[str](), dict[str, str]()
     for name in names:
         try:
-            item = node(name)
-            if isinstance(item, zarr.Array):
-                found[name] = str(Layout(item.shape, np.dtype(item.dtype)))
-                folder = name.rpartition("/")[0]
-                aside |= {f"{folder}/{word}".lstrip("/") for attribute in ("coordinates", "bounds")
-                          for word in text_of(item.attrs.get(attribute)).split()}
-                aside |= {name} if _is_coordinate(name, item) else set()
+            item = opened_array(name)
+            found[name] = str(Layout(item.shape, np.dtype(item.dtype)))
+            folder = name.rpartition("/")[0]
+            aside |= {f"{folder}/{word}".lstrip("/") for attribute in ("coordinates", "bounds")
+                      for word in text_of(item.attrs.get(attribute)).split()}
+            aside |= {name} if _is_coordinate(name, item) else set()
         except Exception as error:  # of a codec or a type that is not known here, or of damaged metadata
             unread[name or "/"] = sentence(error)
     if wanted is None:
