@@ -119,7 +119,8 @@ def test_radars_are_scaled(h5py: Any, tmp_path: Path, place: str) -> None:
 
 @pytest.mark.parametrize(("attributes", "said"), [
     ({"ScaleFactor": 0.1, "Offset": 2.0}, "Offset and ScaleFactor"),
-    ({"scale_factor": [1.0, 2.0, 3.0]}, "scale_factor"), ({"Slope": 0.02}, "Slope"), ({"SCALE FACTOR": 0.1}, "SCALE FACTOR"), ({"gain": np.float32(2)}, "gain"),
+    ({"scale_factor": [1.0, 2.0, 3.0]}, "scale_factor"),
+    ({"Slope": 0.02}, "Slope"), ({"SCALE FACTOR": 0.1}, "SCALE FACTOR"), ({"gain": np.float32(2)}, "gain"),
 ])
 @pytest.mark.parametrize("kind", ["h5", "zarr"])
 def test_other_scaling_is_said_when_it_is_compressed(
