@@ -16,7 +16,7 @@ import pytest
 
 from hmkcta.errors import Kind
 from hmkcta.readers import nrrd_encodings, open_array
-from reader_tools import VALUES, needed, refusal, same
+from reader_tools import VALUES, needed, refusal, same, survives_damage
 
 #: An encoding of NRRD, and what it makes of bytes.
 PACKED: dict[str, Callable[[bytes], bytes]] = {
@@ -198,3 +198,10 @@ def test_hdf5_in_one_piece_is_within_its_file(tmp_path: Path) -> None:
     (tmp_path / "a.h5").write_bytes(whole[:-8])
     with warnings.catch_warnings():
         assert refusal(tmp_path / "a.h5").kind is Kind.IO
+
+
+@pytest.mark.parametrize("encoding", PACKED)
+def test_damaged_nrrd_is_an_array_or_refused(tmp_path: Path, encoding: str) -> None:
+    for detached in (False, True):
+        path = nrrd(tmp_path / "a.nrrd", encoding, PACKED[encoding](DATA), "byte skip: 0\n", detached=detached)
+        survives_damage(path)

@@ -16,7 +16,7 @@ import pytest
 import hmkcta
 from hmkcta.errors import Kind
 from hmkcta.readers import open_array
-from reader_tools import VALUES, needed, refusal, same
+from reader_tools import VALUES, needed, refusal, same, survives_damage
 
 
 @pytest.fixture
@@ -209,3 +209,19 @@ def test_links_in_zarr_folders_are_listed_like_others(tmp_path: Path) -> None:
     assert "far (3 x 4 x 5 of float32), own (4 x 5 of float32)" in str(refusal(tmp_path / "a.zarr"))
     same(f"{tmp_path}/a.zarr:far", VALUES)
     assert os.path.islink(tmp_path / "a.zarr" / "far")
+
+
+def test_damage_in_either_file_is_refused_or_an_array(h5py: Any, tmp_path: Path) -> None:
+    away(h5py, tmp_path)
+    with h5py.File(tmp_path / "m.h5", "w") as file:
+        file["data"] = h5py.ExternalLink("sub/b.h5", "/soft")
+    survives_damage(tmp_path / "m.h5")
+    whole, draw = (tmp_path / "sub" / "b.h5").read_bytes(), np.random.default_rng(2)
+    for _ in range(200):
+        data = bytearray(whole)
+        data[int(draw.integers(len(data)))] = int(draw.integers(256))
+        (tmp_path / "sub" / "b.h5").write_bytes(data)
+        try:
+            assert open_array(tmp_path / "m.h5").size > 0
+        except hmkcta.HmkctaError as error:
+            assert error.reason  # noqa: PT017 (either outcome is right)

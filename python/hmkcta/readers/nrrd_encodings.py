@@ -94,7 +94,7 @@ def encoded(kind: str, file: BinaryIO, layout: Layout, leading: Leading) -> Read
 def _least(kind: str, layout: Layout) -> int:
     """Bytes of a file that an array takes at the least."""
     numbers = layout.nbytes // layout.dtype.itemsize
-    return {"text": 2 * numbers - 1, "hex": 2 * layout.nbytes}.get(kind) or layout.nbytes // RATIOS[kind]
+    return {"text": 2 * numbers - 1, "hex": layout.nbytes}.get(kind) or layout.nbytes // RATIOS[kind]
 
 
 def _unpacker(kind: str, file: BinaryIO, begin: int) -> Read:
