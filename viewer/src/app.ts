@@ -293,7 +293,11 @@ export class App {
 
   /** Draw one frame. What cannot be drawn is not shown: what was drawn last is shown again, once; else nothing, until something changes. */
   private async frame(): Promise<void> {
-    const long = setTimeout(() => current(this.shown, this.shown.drawn) || this.dispatch({ type: "share", share: 0 }), LONG);
+    const long = setTimeout(() => {
+      if (this.shown.share === 1 && !current(this.shown)) {
+        this.dispatch({ type: "share", share: 0 });
+      }
+    }, LONG);
     try {
       this.send({ type: "drawn", ...await this.drawFrame() });
     } catch (error) {
