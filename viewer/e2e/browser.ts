@@ -75,7 +75,7 @@ export class Server {
 
 /** What opens files of a folder in one browser, each with a server of its own until the test ends. */
 export function opening(
-  folder: string, size: number, opened: (page: Page) => void,
+  folder: string, size: number, opened: (page: Page) => void | Promise<void>,
 ): (file: string, query?: string, ...options: string[]) => Promise<void> {
   let browser: Browser;
   let page: Page | null = null;
@@ -96,7 +96,7 @@ export function opening(
   return async (file, query = `&pixels=${size}x${size}`, ...options) => {
     server = await Server.start(join(folder, file), ...options);
     page = await browser.newPage({ viewport: { width: 900, height: 640 } });
-    opened(page);
+    await opened(page);
     await page.goto(server.url + query);
   };
 }

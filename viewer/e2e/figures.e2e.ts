@@ -56,10 +56,10 @@ function faults(snrs: string[]): string[] {
 describe.runIf(there)("figures in Chromium", () => {
   let page: Page;
   let slow = false;
-  const open = opening(folder, size, (opened) => {
+  const open = opening(folder, size, async (opened) => {
     page = opened;
     if (slow) { // an adapter that takes so long to decode that a picture takes several frames
-      void page.addInitScript((several) => {
+      await page.addInitScript((several) => {
         let passes = 0;
         const dispatch = GPUComputePassEncoder.prototype.dispatchWorkgroups;
         GPUComputePassEncoder.prototype.dispatchWorkgroups = function counted(this: GPUComputePassEncoder, ...given) {
@@ -224,10 +224,11 @@ describe.runIf(there)("figures in Chromium", () => {
     await reached(page, "ready");
     await settled(page);
     const badges = await page.evaluate(() => (window as unknown as { badges: string[] }).badges);
-    const shares = badges.filter((text) => /^decoding \d+ %$/.test(text)).map((text) => Number(text.split(" ")[1]));
-    expect(shares.length, badges.join("; ")).toBeGreaterThan(1);
-    expect([...shares].sort((a, b) => a - b), "of the first picture, the only one that is shown before it is whole").toEqual(shares);
+    expect(badges[0], "of the first picture, the only one that is shown before it is whole").toMatch(/^decoding [1-9]\d? %$/);
     expect(badges.filter((text) => !/^decoding \d+ %(, still level 1)?$/.test(text))).toEqual([]);
+    const shares = badges.filter((text) => text.includes("still")).map((text) => Number(text.split(" ")[1]));
+    expect(shares.length, badges.join("; ")).toBeGreaterThan(2);
+    expect([...shares].sort((one, other) => one - other)).toEqual(shares);
     expect(await page.locator("#decoding").isVisible()).toBe(false);
     const whole = await pixels(page, size);
     const shot = async (): Promise<string> => (await page.screenshot({ clip: { x: 0, y: 0, width: size, height: size } })).toString("base64");

@@ -90,8 +90,10 @@ export function reduced(shown: Shown, action: Action): Shown {
       return { ...shown, share: action.share };
     case "saving":
       return { ...shown, saving: action.saving };
-    case "drawn":
-      return { ...shown, drawn: action.drawn, share: action.drawn.whole ? 1 : shown.share };
+    case "drawn": { // perhaps while something else was chosen
+      const { drawn } = action;
+      return { ...shown, drawn, share: drawn.whole && drawn.state === shown.state && drawn.kind === shown.kind ? 1 : shown.share };
+    }
   }
 }
 
