@@ -243,6 +243,23 @@ describe.runIf(there)("figures in Chromium", () => {
     expect(whole).not.toEqual(await pixels(page, size));
   });
 
+  it("compares what is decoded and nothing else", async () => {
+    await openSlow("deep.hmk");
+    await reached(page, "ready");
+    await pixels(page, size);
+    const shot = async (): Promise<string> => (await page.screenshot({ clip: { x: 0, y: 0, width: size, height: size } })).toString("base64");
+    const shots = [await shot()];
+    await page.evaluate(() => (window as unknown as { badges: string[] }).badges.splice(0));
+    await setControls(page, { Show: "heat" });
+    while (await page.evaluate(() => document.querySelector("canvas")!.ariaBusy) === "true") {
+      shots.push(await shot());
+    }
+    shots.push(await shot());
+    expect(await page.evaluate(() => (window as unknown as { badges: string[] }).badges.length), "several frames were needed").toBeGreaterThan(2);
+    expect(shots.at(-1)).not.toBe(shots[0]);
+    expect(shots.filter((each) => each !== shots[0] && each !== shots.at(-1))).toEqual([]);
+  });
+
   it("plays every frame in order, each of them whole, until it is paused, and saves what was chosen once it is whole", async () => {
     await openSlow("volume.hmk");
     await reached(page, "ready");
