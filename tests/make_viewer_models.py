@@ -241,7 +241,8 @@ def painted() -> tuple[Model, Any]:
     """The material as 8-bit photographs, which are sRGB-coded."""
     data = synthetic.material(9, 9, 16)
     light = np.clip(data.values / np.percentile(data.values, 99.5), 0, 1)
-    array = np.rint(255 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)).astype(np.uint8)
+    coded = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    array = np.rint(255 * coded).astype(np.uint8)
     return compress(array, LEVELS, axes=data.axes, kind=data.kind, organisation="light+rgb, view, y, x"), array
 
 
