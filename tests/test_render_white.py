@@ -30,7 +30,8 @@ def shown(model: Model, **changes: Any) -> Any:
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 @pytest.mark.parametrize(("axes", "shape", "kind"), [
-    ("y,x,rgb", (24, 32, 3), "generic"), ("view,y,x,rgb", (4, 24, 32, 3), "lightfield"), ("y,x,rgb", (24, 32, 1), "generic")])
+    ("y,x,rgb", (24, 32, 3), "generic"), ("y,x,rgb", (24, 32, 1), "generic"),
+    ("view,y,x,rgb", (4, 24, 32, 3), "lightfield")])
 def test_a_picture_has_the_mean_of_its_source(dtype: Any, axes: str, shape: tuple[int, ...], kind: str) -> None:
     source = photograph(dtype, shape)
     model = compress(source, axes=axes, kind=kind, snr=50)

@@ -30,6 +30,7 @@ class Format:
         opener: makes an array of a file, or of a member of it.
         pages: whether a folder of such files is a stack.
         members: whether a file may hold several arrays.
+        depth: what a file's numbers reach up to, where their type does not say it; in a stack all have the same.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Format:
     opener: Opener
     pages: bool = False
     members: bool = True
+    depth: Callable[[Path], str] = lambda _: ""
 
     def open(self, path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any]:
         """Open a file.
@@ -51,10 +53,11 @@ class Format:
 
 
 def _single(name: str, endings: tuple[str, ...], magics: tuple[tuple[int, bytes], ...],
-            opener: Callable[[Path, Unpacker], NDArray[Any]], pages: bool = False) -> Format:
+            opener: Callable[[Path, Unpacker], NDArray[Any]], pages: bool = False,
+            depth: Callable[[Path], str] = lambda _: "") -> Format:
     """A format of one array a file."""
     return Format(name, endings, magics, lambda path, _, unpacker: opener(path, unpacker), pages,
-                  members=False)
+                  members=False, depth=depth)
 
 
 def _at_once(opener: Callable[[Path], NDArray[Any]]) -> Callable[[Path, Unpacker], NDArray[Any]]:
@@ -76,6 +79,21 @@ def _older(name: str, magics: tuple[tuple[int, bytes], ...], allowed: str, hint:
     return Format(name, (), magics, refuse)
 
 
+#: Pictures that are known, but not read, and what makes of them something that is.
+UNREAD_PICTURES = (
+    ("FITS", ((0, b"SIMPLE  ="),), "save its array by astropy: np.save(OUT, astropy.io.fits.getdata(IN))"),
+    ("Radiance HDR", ((0, b"#?RADIANCE"), (0, b"#?RGBE")), "convert it: oiiotool IN.hdr -o OUT.exr"),
+    ("JPEG XR", ((0, b"II\xbc\x01"),), "save what imagecodecs.jpegxr_decode gives by numpy.save"),
+    ("QOI", ((0, b"qoif"),), "convert it to PNG: magick IN.qoi OUT.png"),
+    ("a Photoshop document", ((0, b"8BPS"),), "save a flat copy of it as TIFF"),
+    ("an icon", ((0, b"\0\0\1\0"), (0, b"icns")), "save one of its pictures as PNG"),
+    ("a GIMP picture", ((0, b"gimp xcf"),), "export it as PNG, TIFF or EXR"),
+    ("DPX or Cineon", ((0, b"SDPX"), (0, b"XPDS"), (0, b"\x80\x2a\x5f\xd7")), "convert it: oiiotool IN.dpx -o OUT.tif"),
+    ("a PDF", ((0, b"%PDF-"),), "take the pictures out of it: pdfimages -all IN.pdf OUT"),
+    ("a film", ((4, b"ftypisom"), (4, b"ftypmp4"), (4, b"ftypqt"), (0, b"\x1a\x45\xdf\xa3"), (8, b"AVI ")),
+     "write its frames as pictures: ffmpeg -i IN FRAME%05d.png, and open their folder"),
+)
+
 FORMATS = (
     _single(".npy", (".npy",), ((0, npy.MAGIC),), _at_once(npy.open_npy), pages=True),
     Format(".npz or zipped Zarr", (".npz", ".zip"), tuple((0, magic) for magic in npy.ZIP_MAGICS), _open_zip),
@@ -92,10 +110,13 @@ FORMATS = (
     _single("NIfTI", (".nii",), nifti.MAGICS, nifti.open_nifti),
     _single("NIfTI", (".nii.gz",), ((0, nifti.GZIP),), nifti.open_gzip),
     _single("NRRD", (".nrrd", ".nhdr"), ((0, nrrd.MAGIC),), nrrd.open_nrrd),
-    Format("TIFF", (".tif", ".tiff"), tiff.MAGICS, tiff.open_tiff, pages=True),
+    Format("TIFF", (".tif", ".tiff"), tiff.MAGICS, tiff.open_tiff, pages=True, depth=tiff.tiff_depth),
     Format("EXR", (".exr",), ((0, exr.MAGIC),), lambda path, member, _: exr.open_exr(path, member), pages=True),
-    _single("pictures", picture.ENDINGS, picture.MAGICS, _at_once(picture.open_picture), pages=True),
-    _single("pictures", picture.OTHER_ENDINGS, (), _at_once(picture.open_picture), pages=True),
+    *(_older(name, magics, "a picture as TIFF, PNG, EXR or NIfTI", hint) for name, magics, hint in UNREAD_PICTURES),
+    _single("pictures", picture.ENDINGS, picture.MAGICS, _at_once(picture.open_picture), pages=True,
+            depth=picture.picture_depth),
+    _single("pictures", picture.OTHER_ENDINGS, (), _at_once(picture.open_picture), pages=True,
+            depth=picture.picture_depth),
 )
 #: Endings of the files of which a folder is a stack.
 PAGES = tuple(ending for each in FORMATS if each.pages for ending in each.endings)

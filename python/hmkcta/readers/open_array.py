@@ -12,10 +12,11 @@ from numpy.typing import DTypeLike, NDArray
 
 from ..errors import expect, invalid
 from ..goals import memory_given
+from ..support.natural import natural
 from ..support.progress import Progress
 from .formats import FORMATS, PAGES, format_of
 from .raw import open_raw
-from .series import natural, open_series, pictures_of
+from .series import open_series, pictures_of
 from .source import io_error
 from .unpacked import Unpacker
 from .zarr_store import is_zarr, open_zarr
@@ -63,7 +64,8 @@ def open_array(
     place, inner = _split(str(uri))
     member, unpacker = member if member is not None else inner, Unpacker(memory_given(max_memory), progress)
     if _is_pattern(place):
-        return open_series(_matches(place), place, lambda path, unpacker: _open(path, member, unpacker), unpacker)
+        return open_series(_matches(place), place, lambda path, unpacker: _open(path, member, unpacker), unpacker,
+                           _depth)
     return _open(Path(place), member, unpacker)
 
 
@@ -74,7 +76,11 @@ def _open(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any]:
     if is_zarr(path):
         return open_zarr(path, member, unpacker)
     return open_series(pictures_of(path, PAGES), str(path), lambda page, unpacker: _open(page, member, unpacker),
-                       unpacker)
+                       unpacker, _depth)
+
+
+def _depth(path: Path) -> str:
+    return "" if os.path.isdir(path) else format_of(path).depth(path)
 
 
 def source_files(uri: str) -> list[Path]:

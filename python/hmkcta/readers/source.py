@@ -65,8 +65,8 @@ def opened(path: Path) -> Generator[BinaryIO]:
 
 
 @contextmanager
-def guarded(path: Path, what: str) -> Generator[None]:
-    """Whatever the library of a format raises on a file becomes one sentence.
+def guarded(path: Path, what: str, hint: str = "fetch it again") -> Generator[None]:
+    """Whatever the library of a format raises on a file becomes one sentence; `hint` is what to do about it.
 
     Raises:
         HmkctaError: reason ``source-damaged``.
@@ -79,7 +79,7 @@ def guarded(path: Path, what: str) -> Generator[None]:
         raise io_error("unreadable", str(path), sentence(error), f"a {what} that nobody is writing",
                        "wait until its writer has closed it") from error
     except Exception as error:  # of a dozen parsers, each of which has its own ways to stumble over a damaged file
-        raise io_error("source-damaged", str(path), sentence(error), f"a complete {what}", "fetch it again") from error
+        raise io_error("source-damaged", str(path), sentence(error), f"a complete {what}", hint) from error
 
 
 def choose(where: str, members: Mapping[str, str], wanted: str | None) -> str:
