@@ -15,7 +15,7 @@ from ..errors import invalid
 from ..fitting.fit import EFFORTS
 from ..hmkfile import KINDS
 from ..plan import AUTO, SCHEMES, Plan, multiply_adds
-from ..readers import open_array, read_coordinates
+from ..readers import names_of, open_array, read_coordinates
 from .options import Assignment, ByteSize, Count, Names, memory_option, nan_option, source_options, together
 from .progress import Progress
 
@@ -72,11 +72,12 @@ class Goal:
         Raises:
             HmkctaError: an axis that is not there, coordinates that cannot be read, axes that do not make the --kind.
         """
+        names: Sequence[str] | None = self.settings["axes"] or names_of(array)
         if self.kind is not None:
-            check_kind(name_axes(array.shape, self.settings["axes"]), self.kind)
+            check_kind(name_axes(array.shape, names), self.kind)
         if not any(self.along.values()):
             return self.settings
-        axes = {axis.name: axis for axis in name_axes(array.shape, self.settings["axes"])}
+        axes = {axis.name: axis for axis in name_axes(array.shape, names)}
         for option, given in self.along.items():
             for name, value in given:
                 if name not in axes:

@@ -5,5 +5,6 @@ believed to be longer than its file.
 """
 
 from .coordinates import read_coordinates as read_coordinates
+from .named import names_of as names_of
 from .open_array import open_array as open_array
 from .open_array import source_files as source_files

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from contextlib import redirect_stdout
+import os
+import sys
+from collections.abc import Callable, Generator
+from contextlib import ExitStack, contextmanager, redirect_stdout
 from io import StringIO
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
 import numpy as np
@@ -14,24 +18,26 @@ from ..support.natural import natural
 from ..support.optional import library
 from .named import named
 from .source import Layout, check_layout, choose, guarded, io_error, opened
+from .unpacked import Unpacker
 
 MAGIC = b"\x76\x2f\x31\x01"
 #: Channels of a layer come in this order, any others by name behind.
 ORDER = "RGBAXYZUVW"
 
 
-def open_exr(path: Path, member: str | None) -> NDArray[Any]:
+def open_exr(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any]:
     """Open the channels of an EXR file, or those of a layer: ``file.exr:diffuse``; one channel has no axis for it.
 
     Raises:
         HmkctaError: OpenEXR is missing, the file is damaged, deep, of several parts, or has channels of several sizes.
     """
     exr = library("OpenEXR", "OpenEXR", "exr", "EXR")
-    said = StringIO()  # the library prints what it cannot decode, and goes on without
     _check_parts(path)
-    with guarded(path, "EXR file"), redirect_stdout(said), exr.File(str(path), separate_channels=True) as file:
-        if not file.parts:
-            raise ValueError(said.getvalue())
+    with guarded(path, "EXR file"), _heard() as said:
+        unpacker.check_widened(path, _widened(exr, path))
+        file = exr.File(str(path), separate_channels=True)
+        if not file.parts or said():
+            raise ValueError(said() or "no part")
         channels = {str(name): np.asarray(channel.pixels) for name, channel in file.channels().items()}
         names = _ordered(_layer(channels, str(path), member))
         sizes = {channels[name].shape for name in names}
@@ -44,6 +50,37 @@ def open_exr(path: Path, member: str | None) -> NDArray[Any]:
         if len(names) == 1:
             return named(picture[..., 0], ("y", "x"))
         return named(picture, ("y", "x", "rgb" if _is_colour(names) else "channel"))
+
+
+@contextmanager
+def _heard() -> Generator[Callable[[], str]]:
+    """What the library prints of what it cannot decode, before it goes on without; nobody else hears it.
+
+    It prints by Python and by C++, for which the process's own outputs are turned away meanwhile.
+    """
+    printed = StringIO()
+    with TemporaryFile() as heard, ExitStack() as back:
+        for stream in (sys.stdout, sys.stderr):
+            stream.flush()
+        back.enter_context(redirect_stdout(printed))
+        for number in (1, 2):
+            kept = os.dup(number)
+            back.callback(os.close, kept)
+            back.callback(os.dup2, kept, number)
+            os.dup2(heard.fileno(), number)
+
+        def said() -> str:
+            return (printed.getvalue() + os.pread(heard.fileno(), 4096, 0).decode("utf-8", "replace")).strip()
+
+        yield said
+
+
+def _widened(exr: Any, path: Path) -> int:
+    """Bytes that the numbers of a file take, as its header says."""
+    with exr.File(str(path), header_only=True) as file:
+        header = file.parts[0].header
+        low, high = (np.asarray(corner, np.int64) for corner in header["dataWindow"])
+        return int(np.prod(np.maximum(high - low + 1, 1).astype(object))) * 4 * len(header["channels"])
 
 
 def _check_parts(path: Path) -> None:

@@ -13,6 +13,7 @@ from ..errors import invalid
 from . import exr, hdf5, nifti, npy, nrrd, picture, tiff, zarr_store
 from .source import io_error, opened
 from .unpacked import Unpacker
+from .unread_pictures import UNREAD_PICTURES
 
 Opener = Callable[[Path, str | None, Unpacker], NDArray[Any]]
 #: Bytes at the start of a file that are looked at: HDF5 may begin behind a block of the user's.
@@ -61,7 +62,7 @@ def _single(name: str, endings: tuple[str, ...], magics: tuple[tuple[int, bytes]
 
 
 def _at_once(opener: Callable[[Path], NDArray[Any]]) -> Callable[[Path, Unpacker], NDArray[Any]]:
-    """An opener that maps, or reads a single picture."""
+    """An opener that maps."""
     return lambda path, _: opener(path)
 
 
@@ -74,25 +75,10 @@ def _open_zip(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any
 def _older(name: str, magics: tuple[tuple[int, bytes], ...], allowed: str, hint: str) -> Format:
     """A format that is known, but not read."""
     def refuse(path: Path, *_: object) -> NDArray[Any]:
-        raise io_error("source-format", str(path), name, allowed, hint)
+        raise io_error("source-format", str(path), f"{name}, which is not read", allowed, hint)
 
     return Format(name, (), magics, refuse)
 
-
-#: Pictures that are known, but not read, and what makes of them something that is.
-UNREAD_PICTURES = (
-    ("FITS", ((0, b"SIMPLE  ="),), "save its array by astropy: np.save(OUT, astropy.io.fits.getdata(IN))"),
-    ("Radiance HDR", ((0, b"#?RADIANCE"), (0, b"#?RGBE")), "convert it: oiiotool IN.hdr -o OUT.exr"),
-    ("JPEG XR", ((0, b"II\xbc\x01"),), "save what imagecodecs.jpegxr_decode gives by numpy.save"),
-    ("QOI", ((0, b"qoif"),), "convert it to PNG: magick IN.qoi OUT.png"),
-    ("a Photoshop document", ((0, b"8BPS"),), "save a flat copy of it as TIFF"),
-    ("an icon", ((0, b"\0\0\1\0"), (0, b"icns")), "save one of its pictures as PNG"),
-    ("a GIMP picture", ((0, b"gimp xcf"),), "export it as PNG, TIFF or EXR"),
-    ("DPX or Cineon", ((0, b"SDPX"), (0, b"XPDS"), (0, b"\x80\x2a\x5f\xd7")), "convert it: oiiotool IN.dpx -o OUT.tif"),
-    ("a PDF", ((0, b"%PDF-"),), "take the pictures out of it: pdfimages -all IN.pdf OUT"),
-    ("a film", ((4, b"ftypisom"), (4, b"ftypmp4"), (4, b"ftypqt"), (0, b"\x1a\x45\xdf\xa3"), (8, b"AVI ")),
-     "write its frames as pictures: ffmpeg -i IN FRAME%05d.png, and open their folder"),
-)
 
 FORMATS = (
     _single(".npy", (".npy",), ((0, npy.MAGIC),), _at_once(npy.open_npy), pages=True),
@@ -111,11 +97,11 @@ FORMATS = (
     _single("NIfTI", (".nii.gz",), ((0, nifti.GZIP),), nifti.open_gzip),
     _single("NRRD", (".nrrd", ".nhdr"), ((0, nrrd.MAGIC),), nrrd.open_nrrd),
     Format("TIFF", (".tif", ".tiff"), tiff.MAGICS, tiff.open_tiff, pages=True, depth=tiff.tiff_depth),
-    Format("EXR", (".exr",), ((0, exr.MAGIC),), lambda path, member, _: exr.open_exr(path, member), pages=True),
-    *(_older(name, magics, "a picture as TIFF, PNG, EXR or NIfTI", hint) for name, magics, hint in UNREAD_PICTURES),
-    _single("pictures", picture.ENDINGS, picture.MAGICS, _at_once(picture.open_picture), pages=True,
+    Format("EXR", (".exr",), ((0, exr.MAGIC),), exr.open_exr, pages=True),
+    *(_older(name, magics, "a picture as PNG, TIFF or EXR", hint) for name, magics, hint in UNREAD_PICTURES),
+    _single("pictures", picture.ENDINGS, picture.MAGICS, picture.open_picture, pages=True,
             depth=picture.picture_depth),
-    _single("pictures", picture.OTHER_ENDINGS, (), _at_once(picture.open_picture), pages=True,
+    _single("pictures", picture.OTHER_ENDINGS, (), picture.open_picture, pages=True,
             depth=picture.picture_depth),
 )
 #: Endings of the files of which a folder is a stack.

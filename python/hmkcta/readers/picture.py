@@ -18,11 +18,12 @@ from . import netpbm
 from .named import named
 from .picture_header import FILMED, J2K, JP2, JPEG, JXL, JXL_BOX, PNG, Header, alpha_of, header_of
 from .source import Layout, check_layout, guarded, io_error, opened
+from .unpacked import Unpacker
 
 #: Told by their first bytes; others of Pillow's formats by their ending.
 MAGICS = ((0, PNG), (0, JPEG), (0, b"GIF8"), (8, b"WEBP"), (0, JP2), (0, J2K), (0, JXL), (0, JXL_BOX), (0, b"DDS "),
           *FILMED, *netpbm.MAGICS)
-ENDINGS = (".png", ".jpg", ".jpeg", ".jls", ".gif", ".webp", ".jp2", ".j2k", ".jxl", ".avif", ".heic", ".dds",
+ENDINGS = (".png", ".jpg", ".jpeg", ".gif", ".webp", ".jp2", ".j2k", ".jxl", ".avif", ".heic", ".dds",
            ".ppm", ".pgm", ".pbm", ".pnm", ".pam", ".pfm")
 OTHER_ENDINGS = (".bmp", ".tga")
 #: Pillow's names of the formats that it is let to take a file for.
@@ -32,7 +33,7 @@ _MODES = ("1", "L", "LA", "RGB", "RGBA", "I;16", "I;16B")
 _WHOLE = "if nothing of it is missing, save it as PNG or TIFF"
 
 
-def open_picture(path: Path) -> NDArray[Any]:
+def open_picture(path: Path, unpacker: Unpacker) -> NDArray[Any]:
     """Open a picture: numbers as the file has them; palettes are looked up, black and white is boolean.
 
     Raises:
@@ -43,11 +44,13 @@ def open_picture(path: Path) -> NDArray[Any]:
     with guarded(path, "picture", _WHOLE):
         data = _bytes(path)
         header = header_of(data, path.suffix.lower())
-        _check(header, path, 2 * (pillow.MAX_IMAGE_PIXELS or np.inf))
+        if header.unread:
+            raise _unread(path, header.unread)
+        unpacker.check_widened(path, header.nbytes)
         if header.decoder == "netpbm":
             picture = netpbm.read_netpbm(path, data)
         elif header.decoder == "pillow":
-            picture = _pixels(pillow, data, header, path)
+            picture = _pixels(pillow, data, header, path, unpacker)
         else:
             codecs = library("imagecodecs", "imagecodecs", "images", f"{header.decoder.upper()} of {header.depth}")
             picture = np.asarray(getattr(codecs, f"{header.decoder}_decode")(data))
@@ -72,14 +75,6 @@ def _bytes(path: Path) -> bytes:
         return file.read()
 
 
-def _check(header: Header, path: Path, most: float) -> None:
-    if header.unread:
-        raise _unread(path, header.unread)
-    if header.pixels > most:
-        raise io_error("source-too-large", str(path), f"{header.pixels} pixels", f"up to {most:.0f} pixels",
-                       "save it as TIFF")
-
-
 def _unread(path: Path, what: str) -> Exception:
     advice = ("write each as a file, and open their folder" if "animation" in what or "pictures" in what
               else "save it as PNG or TIFF, in gray or RGB, of 8 or 16 bits a channel")
@@ -87,7 +82,7 @@ def _unread(path: Path, what: str) -> Exception:
                     "a single picture in black and white, gray or RGB, with or without alpha", advice)
 
 
-def _pixels(pillow: Any, data: bytes, header: Header, path: Path) -> NDArray[Any]:
+def _pixels(pillow: Any, data: bytes, header: Header, path: Path, unpacker: Unpacker) -> NDArray[Any]:
     pillow.init()  # else it does not know all of these formats
     try:
         with warnings.catch_warnings():
@@ -96,6 +91,7 @@ def _pixels(pillow: Any, data: bytes, header: Header, path: Path) -> NDArray[Any
             with pillow.open(io.BytesIO(data), formats=_FORMATS) as image:
                 if getattr(image, "is_animated", False) and image.format in ("GIF", "WEBP", "PNG"):
                     raise _unread(path, f"an animation of {image.n_frames} pictures")
+                unpacker.check_widened(path, image.width * image.height * len(image.getbands()))
                 if image.mode in ("P", "PA"):
                     clear = "transparency" in image.info or image.mode == "PA"
                     image = image.convert("RGBA" if clear else "RGB")

@@ -35,13 +35,13 @@ class Header:
     Attributes:
         decoder: ``"pillow"``, ``"netpbm"``, or the word that begins the name of imagecodecs' function.
         depth: bits of a number, or another word for it; pictures of a stack have the same.
-        pixels: rows times columns, 0 where the library of the format says it.
+        nbytes: bytes that its numbers take, about, where imagecodecs decodes them.
         unread: what it is that is not decoded here; empty: it is.
     """
 
     decoder: str
     depth: str
-    pixels: int = 0
+    nbytes: int = 0
     unread: str = ""
 
 
@@ -74,7 +74,8 @@ def _png(data: bytes) -> Header:
     columns, rows, bits, colours = struct.unpack_from(">IIBB", data, 16)
     frames = "an animation" if b"acTL" in data[:data.find(b"IDAT")] else ""
     depth = "8 bits" if colours == 3 else _bits(bits)  # a palette has 8
-    return Header("png" if bits == 16 and (colours or b"tRNS" in data) else "pillow", depth, rows * columns, frames)
+    return Header("png" if bits == 16 and (colours or b"tRNS" in data) else "pillow", depth,
+                  rows * columns * (1, 1, 3, 3, 2, 2, 4, 4)[colours & 7] * (2 if bits == 16 else 1), frames)
 
 
 def _jpeg(data: bytes) -> Header:
@@ -90,10 +91,11 @@ def _jpeg(data: bytes) -> Header:
             break
         at += 2 + int.from_bytes(data[at + 2:at + 4], "big")
     bits, rows, columns, channels = struct.unpack_from(">BHHB", data, at + 4)
-    unread = "a JPEG in CMYK" if channels == 4 else f"a JPEG of {channels} channels" if channels not in (1, 3) else ""
+    unread = ("JPEG-LS" if marker == 0xF7 else "a JPEG in CMYK" if channels == 4
+              else f"a JPEG of {channels} channels" if channels not in (1, 3) else "")
     lossless = marker in (0xC3, 0xC7, 0xCB, 0xCF)
-    decoder = "jpegls" if marker == 0xF7 else "jpeg8" if lossless or bits != 8 else "pillow"
-    return Header(decoder, _bits(bits), rows * columns, unread)
+    decoder = "jpeg8" if lossless or bits != 8 else "pillow"
+    return Header(decoder, _bits(bits), rows * columns * channels * (2 if bits > 8 else 1), unread)
 
 
 def _jpeg2k(data: bytes) -> Header:
@@ -111,7 +113,8 @@ def _jpeg2k(data: bytes) -> Header:
     if not unread and size[1:] != b"\1\1":
         unread = "JPEG 2000 of subsampled channels"
     depth = _bits((size[0] & 0x7F) + 1) + (", signed" if size[0] & 0x80 else "")
-    return Header("jpeg2k", depth, (right - left) * (down - top), unread)
+    return Header("jpeg2k", depth, (right - left) * (down - top) * channels * (1 if size[0] & 0x7F < 8 else 2),
+                  unread)
 
 
 def _filmed(data: bytes) -> Header:
@@ -121,7 +124,8 @@ def _filmed(data: bytes) -> Header:
     flags = data[data.index(b"av1C") + 6]
     bits = (12 if flags & 0x20 else 10) if flags & 0x40 else 8
     columns, rows = struct.unpack_from(">II", data, data.index(b"ispe") + 8)
-    return Header("avif", _bits(bits), rows * columns, "an animation" if data[8:12] == b"avis" else "")
+    return Header("avif", _bits(bits), rows * columns * (3 if bits == 8 else 6),
+                  "an animation" if data[8:12] == b"avis" else "")
 
 
 class _Bits:
@@ -162,7 +166,7 @@ def _jxl(data: bytes) -> Header:
             floats = bits.take(1)
             depth = (f"floats of {_bits(bits.choice((32, 0), (16, 0), (24, 0), (1, 6)))}" if floats
                      else _bits(bits.choice((8, 0), (10, 0), (12, 0), (1, 6))))
-    return Header("jpegxl", depth, rows * columns, unread)
+    return Header("jpegxl", depth, rows * columns * (3 if depth == "8 bits" else 6), unread)
 
 
 def _jxl_size(bits: _Bits) -> tuple[int, int]:
@@ -179,7 +183,6 @@ def _jxl_size(bits: _Bits) -> tuple[int, int]:
 
 def _dds(data: bytes) -> Header:
     """Textures: those that Pillow decodes to 8 bits because they are."""
-    rows, columns = struct.unpack_from("<II", data, 12)
     flags, code, bits, *masks = struct.unpack_from("<I4s5I", data, 80)
     more = struct.unpack_from("<I", data, 112)[0]
     if more & 0x200200:
@@ -193,24 +196,24 @@ def _dds(data: bytes) -> Header:
     else:
         whole = all(mask.bit_count() in (0, 8) for mask in masks)
         unread = "" if whole and bits in (8, 16, 24, 32) else f"{bits} bits a pixel"
-    return Header("pillow", "8 bits", rows * columns, unread and f"a DDS texture of another kind: {unread}")
+    return Header("pillow", "8 bits", unread=unread and f"a DDS texture of another kind: {unread}")
 
 
 def _bmp(data: bytes) -> Header:
     short = struct.unpack_from("<I", data, 14)[0] == 12
-    columns, rows, _, bits = struct.unpack_from("<HHHH" if short else "<iiHH", data, 18)
+    bits = struct.unpack_from("<HHHH" if short else "<iiHH", data, 18)[3]
     unread = "a BMP of 16 bits a pixel, 5 or 6 a channel" if bits == 16 else ""
     if bits == 32 and struct.unpack_from("<I", data, 30)[0] in (3, 6):
         masks = struct.unpack_from("<3I", data, 54)
         unread = "" if all(mask.bit_count() == 8 for mask in masks) else "a BMP of other than 8 bits a channel"
-    return Header("pillow", "1 bit" if bits == 1 else "8 bits", abs(rows * columns), unread)
+    return Header("pillow", "1 bit" if bits == 1 else "8 bits", unread=unread)
 
 
 def _tga(data: bytes) -> Header:
-    palette, columns, rows, bits = data[7], *struct.unpack_from("<HHB", data, 12)
+    palette, bits = data[7], data[16]
     few = bits in (15, 16) and data[2] not in (3, 11)  # gray of 16 bits has alpha
     unread = "a TGA of 5 bits a channel" if few or (data[1] and palette in (15, 16)) else ""
-    return Header("pillow", "8 bits", rows * columns, unread)
+    return Header("pillow", "8 bits", unread=unread)
 
 
 def alpha_of(values: Any, clear: Any, most: int) -> Any:

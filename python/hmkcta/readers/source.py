@@ -53,8 +53,8 @@ def opened(path: Path) -> Generator[BinaryIO]:
     """
     try:
         # A pipe would block on opening, a device may have no end.
-        if not stat.S_ISREG(os.stat(path).st_mode):
-            raise io_error("unreadable", str(path), "no regular file", "a file", told="is no regular file")
+        if not stat.S_ISREG(mode := os.stat(path).st_mode):
+            raise _no_file(path, mode)
         with open(path, "rb") as file:
             yield file
     except (OSError, ValueError) as error:  # a path with a zero byte is a ValueError
@@ -62,6 +62,16 @@ def opened(path: Path) -> Generator[BinaryIO]:
         hint = "check the path and its permissions"
         raise io_error("unreadable", str(path), found, "a readable file", hint,
                        told=f"cannot be read: {found}") from error
+
+
+def _no_file(path: Path, mode: int) -> HmkctaError:
+    """The error that says what it is in place of a file."""
+    kinds = {stat.S_IFIFO: "a pipe", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device", stat.S_IFSOCK: "a socket",
+             stat.S_IFDIR: "a folder"}
+    kind = kinds.get(stat.S_IFMT(mode), "something else")
+    hint = "name a file in it" if kind == "a folder" else (
+        "write what comes from it to a file first, COMMAND > FILE, as a source is read more than once")
+    return io_error("unreadable", str(path), kind, "a file", hint, told=f"is {kind}, no regular file")
 
 
 @contextmanager

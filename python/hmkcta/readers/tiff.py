@@ -133,6 +133,7 @@ def _pages(series: Any, layout: Layout, where: str, unpacker: Unpacker) -> NDArr
         raise io_error("source-incomplete", where, found, said,
                        "fetch it again, or write the pages that are there as a file of their own")
     paged = layout.shape[len(lead):] == page and prod(lead) == len(pages)
+    unpacker.check_widened(Path(where), layout.nbytes)
     once = Layout(page, layout.dtype) if paged else layout
     unpacker.check_memory(once, f"a page of {where}", "write it uncompressed: that is mapped")
 
