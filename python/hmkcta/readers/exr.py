@@ -2,13 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import sys
-from collections.abc import Callable, Generator
-from contextlib import ExitStack, contextmanager, redirect_stdout
-from io import StringIO
 from pathlib import Path
-from tempfile import TemporaryFile
 from typing import Any
 
 import numpy as np
@@ -16,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..support.natural import natural
 from ..support.optional import library
+from .heard import heard
 from .named import named
 from .source import Layout, check_layout, choose, guarded, io_error, opened
 from .unpacked import Unpacker
@@ -33,10 +28,10 @@ def open_exr(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any]
     """
     exr = library("OpenEXR", "OpenEXR", "exr", "EXR")
     _check_parts(path)
-    with guarded(path, "EXR file"), _heard() as said:
+    with guarded(path, "EXR file"), heard() as said:
         unpacker.check_widened(path, _widened(exr, path))
         file = exr.File(str(path), separate_channels=True)
-        if not file.parts or said():
+        if not file.parts or "EXR_ERR" in said() or "Exception" in said():
             raise ValueError(said() or "no part")
         channels = {str(name): np.asarray(channel.pixels) for name, channel in file.channels().items()}
         names = _ordered(_layer(channels, str(path), member))
@@ -50,29 +45,6 @@ def open_exr(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any]
         if len(names) == 1:
             return named(picture[..., 0], ("y", "x"))
         return named(picture, ("y", "x", "rgb" if _is_colour(names) else "channel"))
-
-
-@contextmanager
-def _heard() -> Generator[Callable[[], str]]:
-    """What the library prints of what it cannot decode, before it goes on without; nobody else hears it.
-
-    It prints by Python and by C++, for which the process's own outputs are turned away meanwhile.
-    """
-    printed = StringIO()
-    with TemporaryFile() as heard, ExitStack() as back:
-        for stream in (sys.stdout, sys.stderr):
-            stream.flush()
-        back.enter_context(redirect_stdout(printed))
-        for number in (1, 2):
-            kept = os.dup(number)
-            back.callback(os.close, kept)
-            back.callback(os.dup2, kept, number)
-            os.dup2(heard.fileno(), number)
-
-        def said() -> str:
-            return (printed.getvalue() + os.pread(heard.fileno(), 4096, 0).decode("utf-8", "replace")).strip()
-
-        yield said
 
 
 def _widened(exr: Any, path: Path) -> int:

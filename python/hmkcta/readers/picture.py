@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..support.optional import library
 from . import netpbm
+from .heard import heard
 from .named import named
 from .picture_header import FILMED, J2K, JP2, JPEG, JXL, JXL_BOX, PNG, Header, alpha_of, header_of
 from .source import Layout, check_layout, guarded, io_error, opened
@@ -53,7 +54,10 @@ def open_picture(path: Path, unpacker: Unpacker) -> NDArray[Any]:
             picture = _pixels(pillow, data, header, path, unpacker)
         else:
             codecs = library("imagecodecs", "imagecodecs", "images", f"{header.decoder.upper()} of {header.depth}")
-            picture = np.asarray(getattr(codecs, f"{header.decoder}_decode")(data))
+            with heard() as said:
+                picture = np.asarray(getattr(codecs, f"{header.decoder}_decode")(data))
+                if "IDAT" in said() and "xtra" not in said():  # a checksum; other words are of tags
+                    raise ValueError(said())
         check_layout(Layout(picture.shape, picture.dtype), str(path))
         if picture.ndim not in (2, 3):
             raise _unread(path, f"{len(picture)} pictures in one file")
