@@ -217,7 +217,8 @@ def test_stacks_of_other_formats_have_one_depth(tmp_path: Path) -> None:
 
 def dds(code: bytes, tail: bytes) -> bytes:
     head = struct.pack("<7I", 124, 0x1007, 4, 4, 16, 0, 0) + bytes(44)
-    return b"DDS " + head + struct.pack("<2I4s5I", 32, 4, code, 0, 0, 0, 0, 0) + struct.pack("<5I", 0x1000, 0, 0, 0, 0) + tail
+    pixels = struct.pack("<2I4s5I", 32, 4, code, 0, 0, 0, 0, 0)
+    return b"DDS " + head + pixels + struct.pack("<5I", 0x1000, 0, 0, 0, 0) + tail
 
 
 def bmp(bits: int) -> bytes:

@@ -18,7 +18,8 @@ def heard() -> Generator[Callable[[], str]]:
 
     >>> with heard() as said:
     ...     _ = os.write(2, b"IDAT: incorrect data check")
-    ...     said()
+    ...     heard_of = said()
+    >>> heard_of
     'IDAT: incorrect data check'
     """
     printed = StringIO()
