@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,8 @@ def shown(model: Model, **changes: Any) -> Any:
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 @pytest.mark.parametrize(("axes", "shape", "kind"), [
-    ("y,x,rgb", (24, 32, 3), "generic"), ("view,y,x,rgb", (4, 24, 32, 3), "lightfield"), ("y,x,rgb", (24, 32, 1), "generic")])
+    ("y,x,rgb", (24, 32, 3), "generic"), ("y,x,rgb", (24, 32, 1), "generic"),
+    ("view,y,x,rgb", (4, 24, 32, 3), "lightfield")])
 def test_a_picture_has_the_mean_of_its_source(dtype: Any, axes: str, shape: tuple[int, ...], kind: str) -> None:
     source = photograph(dtype, shape)
     model = compress(source, axes=axes, kind=kind, snr=50)
@@ -77,19 +79,17 @@ def material(dtype: Any) -> tuple[Any, Model]:
 
 
 #: So near that the plane fills the picture.
-NEAR = {"surface": Surface("plane"), "camera": Camera(distance=1.5), "lights": (Light(0, 0),)}
+NEAR = Scene(16, 12, surface=Surface("plane"), camera=Camera(distance=1.5), lights=(Light(0, 0),))
 
 
 def test_a_material_of_photographs_is_shown_as_they_are() -> None:
     """Values of 8 bits are sRGB-coded: they are decoded, lit, and coded again; those of 16 are light."""
     source, model = material(np.uint8)
-    picture = render(model, Scene(32, 24, **NEAR), backend="numpy")
-    whole = np.asarray(render(model, Scene(64, 48, **NEAR), backend="numpy"), np.float64)
-    assert picture.shape == (24, 32, 3)
-    middle = source[0, 8:16, 10:22].mean()
-    assert whole[16:32, 20:44].mean() == pytest.approx(middle, rel=0.03)
+    scene = replace(NEAR, width=64, height=48)
+    picture = np.asarray(render(model, scene, backend="numpy"), np.float64)
+    assert picture[16:32, 20:44].mean() == pytest.approx(source[0, 8:16, 10:22].mean(), rel=0.03)
     deep, light = material(np.uint16)
-    linear = render(light, Scene(64, 48, **NEAR), backend="numpy")[16:32, 20:44]
+    linear = render(light, scene, backend="numpy")[16:32, 20:44]
     share = deep[0, 8:16, 10:22] / 65535
     assert linear.mean() == pytest.approx(255 * (1.055 * share ** (1 / 2.4) - 0.055).mean(), rel=0.03)
 
@@ -97,9 +97,9 @@ def test_a_material_of_photographs_is_shown_as_they_are() -> None:
 def test_lights_of_coded_values_add_up_as_light() -> None:
     _, model = material(np.uint8)
     lit = Renderer(model, backend="numpy")
-    one = lit.radiance(Scene(16, 12, **NEAR))
-    two = lit.radiance(Scene(16, 12, **{**NEAR, "lights": (Light(0, 0), Light(0, 0))}))
+    one = lit.radiance(NEAR)
+    two = lit.radiance(replace(NEAR, lights=(Light(0, 0), Light(0, 0))))
     assert np.allclose(two[..., :3], 2 * one[..., :3])
-    as_stored = lit.radiance(Scene(16, 12, **{**NEAR, "surface": Surface("plane", coded=False)}))
+    as_stored = lit.radiance(replace(NEAR, surface=Surface("plane", coded=False)))
     share = as_stored[..., :3] / 255
     assert np.allclose(one[..., :3], 255 * ((share + 0.055) / 1.055) ** 2.4, rtol=1e-4)

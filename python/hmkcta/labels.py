@@ -80,6 +80,23 @@ def labelled(array: NDArray[Any], labels: Labels) -> NDArray[Any]:
     return kept
 
 
+def named(array: NDArray[Any], names: tuple[str, ...]) -> NDArray[Any]:
+    """The array with names of its axes, if they differ from each other.
+
+    >>> names_of(named(np.zeros((2, 3)), ("y", "x")))
+    ('y', 'x')
+    """
+    if len(names) != array.ndim or len(set(names)) < len(names):
+        return array
+    return labelled(array, Labels(name_axes(array.shape, names)))
+
+
+def names_of(array: Any) -> tuple[str, ...] | None:
+    """The names of an array's axes; None: it says none."""
+    axes = labels_of(array).axes
+    return None if axes is None else tuple(axis.name for axis in axes)
+
+
 def labels_of(array: Any) -> Labels:
     """Labels of an array of xarray, of an open dataset of h5py, Zarr or netCDF, of a `Model`, or of what `open_array`
     gave.

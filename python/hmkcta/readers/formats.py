@@ -31,6 +31,7 @@ class Format:
         opener: makes an array of a file, or of a member of it.
         pages: whether a folder of such files is a stack.
         members: whether a file may hold several arrays.
+        depth: what a file's numbers reach up to, where their type does not say it; in a stack all have the same.
     """
 
     name: str
@@ -39,6 +40,7 @@ class Format:
     opener: Opener
     pages: bool = False
     members: bool = True
+    depth: Callable[[Path], str] = lambda _: ""
 
     def open(self, path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any]:
         """Open a file.
@@ -52,14 +54,15 @@ class Format:
 
 
 def _single(name: str, endings: tuple[str, ...], magics: tuple[tuple[int, bytes], ...],
-            opener: Callable[[Path, Unpacker], NDArray[Any]], pages: bool = False) -> Format:
+            opener: Callable[[Path, Unpacker], NDArray[Any]], pages: bool = False,
+            depth: Callable[[Path], str] = lambda _: "") -> Format:
     """A format of one array a file."""
     return Format(name, endings, magics, lambda path, _, unpacker: opener(path, unpacker), pages,
-                  members=False)
+                  members=False, depth=depth)
 
 
 def _at_once(opener: Callable[[Path], NDArray[Any]]) -> Callable[[Path, Unpacker], NDArray[Any]]:
-    """An opener that maps, or reads a single picture."""
+    """An opener that maps."""
     return lambda path, _: opener(path)
 
 
@@ -79,10 +82,12 @@ FORMATS = (
     _single("NIfTI", (".nii.gz",), ((0, nifti.GZIP),), nifti.open_gzip),
     _single("NIfTI", (".hdr", ".img"), (), nifti.open_pair),
     _single("NRRD", (".nrrd", ".nhdr"), ((0, nrrd.MAGIC),), nrrd.open_nrrd),
-    Format("TIFF", (".tif", ".tiff"), tiff.MAGICS, tiff.open_tiff, pages=True),
-    Format("EXR", (".exr",), ((0, exr.MAGIC),), lambda path, member, _: exr.open_exr(path, member), pages=True),
-    _single("pictures", picture.ENDINGS, picture.MAGICS, _at_once(picture.open_picture), pages=True),
-    _single("pictures", picture.OTHER_ENDINGS, (), _at_once(picture.open_picture), pages=True),
+    Format("TIFF", (".tif", ".tiff"), tiff.MAGICS, tiff.open_tiff, pages=True, depth=tiff.tiff_depth),
+    Format("EXR", (".exr",), ((0, exr.MAGIC),), exr.open_exr, pages=True),
+    _single("pictures", picture.ENDINGS, picture.MAGICS, picture.open_picture, pages=True,
+            depth=picture.picture_depth),
+    _single("pictures", picture.OTHER_ENDINGS, (), picture.open_picture, pages=True,
+            depth=picture.picture_depth),
 )
 #: Endings of the files of which a folder is a stack.
 PAGES = tuple(ending for each in FORMATS if each.pages for ending in each.endings)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ..errors import HmkctaError
 from .source import io_error
+from .unread_pictures import UNREAD_PICTURES
 
 Magics = tuple[tuple[int, bytes], ...]
 
@@ -79,6 +80,7 @@ NOT_READ = (
     NotRead("bzip2", "unpack it: bunzip2", _at(b"BZh")),
     NotRead("xz", "unpack it: unxz", _at(b"\xfd7zXZ\0")),
     NotRead("Zstandard", "unpack it: unzstd", _at(b"\x28\xb5\x2f\xfd")),
+    *(NotRead(name, hint, magics, allowed="a picture as PNG, TIFF or EXR") for name, magics, hint in UNREAD_PICTURES),
     NotRead("a tar archive", "unpack it: tar -xf", _at(b"ustar", place=257)),
 )
 

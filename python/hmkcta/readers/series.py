@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,17 +14,9 @@ from ..axes import name_axes
 from ..errors import invalid
 from ..labels import Labels, labelled, labels_of
 from ..support.memory import drop_pages
+from ..support.natural import natural
 from .source import Layout, io_error
 from .unpacked import Part, Unpacker, block_parts
-
-
-def natural(path: Path) -> list[str | int]:
-    """Key to sort by as people count.
-
-    >>> sorted(map(Path, ["img10.png", "img2.png"]), key=natural)[0].name
-    'img2.png'
-    """
-    return [int(word) if word.isdecimal() else word for word in re.split(r"([0-9]+)", str(path))]
 
 
 def pictures_of(folder: Path, endings: Sequence[str]) -> list[Path]:
@@ -52,15 +43,16 @@ def pictures_of(folder: Path, endings: Sequence[str]) -> list[Path]:
 
 
 def open_series(
-    paths: Sequence[Path], where: str, opener: Callable[[Path, Unpacker], NDArray[Any]], unpacker: Unpacker
+    paths: Sequence[Path], where: str, opener: Callable[[Path, Unpacker], NDArray[Any]], unpacker: Unpacker,
+    depth: Callable[[Path], str] = lambda _: "",
 ) -> NDArray[Any]:
-    """Stack files of one shape and type.
+    """Stack files of one shape and type, and of one depth, as `depth` says it of each.
 
     Raises:
         HmkctaError: the first file that differs is named; or what opening one raises.
     """
     silent = replace(unpacker, progress=None)  # it is files that are counted
-    first = opener(paths[0], silent)
+    first, deep = opener(paths[0], silent), depth(paths[0])
     layout = Layout((len(paths), *first.shape), first.dtype.newbyteorder("="))
 
     def read(part: Part) -> NDArray[Any]:
@@ -71,6 +63,9 @@ def open_series(
             raise invalid("series-mixed", str(path), str(Layout(array.shape, array.dtype)),
                           f"{Layout(first.shape, first.dtype)}, as {paths[0].name} is",
                           "choose files of one shape and type by a pattern")
+        if (own := depth(path)) != deep:
+            raise invalid("series-mixed", str(path), f"numbers of {own}", f"{deep}, as {paths[0].name} has",
+                          "choose files of one depth by a pattern")
         values = np.asarray(array, layout.dtype)[np.newaxis]
         drop_pages(array)
         return values

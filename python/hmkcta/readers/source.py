@@ -56,8 +56,8 @@ def opened(path: Path) -> Generator[BinaryIO]:
     """
     try:
         # A pipe would block on opening, a device may have no end.
-        if not stat.S_ISREG(os.stat(path).st_mode):
-            raise io_error("unreadable", str(path), "no regular file", "a file", told="is no regular file")
+        if not stat.S_ISREG(mode := os.stat(path).st_mode):
+            raise _no_file(path, mode)
         file = open(path, "rb")  # noqa: SIM115 (what is wrong with a path is not what is wrong with its bytes)
     except (OSError, ValueError) as error:  # a path with a zero byte is a ValueError
         raise _unreadable(path, error) from error
@@ -76,9 +76,19 @@ def _unreadable(path: Path, error: Exception) -> HmkctaError:
                     told=f"cannot be read: {found}")
 
 
+def _no_file(path: Path, mode: int) -> HmkctaError:
+    """The error that says what it is in place of a file."""
+    kinds = {stat.S_IFIFO: "a pipe", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device", stat.S_IFSOCK: "a socket",
+             stat.S_IFDIR: "a folder"}
+    kind = kinds.get(stat.S_IFMT(mode), "something else")
+    hint = "name a file in it" if kind == "a folder" else (
+        "write what comes from it to a file first, COMMAND > FILE, as a source is read more than once")
+    return io_error("unreadable", str(path), kind, "a file", hint, told=f"is {kind}, no regular file")
+
+
 @contextmanager
-def guarded(path: Path, what: str) -> Generator[None]:
-    """Whatever the library of a format raises on a file becomes one sentence.
+def guarded(path: Path, what: str, hint: str = WHOLE) -> Generator[None]:
+    """Whatever the library of a format raises on a file becomes one sentence; `hint` is what to do about it.
 
     Raises:
         HmkctaError: reason ``source-damaged``.
@@ -91,7 +101,7 @@ def guarded(path: Path, what: str) -> Generator[None]:
         raise io_error("unreadable", str(path), sentence(error), f"a {what} that nobody is writing",
                        "wait until its writer has closed it") from error
     except Exception as error:  # of a dozen parsers, each of which has its own ways to stumble over a damaged file
-        raise io_error("source-damaged", str(path), sentence(error), f"a complete {what}", WHOLE) from error
+        raise io_error("source-damaged", str(path), sentence(error), f"a complete {what}", hint) from error
 
 
 def choose(where: str, members: Mapping[str, str], wanted: str | None, unread: Mapping[str, str] = NONE) -> str:

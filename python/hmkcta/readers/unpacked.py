@@ -5,10 +5,12 @@ Everything after a reader takes an array or a map of a file, and reads it more t
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from math import prod
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,11 +20,13 @@ from ..packing import Packing
 from ..streaming.scratch import scratch_folder, unnamed_file
 from ..support.memory import check_memory, memory_budget
 from ..support.progress import Progress
-from .source import Layout, check_layout, check_numbers, too_long, too_short
+from .source import Layout, check_layout, check_numbers, io_error, too_long, too_short
 
 Part = tuple[slice, ...]
 #: Elements that are unpacked at once, and the share of the memory for fitting that they, and the whole, may take.
 BLOCK, BLOCK_SHARE, WHOLE_SHARE = 1 << 24, 8, 2
+#: Bytes that any file may be unpacked to, and how many times its own; deflate reaches that.
+NARROW, WIDENED = 1 << 26, 1 << 10
 
 
 @dataclass(frozen=True)
@@ -116,6 +120,18 @@ class Unpacker:
             HmkctaError: that is more memory than there is.
         """
         check_memory(2 * layout.nbytes, what, hint, self.limit)
+
+    def check_widened(self, path: Path, nbytes: int) -> None:
+        """Refuse what would take far more than its file, as damaged sizes do, unless so much memory is given.
+
+        Raises:
+            HmkctaError: reason ``source-too-large``.
+        """
+        most = max(NARROW, WIDENED * os.stat(path).st_size, self.limit or 0)
+        if nbytes > most:
+            raise io_error("source-too-large", str(path), f"{nbytes / 2**20:.0f} MiB of numbers, by its header",
+                           f"up to {most / 2**20:.0f} MiB for a file of its length",
+                           f"where that is meant, allow it: --max-memory {-(-nbytes >> 20)}MiB")
 
     def _elements(self, dtype: np.dtype[Any]) -> int:
         """How many are unpacked at once."""

@@ -127,7 +127,8 @@ class Tone:
     """From radiance to display: ``2**stops / white``, a curve, sRGB encoding.
 
     `white` None is the largest number of the type of integer pictures (bool, uint8, uint16), else the 99.5th percentile
-    of the data; `srgb` None encodes an SVBRDF and leaves the rest, which is display-ready. `background` is a display colour, 0..1.
+    of the data; `srgb` None encodes an SVBRDF and leaves the rest, which is display-ready. `background` is a display
+    colour, 0..1.
     """
 
     stops: float = 0.0

@@ -37,8 +37,8 @@ def coded_white(source_dtype: str, kind: str, said: bool | None) -> float:
 
     `said` is what the scene says, None for what the number type says.
 
-    >>> coded_white("uint8", "svbrdf", None), coded_white("uint16", "svbrdf", None), coded_white("float32", "svbrdf", True)
-    (255.0, 0.0, 1.0)
+    >>> coded_white("uint8", "svbrdf", None), coded_white("uint16", "svbrdf", None)
+    (255.0, 0.0)
     """
     coded = source_dtype == CODED if said is None else said
     return WHITES.get(source_dtype, 1.0) if coded and kind == "svbrdf" else 0.0
