@@ -140,8 +140,8 @@ class Journal(NoJournal):
     ) -> None:
         if self._log is None:
             return
-        # What was asked for cannot be, and will not be the next time: there is nothing to go on with.
-        vain = isinstance(error, HmkctaError) and error.kind is Kind.INVALID_ARGUMENT
+        # What was asked for cannot be, and will not be the next time; or what is kept is of several states of a source.
+        vain = isinstance(error, HmkctaError) and error.kind in (Kind.INVALID_ARGUMENT, Kind.SOURCE_CHANGED)
         if error is None or vain:
             self._discard()
         else:

@@ -68,15 +68,19 @@ def compress_command(source: str, output: str, plan: str | None, device: str, re
           warnings_as_notes() as said):
         if resume and not journal.holds_work:
             click.echo(f"hmkcta: there is nothing in {journal.folder} to go on with: it begins anew.", err=True)
-        array = goal.open(source, progress)
+        watched = goal.open(source, progress)
+        array = watched.array
         model = compress(array, plan, snr=goal.snr, size=goal.size, kind=goal.kind, device=where,
                          progress=progress, journal=journal, **goal.settings_for(array))
+        watched.check(model.metadata.source["sha256"])
         model.save(output, overwrite=overwrite)
     report: dict[str, Any] = {
         **describe(model, array, progress), "device": asdict(where), "nodes_resumed": journal.found,
         "plans_tried": progress.plans, **plan_of(model),
     }
     missed = missed_goal(model, goal)
+    if watched.gone:
+        said.append(f"{source} is no longer there: {output} is of what it was")
     said += notes(model, array, planned=plan is not None) + unused(model, goal, plan)
     said += beyond_cost(model.decode_cost, goal, plan) + ordinary_cameras(goal, model.metadata.kind)
     if as_json:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from ..conventions import packing
 from ..errors import HmkctaError, invalid
 from ..support.optional import library
-from .source import Layout, choose, guarded, io_error, map_part
+from .source import Layout, choose, guarded, io_error, map_part, reading
 from .unpacked import Unpacker
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
@@ -65,6 +66,8 @@ def _is_data(dataset: Any) -> bool:
 def _array(h5py: Any, path: Path, dataset: Any, unpacker: Unpacker) -> NDArray[Any]:
     where = f"{path}:{dataset.name}"
     convert = packing(dataset.attrs, dataset.dtype)
+    for file in _files(dataset):
+        reading(file)
     offset = _offset(h5py, dataset)
     if convert is None and offset is not None:
         return map_part(path, Layout(dataset.shape, dataset.dtype), offset, where)
@@ -89,6 +92,14 @@ def _offset(h5py: Any, dataset: Any) -> int | None:
     if dataset.id.get_type() != h5py.h5t.py_create(dataset.dtype, logical=True):
         return None
     return dataset.id.get_offset()
+
+
+def _files(dataset: Any) -> list[Path]:
+    """The files in which the numbers of a dataset lie, so far as it names them."""
+    own, made = Path(dataset.file.filename), dataset.id.get_create_plist()
+    external = [os.fsdecode(made.get_external(number)[0]) for number in range(made.get_external_count())]
+    virtual = [each.file_name for each in dataset.virtual_sources()] if dataset.is_virtual else []
+    return [own, *(own.parent / name for name in (*external, *virtual) if name != "." and "%" not in name)]
 
 
 def _check_sources(dataset: Any, path: Path, where: str) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..conventions import Packing, scaled_type
 from ..support.optional import library
-from .source import Layout, guarded, io_error, map_part
+from .source import Layout, guarded, io_error, map_part, reading
 from .unpacked import Unpacker
 
 GZIP = b"\x1f\x8b"
@@ -31,6 +31,7 @@ def open_nifti(path: Path, unpacker: Unpacker) -> NDArray[Any]:
         numbers = Path(image.file_map["image"].filename)  # another file than the header's for .hdr with .img
         proxy = image.dataobj
         stored, where = Layout(tuple(map(int, proxy.shape)), np.dtype(proxy.dtype), fortran=True), str(path)
+        reading(numbers)
         plain = (float(proxy.slope), float(proxy.inter)) == (1.0, 0.0)
         with open(numbers, "rb") as file:
             packed = file.read(len(GZIP)) == GZIP

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import invalid
+from ..support.cut_short import whole_map
 from ..support.memory import drop_pages
-from .source import Layout, io_error
+from .source import Layout, io_error, reading
 from .unpacked import Part, Unpacker, block_parts
 
 
@@ -32,6 +33,7 @@ def pictures_of(folder: Path, endings: Sequence[str]) -> list[Path]:
     Raises:
         HmkctaError: there is none, or they are of several formats.
     """
+    reading(folder)
     try:
         files = [path for path in folder.iterdir() if path.suffix.lower() in endings and path.is_file()
                  and not path.name.startswith(".")]
@@ -69,7 +71,8 @@ def open_series(
             raise invalid("series-mixed", str(path), str(Layout(array.shape, array.dtype)),
                           f"{Layout(first.shape, first.dtype)}, as {paths[0].name} is",
                           "choose files of one shape and type by a pattern")
-        values = np.asarray(array, layout.dtype)[np.newaxis]
+        with whole_map(array):
+            values = np.array(array, layout.dtype)[np.newaxis]
         drop_pages(array)
         return values
 

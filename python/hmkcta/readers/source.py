@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
@@ -19,6 +20,34 @@ from ..errors import HmkctaError, Kind, invalid, sentence
 KINDS_TAKEN = "integers, booleans, or float16 to float64"
 #: Members of a file that an error lists.
 LISTED = 20
+
+
+#: What is called with each file and folder that a reader is about to read; None: nobody wants to know.
+_READING: ContextVar[Callable[[Path], None] | None] = ContextVar("reading", default=None)
+
+
+def reading(path: Path) -> None:
+    """Say that a file or a folder is about to be read, to whoever watches that it stays as it is."""
+    watcher = _READING.get()
+    if watcher is not None:
+        watcher(path)
+
+
+@contextmanager
+def watched_by(watcher: Callable[[Path], None]) -> Generator[None]:
+    """Have `watcher` called with each file and folder that readers read in the block.
+
+    >>> found = []
+    >>> with watched_by(found.append):
+    ...     reading(Path("wood.npy"))
+    >>> found
+    [PosixPath('wood.npy')]
+    """
+    token = _READING.set(watcher)
+    try:
+        yield
+    finally:
+        _READING.reset(token)
 
 
 @dataclass(frozen=True)
@@ -51,6 +80,7 @@ def opened(path: Path) -> Generator[BinaryIO]:
     Raises:
         HmkctaError: it is not there, is no regular file, or cannot be read.
     """
+    reading(path)
     try:
         # A pipe would block on opening, a device may have no end.
         if not stat.S_ISREG(os.stat(path).st_mode):
@@ -71,6 +101,7 @@ def guarded(path: Path, what: str) -> Generator[None]:
     Raises:
         HmkctaError: reason ``source-damaged``.
     """
+    reading(path)
     try:
         yield
     except (HmkctaError, MemoryError):
@@ -79,7 +110,8 @@ def guarded(path: Path, what: str) -> Generator[None]:
         raise io_error("unreadable", str(path), sentence(error), f"a {what} that nobody is writing",
                        "wait until its writer has closed it") from error
     except Exception as error:  # of a dozen parsers, each of which has its own ways to stumble over a damaged file
-        raise io_error("source-damaged", str(path), sentence(error), f"a complete {what}", "fetch it again") from error
+        raise io_error("source-damaged", str(path), sentence(error), f"a complete {what}",
+                       "see whether what wrote it opens it; if that fails too, fetch or write it again") from error
 
 
 def choose(where: str, members: Mapping[str, str], wanted: str | None) -> str:
