@@ -90,7 +90,7 @@ class Hmkcta(ExamplesFirst, click.Group):
             raise
         except HmkctaError as error:
             if isinstance(error, ForeignFile):
-                raise _foreign(error) from error
+                raise Failure(str(error), Exit.IO, error) from error
             kept = going_on(ctx, then=bool(error.hint)) if may_go_on(ctx, error) else ""
             raise Failure(by_options(f"{error} {kept}".rstrip()), error.kind.exit_code, error) from error
         except KeyboardInterrupt as error:
@@ -119,14 +119,6 @@ def may_go_on(ctx: click.Context, error: HmkctaError) -> bool:
     if error.kind is Kind.RESOURCE_LIMIT:  # with the same --max-memory it ends the same
         return not any(str(word).startswith("--max-memory") for word in ctx.meta.get(WORDS, ()))
     return error.kind is Kind.IO and error.reason != "partial-busy"
-
-
-def _foreign(error: ForeignFile) -> Failure:
-    """The error to end with for a file that is no `.hmk` file: what was wrong with a length that it never meant says
-    nothing."""
-    cause = HmkctaError(Kind.IO, "foreign-file", error.where, found=error.found, allowed=error.allowed, hint=error.hint)
-    sentence = str(error).removesuffix(f"[{error.kind.label}/{error.reason}]")
-    return Failure(f"{sentence}[{cause.kind.label}/{cause.reason}]", Exit.IO, cause)
 
 
 def _interruption(ctx: click.Context, number: int) -> Failure:

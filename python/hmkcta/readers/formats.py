@@ -116,8 +116,10 @@ def format_of(path: Path) -> Format:
         if path.name.lower().endswith(each.endings):
             if not each.magics and start:
                 return each
-            found = "an empty file" if not start else f"{len(start)} bytes that begin another format"
-            raise io_error("source-damaged", str(path), found, f"a complete {path.suffix} file", "fetch it again")
+            found, hint = "an empty file", "write or fetch it again"
+            if start:
+                found, hint = "what begins as another format", "see what it is, and give it the ending of that"
+            raise io_error("source-damaged", str(path), found, f"a complete {path.suffix} file", hint)
     known = ", ".join(dict.fromkeys(each.name for each in FORMATS if each.endings))
     raise io_error("source-format", str(path), "no format that is known", f"{known}; or raw binary that is described",
                    "say shape and dtype of raw binary, e.g. --shape 64,64,3 --dtype float32")
