@@ -21,7 +21,7 @@ from .model import Model
 from .packed import LevelQuality
 from .streaming.steady import Steady
 from .support.cut_short import whole_map
-from .support.memory import drop_pages
+from .support.memory import drop_pages, memory_for
 from .support.progress import Progress
 from .support.slabs import slabs
 from .transform import from_json
@@ -104,7 +104,7 @@ def measure_both(model: Model, source: Any, *, nan: float | None = None, progres
     if tuple(source.shape) != model.shape:
         raise invalid("source-shape", "shape of the source", tuple(source.shape), f"{model.shape}, that of the file")
     source = meant(source)
-    with whole_map(source):
+    with whole_map(source), memory_for("a slab that is measured", "give a smaller slab=, or close what takes memory"):
         steady = Steady(cast("NDArray[Any]", source)) if isinstance(source, np.ndarray) else None
         sums = _summed(model, source, nan, progress, slab, np.float32) or _summed(
             model, source, nan, progress, slab, np.float64
