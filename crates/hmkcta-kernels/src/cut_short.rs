@@ -48,7 +48,9 @@ mod handler {
     }
 
     impl Slot {
-        const EMPTY: Self = Self { start: AtomicUsize::new(0), end: AtomicUsize::new(0), cut: AtomicBool::new(false) };
+        const fn empty() -> Self {
+            Self { start: AtomicUsize::new(0), end: AtomicUsize::new(0), cut: AtomicBool::new(false) }
+        }
 
         pub fn cut(&self) -> bool {
             self.cut.load(SeqCst)
@@ -59,7 +61,7 @@ mod handler {
         }
     }
 
-    static SLOTS: [Slot; 256] = [Slot::EMPTY; 256];
+    static SLOTS: [Slot; 256] = [const { Slot::empty() }; 256];
     static PAGE: AtomicUsize = AtomicUsize::new(0);
     /// Held by whoever changes what is here.
     static LOCK: Mutex<()> = Mutex::new(());

@@ -50,7 +50,7 @@ def verify_command(file: str, against: str | None, nan: float | None, as_json: b
                    **source: Any) -> None:
     """Check FILE; with --against SRC also that it was made from SRC, and is as good as it says.
 
-    Exit code 4: FILE is damaged, or its quality is not what it says. 9: SRC is another array.
+    Exit code 4: FILE is damaged, or its quality is not what it says. 9: SRC is another array, however near.
     """
     del verbose
     model = open_model(file)
@@ -69,10 +69,12 @@ def verify_command(file: str, against: str | None, nan: float | None, as_json: b
         report["made_from_source"] = made_from
     if not as_json and not quiet:
         _show(file, model, report.get("levels", []))
+    advice = "check that the values that were replaced get the same ones, by --nan" if made_from else (
+        f"give the source it was made from: {against} has other values (their SHA-256 differ)")
+    for number, (said, found) in enumerate(zip(model.quality, measured, strict=False), start=1):
+        _compare(file, number, said, found, advice)
     if made_from is False:
         raise _other_source(str(against), file, model, measured)
-    for number, (said, found) in enumerate(zip(model.quality, measured, strict=False), start=1):
-        _compare(file, number, said, found)
     if as_json:
         emit(report)
 
@@ -118,7 +120,7 @@ def _show(file: str, model: Model, levels: Sequence[dict[str, Any]]) -> None:
     click.echo(table(header, rows))
 
 
-def _compare(file: str, number: int, said: LevelQuality, found: LevelQuality) -> None:
+def _compare(file: str, number: int, said: LevelQuality, found: LevelQuality, advice: str) -> None:
     """Refuse a file whose quality is another than it says."""
     snr_agrees = said.snr_db == found.snr_db or abs(said.snr_db - found.snr_db) <= SNR_TOLERANCE
     rows = (
@@ -130,8 +132,7 @@ def _compare(file: str, number: int, said: LevelQuality, found: LevelQuality) ->
     for name, agrees, measured, stated in rows:
         if not agrees:
             raise HmkctaError(Kind.CORRUPTION, "quality-differs", f"{name} of level {number} of {file}",
-                              found=measured, allowed=f"{stated}, as the file says",
-                              hint="check that this is the source it was made of, with the same --nan")
+                              found=measured, allowed=f"{stated}, as the file says", hint=advice)
 
 
 def _close(found: float, said: float) -> bool:
