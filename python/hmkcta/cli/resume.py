@@ -10,13 +10,11 @@ from typing import TYPE_CHECKING
 import click
 
 from ..errors import HmkctaError
-from ..hmkfile import header_digest, remove_stale
-from ..model import Model
-from ..model import open as open_model
 from .options import WORDS
 
 if TYPE_CHECKING:
     from ..journal import Journal
+    from ..model import Model
 
 #: Key of `click.Context.meta` under which the journal of the command stands.
 _JOURNAL = "hmkcta.journal"
@@ -38,6 +36,8 @@ def journal_beside(output: str, resume: bool, overwrite: bool) -> Journal:
 
 def publish(journal: Journal, model: Model, output: str, overwrite: bool, missed: str | None) -> None:
     """Save the model, so that a process killed before `journal` is removed is known to have finished."""
+    from ..hmkfile import header_digest
+
     header = header_digest(model.metadata, model.levels)
     journal.about_to_publish({"header": header, "words": _lasting_words(), "missed": missed})
     model.save(output, overwrite=overwrite)
@@ -48,7 +48,9 @@ def finished(output: str) -> tuple[Model, str | None] | None:
 
     What the run had kept, and what killed writers left beside the output, is removed.
     """
+    from ..hmkfile import header_digest, remove_stale
     from ..journal import Journal
+    from ..model import open as open_model
 
     journal = Journal(Path(f"{os.fspath(output)}.partial"), resume=True)
     done = journal.done
