@@ -83,7 +83,7 @@ WITHIN = {
         ("adaptive",),
     ),
     "streaming": (
-        ("budget", "scratch"),
+        ("budget", "scratch", "steady"),
         ("collecting", "pieces"),
         ("blocks", "source"),
         ("slabbed",),

@@ -2,6 +2,7 @@
 
 import { formatBytes } from "./bytes";
 import { Problem } from "./problem";
+import { fault } from "./reader/reasons";
 
 const FIRST = 65536;
 const TRIES = 3;
@@ -62,7 +63,7 @@ export class BlobSource extends ByteSource {
     try {
       this.add(new Uint8Array(await this.file.slice(this.have, end).arrayBuffer()));
     } catch (error) {
-      throw new Problem(`${this.name} can no longer be read.`, String(error), "Choose it again.");
+      throw fault("unreadable", this.name, String(error), "a file that can be read", "choose it again");
     }
   }
 }

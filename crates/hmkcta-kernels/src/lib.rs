@@ -12,6 +12,7 @@ mod coding;
 mod collect;
 mod contract;
 mod cores;
+mod cut_short;
 mod dense;
 mod dictionary;
 mod dots;
@@ -62,10 +63,8 @@ use cells::Shape;
 use coding::Search;
 use dictionary::Given;
 use element::Decode;
-use gauss_seidel::Effort;
-use numpy::{
-    Element, IntoPyArray, PyArray1, PyArrayMethods, PyReadonlyArray1, PyReadwriteArray1, PyUntypedArrayMethods,
-};
+use numpy::prelude::*;
+use numpy::{Element, PyArray1, PyReadonlyArray1, PyReadwriteArray1};
 use pick::Pick;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -92,7 +91,7 @@ fn fit_cells(
     check_tensor(&node, residual.len())?;
     check_bases(&node, &bases)?;
     check_cores(&node, cores.len())?;
-    py.detach(|| gauss_seidel::fit(node, residual, &mut bases, cores, Effort { sweeps, iterations }));
+    py.detach(|| gauss_seidel::fit(node, residual, &mut bases, cores, gauss_seidel::Effort { sweeps, iterations }));
     Ok(())
 }
 
@@ -396,5 +395,6 @@ fn _native(module: &Bound<PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(decode_scattered_f64, module)?)?;
     module.add_function(wrap_pyfunction!(decode_block, module)?)?;
     module.add_function(wrap_pyfunction!(threads::set_threads, module)?)?;
+    module.add_class::<cut_short::MapWatch>()?;
     Ok(())
 }

@@ -16,7 +16,7 @@ from ..fitting.fit import EFFORTS
 from ..hmkfile import KINDS
 from ..labels import labels_of
 from ..plan import AUTO, SCHEMES, Plan, multiply_adds
-from ..readers import open_array, read_coordinates
+from ..readers import WatchedSource, read_coordinates
 from .options import Assignment, ByteSize, Count, Names, memory_option, nan_option, source_options, together
 from .progress import Progress
 
@@ -63,9 +63,9 @@ class Goal:
     source: dict[str, Any]  # arguments of `open_array`
     along: dict[str, tuple[tuple[str, str], ...]]  # --coords and --unit
 
-    def open(self, path: str, progress: Progress) -> NDArray[Any]:
+    def open(self, path: str, progress: Progress) -> WatchedSource:
         """The source."""
-        return open_array(path, **self.source, max_memory=self.settings["max_memory"], progress=progress)
+        return WatchedSource(path, **self.source, max_memory=self.settings["max_memory"], progress=progress)
 
     def settings_for(self, array: NDArray[Any]) -> dict[str, Any]:
         """The settings, with the coordinates and units of the axes of the source.

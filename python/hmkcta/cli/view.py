@@ -9,6 +9,7 @@ import click
 
 from ..hmkfile import is_hmk
 from ..serve import is_opened, serve
+from ..support.cut_short import whole_map
 from .compared import opened
 from .interrupt import Interrupted
 from .options import Command, file_argument, nan_option, source_options, verbose_option
@@ -34,8 +35,9 @@ def view_command(file: str, original: str | None, nan: float | None, port: int, 
     """
     del verbose
     model = original if original is not None and is_hmk(original) else None
-    array = opened("--original", None if model else original, source)
-    with serve(file, original=model or array, nan=nan, port=port) as server:
+    watched = opened("--original", None if model else original, source)
+    array = None if watched is None else watched.array
+    with whole_map(array), serve(file, original=model or array, nan=nan, port=port) as server:
         try:
             click.echo(f"{server.url}\nCtrl-C ends it.")
             if not no_browser and not is_opened(server.url):

@@ -24,7 +24,7 @@ from .check import check_coords, check_levels
 from .fields import parse_json
 from .header import LENGTH_BYTES, TEXT_KEY, Entry, Header, header_length, parse_header
 from .limits import DEFAULT_LIMITS, Limits
-from .lookalikes import START, recognised
+from .lookalikes import START, check_start
 from .metadata import ArrayRecord, Parsed, from_json
 from .reasons import fault
 from .schema import NUMPY_TYPES, SHORT, ArrayInfo, check_order, check_schema, is_number, level_of
@@ -50,9 +50,8 @@ def load(path: str | os.PathLike[str], *, verify: bool = True, limits: Limits = 
     try:
         return loads(data, verify=verify, limits=limits)
     except HmkctaError as error:
-        told = recognised(error, bytes(data[:START]))
-        told.args = (f"{path}: {told}",)  # `where` is a place in the file; people have several files
-        raise told from error.__cause__
+        error.args = (f"{path}: {error}",)  # `where` is a place in the file; people have several files
+        raise
 
 
 def table_bytes(path: str | os.PathLike[str]) -> list[int]:
@@ -105,6 +104,7 @@ def loads(data: bytes | bytearray | mmap.mmap, *, verify: bool = True, limits: L
 
 def read_header(view: memoryview, limits: Limits) -> Header:
     """Parse the header of a file's bytes and check which bytes it gives to which array."""
+    check_start(bytes(view[:START]), len(view), limits)
     length = header_length(bytes(view[:LENGTH_BYTES]), len(view), limits)
     return parse_header(bytes(view[LENGTH_BYTES:LENGTH_BYTES + length]), len(view), limits)
 

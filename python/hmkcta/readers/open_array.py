@@ -12,6 +12,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from ..errors import expect, invalid
 from ..goals import memory_given
+from ..support.memory import memory_for
 from ..support.natural import natural
 from ..support.progress import Progress
 from .formats import FORMATS, PAGES, format_of
@@ -63,8 +64,13 @@ def open_array(
         raise invalid("argument-type", "uri", "''", "the path of a file or a folder, or a pattern",
                       "give one; '.' is the folder at hand")
     _check_input(uri)
-    place, inner = _split(str(uri))
-    member, unpacker = member if member is not None else inner, Unpacker(memory_given(max_memory), progress)
+    with memory_for(str(uri), "take a machine that has more, or write it as .npy or uncompressed: that is mapped"):
+        return _opened(str(uri), member, memory_given(max_memory), progress)
+
+
+def _opened(uri: str, member: str | None, limit: int | None, progress: Progress | None) -> NDArray[Any]:
+    place, inner = _split(uri)
+    member, unpacker = member if member is not None else inner, Unpacker(limit, progress)
     if _is_pattern(place):
         return open_series(_matches(place), place, lambda path, unpacker: _open(path, member, unpacker), unpacker,
                            _depth)

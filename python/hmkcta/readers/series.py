@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from ..axes import name_axes
 from ..errors import invalid
 from ..labels import Labels, labelled, labels_of
+from ..support.cut_short import whole_map
 from ..support.memory import drop_pages
 from ..support.natural import natural
-from .source import Layout, io_error
+from .source import Layout, io_error, reading
 from .unpacked import Part, Unpacker, block_parts
 
 
@@ -25,6 +26,7 @@ def pictures_of(folder: Path, endings: Sequence[str]) -> list[Path]:
     Raises:
         HmkctaError: there is none, or they are of several formats.
     """
+    reading(folder)
     try:
         files = [path for path in folder.iterdir() if path.suffix.lower() in endings and path.is_file()
                  and not path.name.startswith(".")]
@@ -66,7 +68,8 @@ def open_series(
         if (own := depth(path)) != deep:
             raise invalid("series-mixed", str(path), f"numbers of {own}", f"{deep}, as {paths[0].name} has",
                           "choose files of one depth by a pattern")
-        values = np.asarray(array, layout.dtype)[np.newaxis]
+        with whole_map(array):
+            values = np.array(array, layout.dtype)[np.newaxis]
         drop_pages(array)
         return values
 

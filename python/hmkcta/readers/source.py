@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
@@ -22,6 +23,34 @@ LISTED = 20
 NONE: Mapping[str, str] = {}
 #: What to do where a library stumbles over a file, of which nobody knows whether it is whole.
 WHOLE = "see whether it opens where it comes from; if so, save it as one of the formats of docs/inputs.md"
+
+
+#: What is called with each file and folder that a reader is about to read; None: nobody wants to know.
+_READING: ContextVar[Callable[[Path], None] | None] = ContextVar("reading", default=None)
+
+
+def reading(path: Path) -> None:
+    """Say that a file or a folder is about to be read, to whoever watches that it stays as it is."""
+    watcher = _READING.get()
+    if watcher is not None:
+        watcher(path)
+
+
+@contextmanager
+def watched_by(watcher: Callable[[Path], None]) -> Generator[None]:
+    """Have `watcher` called with each file and folder that readers read in the block.
+
+    >>> found = []
+    >>> with watched_by(found.append):
+    ...     reading(Path("wood.npy"))
+    >>> found
+    [PosixPath('wood.npy')]
+    """
+    token = _READING.set(watcher)
+    try:
+        yield
+    finally:
+        _READING.reset(token)
 
 
 @dataclass(frozen=True)
@@ -54,6 +83,7 @@ def opened(path: Path) -> Generator[BinaryIO]:
     Raises:
         HmkctaError: it is not there, is no regular file, or cannot be read.
     """
+    reading(path)
     try:
         # A pipe would block on opening, a device may have no end.
         if not stat.S_ISREG(mode := os.stat(path).st_mode):
@@ -93,6 +123,7 @@ def guarded(path: Path, what: str, hint: str = WHOLE) -> Generator[None]:
     Raises:
         HmkctaError: reason ``source-damaged``.
     """
+    reading(path)
     try:
         yield
     except (HmkctaError, MemoryError):

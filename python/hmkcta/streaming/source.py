@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -31,6 +30,7 @@ from ..support.memory import LOOKED_AT, drop_pages, looked_at
 from ..support.slabs import moments, slabs
 from ..transform import Transform, parse
 from .collecting import collected
+from .steady import Steady, fingerprint_start
 
 #: Elements of slabs that are checked one after another.
 SLAB = 1 << 22
@@ -58,6 +58,7 @@ class Source:
         unit: power of two near the largest transformed value; fitting works in multiples of it.
         notes: sentences on what came with the array and is not kept.
         tiny: whether there are values below 2^-60 of the unit, which are taken for zero: their squares would underflow.
+        steady: looks whether the array is still what it was; None: its values were not looked at.
     """
 
     array: NDArray[Any]
@@ -69,6 +70,7 @@ class Source:
     unit: float = 1.0
     tiny: bool = True
     notes: tuple[str, ...] = ()
+    steady: Steady | None = None
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -223,8 +225,10 @@ def prepare(
     source = described(array, axes, transform)
     if nan is not None and not abs(nan) <= _LARGEST:
         raise invalid("nan-fill", "nan", nan, f"a number, its magnitude up to {_LARGEST:.0e}")
+    steady = Steady(source.array)
     digest, bad, extents = _scan(source.array, nan)
-    source = replace(source, nan=nan if bad else None, fingerprint={"sha256": digest})
+    steady.fingerprint = digest
+    source = replace(source, nan=nan if bad else None, fingerprint={"sha256": digest}, steady=steady)
     if bad or not source.value_transform.is_identity or not extents:
         workers = thread_count(threads)
         with ThreadPoolExecutor(workers) as pool:  # which hold one slab's memory together
@@ -252,7 +256,7 @@ def _named(shape: tuple[int, ...], axes: Sequence[Axis | str] | None, own: Label
 def _scan(array: NDArray[Any], nan: float | None) -> tuple[str, bool, list[tuple[float, float]]]:
     """SHA-256 of the values in C order, whether any is not finite, and, if they are float32, the largest magnitude of
     each slab and the smallest but zero."""
-    digest = hashlib.sha256(f"{array.dtype.newbyteorder('=').name} {array.shape}".encode())
+    digest = fingerprint_start(array.dtype, array.shape)
     count, first, start, extents = 0, 0, 0, list[tuple[float, float]]()
     with ThreadPoolExecutor(1) as hashing:
         hashed = None
