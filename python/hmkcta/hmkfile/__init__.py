@@ -11,7 +11,9 @@ from .metadata import coords_name as coords_name
 from .publish import check_output as check_output
 from .publish import published as published
 from .read import load as load
+from .read import load_open as load_open
 from .read import loads as loads
+from .read import open_regular as open_regular
 from .read import table_bytes as table_bytes
 from .reasons import REASONS as REASONS
 from .reasons import WRITER_REASONS as WRITER_REASONS
