@@ -7,8 +7,8 @@ import { originalProblem } from "./original";
 import { Problem, asProblem, refusal } from "./problem";
 import type { Reading } from "./reader/read";
 import { Screen } from "./render/screen";
-import { BlobSource, type ByteSource, fileUrl, openUrl } from "./stream";
-import { fixedSize, given } from "./ui/address";
+import { BlobSource, type ByteSource, fileUrl, openUrl, present } from "./stream";
+import { fixedSize, given, takeToken } from "./ui/address";
 import { byId } from "./ui/controls";
 import { listenToDivider, placeDivider } from "./ui/divider";
 import { facts } from "./ui/facts";
@@ -387,4 +387,6 @@ class Page {
   }
 }
 
+const token = takeToken(location, history, () => sessionStorage);
+present(token === null ? null : { origin: location.origin, token });
 void new Page().start();
