@@ -16,6 +16,7 @@ import pytest
 
 from hmkcta import Model, _native
 from hmkcta._example import example_level, example_metadata
+from hmkcta.backends.decoding import _flat_arrays  # pyright: ignore[reportPrivateUsage]
 from hmkcta.errors import HmkctaError
 from hmkcta.packed import PackedLevel
 
@@ -28,8 +29,9 @@ NO_DOUBLES = np.zeros(0)
 def test_random_nonsense(tmp_path: Path) -> None:
     """In a process of its own, so that one that dies says of what."""
     log, paths = tmp_path / "last call", os.pathsep.join([str(TESTS), str(TESTS.parent / "python")])
-    done = subprocess.run([sys.executable, str(TESTS / "native_nonsense.py"), "5", "6000", str(log)], timeout=300,
-                          capture_output=True, text=True, env={**os.environ, "PYTHONPATH": paths, "RUST_BACKTRACE": "0"})
+    command = [sys.executable, str(TESTS / "native_nonsense.py"), "5", "6000", str(log)]
+    environment = {**os.environ, "PYTHONPATH": paths, "RUST_BACKTRACE": "0"}
+    done = subprocess.run(command, timeout=300, capture_output=True, text=True, env=environment)
     last = log.read_text(encoding="utf-8").strip()
     assert (done.returncode, last) == (0, "done"), f"{last}: {done.stderr[-2000:]}"
     assert "panicked" not in done.stderr
@@ -105,7 +107,8 @@ CALLS: dict[str, Callable[[], object]] = {
     "no rows to code": lambda: _native.code_rows(np.ones(1), NO_DOUBLES, [1], 0, 1, None, 1, "optimal"),
     "subsets without end": lambda: _native.code_rows(
         np.eye(40).reshape(-1), np.ones(40), [40], 0, 1, None, 20, "optimal"),
-    "levels without end": lambda: _native.decode_block([{}] * 100_000, [], 0, NOTHING),
+    "levels without end": lambda: _native.decode_block(
+        [_flat_arrays(example_level())] * 100_000, [np.zeros(1, np.int64)] * 2, 0, ONE.copy()),
     "modes without end": lambda: _native.accumulate(
         ([1] * 10**5, [1] * 10**5, [1] * 10**5, [1] * 10**5, [False] * 10**5), [np.zeros(1, np.uint16)] * 10**5,
         ONE.copy(), [ONE] * 10**5, ONE, 1.0),
@@ -181,16 +184,16 @@ def test_rows_are_not_taken_for_others() -> None:
     from hmkcta.backends.decoding import add_block, decode_batches
 
     for row in (-1, 2**32, 2**32 + 1, -2**63, 2**63 - 1):
-        with pytest.raises(HmkctaError, match="has a row|has no row"):
+        with pytest.raises(HmkctaError, match=r"has (a|no) row"):
             decode_batches([example_level()], np.array([[row, 0]]), np.zeros(1, np.float32))
-        with pytest.raises(HmkctaError, match="has a row|has no row"):
+        with pytest.raises(HmkctaError, match=r"has (a|no) row"):
             add_block([example_level()], [np.array([row]), np.array([0])], np.zeros((1, 1), np.float32))
 
 
 def test_more_threads_than_help_are_not_made() -> None:
     program = ("from hmkcta import _native; import numpy as np, os\n_native.set_threads(2**40)\n"
                "n = 10**6\nnode = ([n], [1], [1], [1], [False]), [np.zeros(n, np.uint16)]\n"
-               "_native.accumulate(*node, np.zeros(n, np.float32), [np.ones(n, np.float32)], np.ones(1, np.float32), 1)\n"
+               "one = np.ones(n, np.float32)\n_native.accumulate(*node, np.zeros(n, np.float32), [one], one[:1], 1)\n"
                "print(len(os.listdir('/proc/self/task')) if os.path.exists('/proc/self/task') else 1)")
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60,
                           env={**os.environ, "PYTHONPATH": str(TESTS.parent / "python")})
@@ -203,9 +206,9 @@ def test_every_function_is_called_with_nonsense() -> None:
 
     functions = {name for name in dir(_native) if not name.startswith("_")}
     assert functions == set(called)
-    in_rust = {name for path in (CRATE / "src").glob("*.rs")
-               for name in re.findall(r"#\[pyfunction\]\n(?:#\[.*\n)*(?:pub )?fn (\w+)", path.read_text(encoding="utf-8"))}
-    assert in_rust == functions
+    texts = [path.read_text(encoding="utf-8") for path in (CRATE / "src").glob("*.rs")]
+    declared = re.compile(r"#\[pyfunction\]\n(?:#\[.*\n)*(?:pub )?fn (\w+)")
+    assert {name for text in texts for name in declared.findall(text)} == functions
 
 
 def test_no_kernel_runs_where_a_panic_would_get_out() -> None:
