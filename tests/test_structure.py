@@ -19,7 +19,7 @@ PACKAGE = ROOT / "python" / "hmkcta"
 LAYERS = (
     ("arrays", "bitstream"),
     ("_version", "errors", "metrics", "narrow", "rice", "_native"),
-    ("core_parameters", "parameters", "support"),
+    ("core_parameters", "loopback", "parameters", "support"),
     ("axes", "goals", "grids", "packing", "transform", "indexing"),
     ("neighbours", "plan", "packed"),
     ("conventions", "plan_checks"),

@@ -9,8 +9,8 @@ import { Problem, asProblem, refusal } from "./problem";
 import type { Reading } from "./reader/read";
 import { Screen } from "./render/screen";
 import type { Shown } from "./store";
-import { BlobSource, type ByteSource, fileUrl, openUrl } from "./stream";
-import { fixedSize, given } from "./ui/address";
+import { BlobSource, type ByteSource, fileUrl, openUrl, present } from "./stream";
+import { fixedSize, given, takeToken } from "./ui/address";
 import { byId, tell } from "./ui/controls";
 import { listenToDivider, placeDivider } from "./ui/divider";
 import { placeErrorBar } from "./ui/errorBar";
@@ -396,4 +396,6 @@ class Page {
   }
 }
 
+const token = takeToken(location, history, () => sessionStorage);
+present(token === null ? null : { origin: location.origin, token });
 void new Page().start();

@@ -12,7 +12,9 @@ from .publish import check_output as check_output
 from .publish import published as published
 from .publish import remove_stale as remove_stale
 from .read import load as load
+from .read import load_open as load_open
 from .read import loads as loads
+from .read import open_regular as open_regular
 from .read import table_bytes as table_bytes
 from .reasons import REASONS as REASONS
 from .reasons import WRITER_REASONS as WRITER_REASONS
