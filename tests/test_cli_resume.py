@@ -22,6 +22,7 @@ from hmkcta.cli import main
 from hmkcta.cli.app import may_go_on
 from hmkcta.cli.options import WORDS
 from hmkcta.errors import Kind
+from hmkcta.hmkfile import published
 from hmkcta.journal import NODES
 from hmkcta.support.recordlog import RecordLog
 from resume_tools import DATA, LEVELS, MODES, After, Stop
@@ -241,7 +242,7 @@ def test_killed_at_twenty_random_moments(source: Path, tmp_path: Path) -> None:
     words = (COMMAND, CHOSEN)[ended % 2]
     assert finish(start("compress", source, "-o", output, *words, "--quiet", "--resume"))[0] == 0
     assert output.read_bytes() == reference[words]
-    assert [path.name for path in tmp_path.iterdir() if path.suffix != ".tmp"] == ["a.hmk"]
+    assert [path.name for path in tmp_path.iterdir()] == ["a.hmk"]
     assert went_on >= 5, "the kills came too early or too late to test anything"
 
 
@@ -254,3 +255,91 @@ def test_resume_is_advised_where_it_can_help(kind: Kind, reason: str, words: tup
     context = click.Context(main)
     context.meta[WORDS] = ["a.npy", *words]
     assert may_go_on(context, HmkctaError(kind, reason, "a.hmk")) == ends_otherwise
+
+
+# Killed while the file is published
+
+#: What kills the process before or after the file gets its name.
+KILL = """
+import os, signal
+import hmkcta.hmkfile.publish as p
+replace = os.replace
+def replaced(source, target):
+    if str(target).endswith({name!r}):
+        if {after}:
+            replace(source, target)
+        os.kill(os.getpid(), signal.SIGKILL)
+    replace(source, target)
+p.os.replace = replaced
+"""
+kills = pytest.mark.skipif(os.name != "posix", reason="needs kill -9")
+
+
+def killed(*words: object, name: str, after: bool) -> None:
+    """A command that is killed when it gives a file of this name its name."""
+    assert finish(start(*words, before=KILL.format(name=name, after=after)))[0] == -signal.SIGKILL
+
+
+def unfinished(folder: Path) -> list[str]:
+    return [path.name for path in folder.iterdir() if path.suffix == ".tmp"]
+
+
+@kills
+def test_what_a_killed_writer_left_is_removed_by_the_next_run(source: Path, tmp_path: Path) -> None:
+    output = tmp_path / "a.hmk"
+    killed("compress", source, "-o", output, *COMMAND, name="a.hmk", after=False)
+    assert len(unfinished(tmp_path)) == 1
+    others = [tmp_path / name for name in (".a.hmk.0123.tmp", ".b.hmk.0123456789abcdef.tmp", "a.hmk.tmp")]
+    for other in others:
+        other.write_text("precious")
+    run("compress", source, "-o", output, *COMMAND, "--resume")
+    assert sorted(tmp_path.iterdir()) == sorted([output, *others])
+    for other in others:
+        other.unlink()
+    killed("decompress", output, "-o", tmp_path / "a.npy", name="a.npy", after=False)
+    assert len(unfinished(tmp_path)) == 1
+    run("decompress", output, "-o", tmp_path / "a.npy")
+    assert unfinished(tmp_path) == []
+
+
+def test_what_another_process_is_writing_stays(tmp_path: Path) -> None:
+    """Two that write one output are nothing to each other until one of them is done."""
+    with published(tmp_path / "a.hmk") as first:
+        first.write(b"first")
+        first.flush()
+        with published(tmp_path / "a.hmk") as second:
+            second.write(b"second")
+            assert len(unfinished(tmp_path)) == 2
+        (tmp_path / "a.hmk").unlink()
+    assert (tmp_path / "a.hmk").read_bytes() == b"first"
+
+
+@kills
+def test_a_finished_output_with_its_journal_is_success(source: Path, tmp_path: Path) -> None:
+    output, words = tmp_path / "a.hmk", ("compress", source, "-o", tmp_path / "a.hmk", *COMMAND)
+    killed(*words, name="a.hmk", after=True)
+    whole, folder = output.read_bytes(), tmp_path / "a.hmk.partial"
+    assert folder.exists()
+    refused(*words, code=3)
+    refused(*words, "--seed", 3, "--resume", code=3)
+    result = run(*words, "--resume")
+    assert "finished already" in result.stderr
+    assert (output.read_bytes(), list(tmp_path.iterdir())) == (whole, [output])
+    refused(*words, "--resume", code=3)  # whose file it is nobody knows now
+
+    output.unlink()
+    killed(*words, name="a.hmk", after=True)
+    output.write_bytes(b"of somebody else")
+    refused(*words, "--resume", code=3)
+    output.unlink()
+    assert report(*words, "--resume")["nodes_resumed"] > 10
+    assert output.read_bytes() == whole
+
+
+@kills
+def test_a_finished_output_that_missed_its_goal_says_so_again(source: Path, tmp_path: Path) -> None:
+    words = ("compress", source, "-o", tmp_path / "a.hmk", *COMMAND, "--snr", 90)
+    killed(*words, name="a.hmk", after=True)
+    found = report(*words, "--resume", code=7)
+    assert found["reached"] is False
+    assert found["bytes"] == (tmp_path / "a.hmk").stat().st_size

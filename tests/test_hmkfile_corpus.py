@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from hmk_corpus import TESTS, Case, read_corpus
+from hmkcta.cli import main
 from hmkcta.errors import HmkctaError, Kind
 from hmkcta.hmkfile import REASONS, WRITER_REASONS, Limits, load
 
@@ -51,3 +54,21 @@ def test_specification_lists_every_reason() -> None:
     documented = {code: (kind, sentence) for code, kind, sentence in rows}
     reasons = {**REASONS, **WRITER_REASONS}
     assert documented == {code: (reason.kind.label, reason.sentence) for code, reason in reasons.items()}
+
+
+def test_the_command_line_has_the_same_reasons(tmp_path: Path) -> None:
+    """Of every way to be no file at all, or none of this format; and a folder."""
+    path = tmp_path / "case.hmk"
+    cases = [case for case in CASES if case.where == "header" and case.reason != "ok" and not case.limits]
+    assert {case.reason for case in cases} >= {"foreign-file", "truncated", "json-syntax", "header-too-large"}
+    for case in cases:
+        data = case.build()
+        assert data is not None
+        path.write_bytes(data)
+        found = json.loads(CliRunner().invoke(main, ["info", str(path), "--json"]).stdout)["error"]
+        assert (found["kind"], found["reason"]) == (case.kind, case.reason), case.name
+    path.unlink()
+    path.mkdir()
+    for command in ("info", "verify"):
+        found = json.loads(CliRunner().invoke(main, [command, str(path), "--json"]).stdout)["error"]
+        assert (found["kind"], found["reason"], found["exit_code"]) == ("Io", "unreadable", 3)

@@ -88,8 +88,9 @@ def test_nrrd(tmp_path: Path, dtype: str, encoding: str, ending: str) -> None:
 def test_names_of_nrrd_types(tmp_path: Path, name: str) -> None:
     nrrd = needed("nrrd")
     header = f"NRRD0004\ntype: {name}\ndimension: 1\nsizes: 40\nencoding: raw\nendian: big\n\n".encode()
-    (tmp_path / "a.nrrd").write_bytes(header + bytes(range(64)) * 8)
+    (tmp_path / "a.nrrd").write_bytes(header)
     expected = nrrd.reader._determine_datatype(nrrd.read_header(str(tmp_path / "a.nrrd")))
+    (tmp_path / "a.nrrd").write_bytes(header + (bytes(range(64)) * 8)[:40 * expected.itemsize])
     array = open_array(tmp_path / "a.nrrd")
     assert array.dtype == expected
     assert np.array_equal(array, np.frombuffer(bytes(range(64)) * 8, expected)[:40])
@@ -130,7 +131,7 @@ def test_packed_nrrd_skips_behind_its_unpacking(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("change", "reason"), [
     ("data file: LIST\n", "source-format"), ("data file: slice%03d.raw 1 10 1\n", "source-format"),
-    ("data file: gone.raw\n", "unreadable"), ("type: block\n", "source-damaged"), ("sizes: 3 0 5\n", "source-shape"),
+    ("data file: gone.raw\n", "unreadable"), ("type: block\n", "source-format"), ("sizes: 3 0 5\n", "source-shape"),
     ("sizes: 3 4 5000\n", "source-truncated"), ("encoding: hex\n", "source-damaged"), ("endian: \n", "source-damaged"),
 ])
 def test_what_nrrd_headers_may_not_say(tmp_path: Path, change: str, reason: str) -> None:

@@ -303,3 +303,41 @@ def test_a_node_that_backfitting_leaves_as_it_was(tmp_path: Path) -> None:
     with Journal(tmp_path / "partial", resume=True) as journal:
         model = hmkcta.compress(array, plan, journal=journal)
     assert np.array_equal(model.reconstruct(), reference.reconstruct())
+
+
+def test_what_is_kept_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was finished first is forgotten, and fitted once more, to the same bytes."""
+    import hmkcta.journal as journals
+
+    options = CASES["levels"]
+    reference, calls = whole(tmp_path, **options)
+    monkeypatch.setattr(journals, "LEAST_KEPT", 8_000)
+    monkeypatch.setattr(journals, "ARRAY_KEPT", 0)
+    interrupted(tmp_path, int(0.95 * calls), **options)
+    assert 1_000 < (tmp_path / "partial" / NODES).stat().st_size <= 8_000
+    content, found = resumed(tmp_path, **options)
+    assert (content, found > 0) == (reference, True)
+
+
+def test_the_smallest_keys_are_forgotten(tmp_path: Path) -> None:
+    """And not written again when they come once more, as what comes next in a resumed run would go for them."""
+    path = tmp_path / "log"
+    log = RecordLog(path)
+    log.most = 1000
+    for n in range(50):
+        log.append((n, 0), bytes(80))
+        assert path.stat().st_size <= 1000
+    kept = list(log)
+    assert kept == sorted(kept)
+    assert kept[-1] == (49, 0)
+    assert 5 <= len(kept) <= 10
+    for n in range(kept[0][0]):
+        log.append((n, 0), bytes(80))
+    assert set(kept[-4:]) <= set(log)
+    log.append((60, 0), bytes(2000))
+    assert (60, 0) not in set(log)
+    log.close()
+    again = RecordLog(path)
+    assert set(kept[-4:]) <= set(again)
+    again.close()
+    assert list(tmp_path.iterdir()) == [path]

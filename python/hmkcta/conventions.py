@@ -1,119 +1,60 @@
-"""Attributes by which netCDF and Zarr say how stored numbers are meant: the CF conventions' packing and fill values."""
+"""What the numbers of an open dataset mean: attributes and neighbours by which a laboratory's format scales them."""
 
 from __future__ import annotations
 
-import base64
-import struct
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from math import isfinite
+import re
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .neighbours import by_neighbours
+from .packing import Meant, packing, zarr_attributes
 from .support.slabs import slabs
 
-#: Attributes that hold fill values.
-FILLS = ("_FillValue", "missing_value")
 #: Libraries whose arrays give numbers as they are stored, with the attributes beside them. Others apply them (netCDF4)
 #: or take them off when they do (xarray).
 STORING = ("h5py", "h5netcdf", "zarr")
 #: Elements that are unpacked at once.
 SLAB = 1 << 22
+#: Names of attributes by which some format or other scales, as letters alone, and the value that changes nothing.
+_NEUTRAL = {
+    **dict.fromkeys(("scale", "scales", "scalefactor", "scalingfactor", "slope", "gain", "rescaleslope", "sclslope",
+                     "radiancescales", "reflectancescales", "calibrationfactor", "multiplier"), 1.0),
+    **dict.fromkeys(("offset", "offsets", "addoffset", "intercept", "rescaleintercept", "sclinter", "radianceoffsets",
+                     "reflectanceoffsets"), 0.0),
+}
 
 
-@dataclass(frozen=True, eq=False)
-class Packing:
-    """How numbers are unpacked: ``scale * stored + offset``, and NaN for fill values.
+def conversion(dataset: Any) -> Meant | None:
+    """A dataset of h5py, h5netcdf or Zarr as it is meant; None: it is stored as it is meant.
 
-    Attributes:
-        stored: the type that the stored bytes are meant to have.
-        dtype: of the result.
+    Raises:
+        HmkctaError: its format scales it in a way that is not known well enough.
     """
-
-    stored: np.dtype[Any]
-    dtype: np.dtype[Any]
-    scale: float
-    offset: float
-    fills: NDArray[Any]
-
-    def __call__(self, stored: NDArray[Any]) -> NDArray[Any]:
-        """The numbers that are meant."""
-        stored = np.asarray(stored).view(self.stored)
-        values = np.asarray(stored, self.dtype)
-        if (self.scale, self.offset) != (1.0, 0.0):
-            values = values * self.dtype.type(self.scale) + self.dtype.type(self.offset)
-        return np.where(np.isin(stored, self.fills), self.dtype.type(np.nan), values) if self.fills.size else values
+    is_zarr, dtype = "zarr" in _libraries(dataset), np.dtype(dataset.dtype)
+    packed = packing(zarr_attributes(dataset) if is_zarr else dataset.attrs, dtype)
+    scaled = by_neighbours(dataset) if "h5py" in _libraries(dataset) and dtype.kind in "iuf" else None
+    if scaled is not None or packed is None:
+        return scaled
+    return Meant(dataset, packed.dtype, lambda values, _: packed(values))
 
 
-def packing(attributes: Mapping[str, Any], dtype: np.dtype[Any]) -> Packing | None:
-    """What the attributes of an array say; None: it is stored as it is meant.
+def unapplied(dataset: Any) -> list[str]:
+    """Names of attributes that look like a scaling which `conversion` does not apply.
 
-    >>> packing({"scale_factor": 0.5, "_FillValue": -1}, np.dtype("i2"))(np.array([4, -1], "i2")).tolist()
-    [2.0, nan]
-    >>> packing({"_Unsigned": "true"}, np.dtype("i2"))(np.array([4, -1], "i2")).tolist()
-    [4, 65535]
+    >>> class Dataset:
+    ...     attrs = {"ScaleFactor": 0.1, "Offset": 0.0, "scale_factor": 2.0, "units": "K"}
+    >>> unapplied(Dataset())
+    ['ScaleFactor']
     """
-    if dtype.kind not in "iuf":
-        return None
-    held = {name: _numbers(attributes.get(name)) for name in ("scale_factor", "add_offset", *FILLS)}
-    # Several factors are somebody's own convention, for whatever axis.
-    scale, offset = (float(values[0]) if values.size == 1 else otherwise
-                     for values, otherwise in ((held["scale_factor"], 1.0), (held["add_offset"], 0.0)))
-    meant = _signed(attributes, dtype)
-    fills = _fills([number for name in FILLS for number in held[name].tolist()], dtype, meant)
-    if (scale, offset) == (1.0, 0.0) and not fills.size:
-        return None if meant == dtype else Packing(meant, meant, scale, offset, fills)
-    return Packing(meant, scaled_type(dtype), scale, offset, fills)
+    def counts(name: str, value: Any) -> bool:
+        neutral = _NEUTRAL.get(re.sub(r"[^a-z]", "", name.lower()))
+        values = np.ravel(value if value is not None else [])
+        if neutral is None or not values.size or values.dtype.kind not in "iuf":
+            return False
+        return not (values == neutral).all() and (name not in ("scale_factor", "add_offset") or values.size != 1)
 
-
-def _fills(said: Sequence[float], dtype: np.dtype[Any], meant: np.dtype[Any]) -> NDArray[Any]:
-    """Numbers that stand for nothing, as the type that is meant; of integers every digit counts."""
-    finite = [number for number in said if isfinite(number)]
-    if meant.kind == "f":
-        return np.array(finite, meant)
-    count = 1 << (8 * meant.itemsize)
-    least = -count // 2 if meant.kind == "i" else 0
-    whole = [int(number) for number in finite]
-    if meant != dtype:  # they may be said in either type
-        whole = [(number - least) % count + least for number in whole]
-    return np.array([number for number in whole if least <= number < least + count], meant)
-
-
-def _signed(attributes: Mapping[str, Any], dtype: np.dtype[Any]) -> np.dtype[Any]:
-    """The type that the netCDF attribute ``_Unsigned`` makes of one of integers: old files have signed ones alone."""
-    said = attributes.get("_Unsigned")
-    word = said.decode() if isinstance(said, bytes) else str(said)
-    kind = {("i", "true"): "u", ("u", "false"): "i"}.get((dtype.kind, word.lower()))
-    return dtype if kind is None else np.dtype(f"{kind}{dtype.itemsize}").newbyteorder(dtype.byteorder)
-
-
-def _numbers(value: Any) -> NDArray[Any]:
-    """An attribute as numbers; none, if it is something else."""
-    values = np.ravel([] if value is None else value)
-    return values if values.dtype.kind in "iuf" else np.empty(0)
-
-
-def scaled_type(stored: np.dtype[Any]) -> np.dtype[Any]:
-    """The type for multiples of numbers: float32 where it holds each of them exactly.
-
-    >>> scaled_type(np.dtype(">i2")), scaled_type(np.dtype("i4"))
-    (dtype('float32'), dtype('float64'))
-    """
-    exact = stored.itemsize <= 2 or (stored.kind == "f" and stored.itemsize == 4)
-    return np.dtype(np.float32 if exact else np.float64)
-
-
-def zarr_attributes(array: Any) -> dict[str, Any]:
-    """Attributes, with the fill value that xarray keeps elsewhere: in version 2 the array's own, in 3 as base64."""
-    attributes = dict(array.attrs)
-    fill = attributes.get("_FillValue")
-    if isinstance(fill, str):
-        attributes["_FillValue"] = struct.unpack("<d", base64.b64decode(fill))[0]
-    elif fill is None and array.metadata.zarr_format == 2 and "_ARRAY_DIMENSIONS" in attributes:
-        attributes["_FillValue"] = array.fill_value
-    return attributes
+    return sorted(str(name) for name, value in dict(dataset.attrs).items() if counts(str(name), value))
 
 
 def meant(array: Any) -> Any:
@@ -124,13 +65,23 @@ def meant(array: Any) -> Any:
     >>> meant([1, 2])
     [1, 2]
     """
-    libraries = {base.__module__.partition(".")[0] for base in type(array).__mro__}
-    if libraries.isdisjoint(STORING) or not all(hasattr(array, name) for name in ("attrs", "dtype", "shape")):
+    if not is_stored(array):
         return array
-    convert = packing(zarr_attributes(array) if "zarr" in libraries else array.attrs, np.dtype(array.dtype))
-    if convert is None:
+    view = conversion(array)
+    if view is None:
         return array
-    values = np.empty(array.shape, convert.dtype)
-    for part in slabs(array.shape, SLAB):  # so that what is stored is never in memory beside all that it means
-        values[part] = convert(np.asarray(array[part]))
+    values = np.empty(view.shape, view.dtype)
+    for part in slabs(view.shape, SLAB):  # so that what is stored is never in memory beside all that it means
+        whole = (*part, *[slice(None)] * (values.ndim - len(part)))
+        values[part] = view[whole]
     return values
+
+
+def is_stored(array: Any) -> bool:
+    """Whether it is an open dataset of a library that leaves attributes to be applied."""
+    known = not _libraries(array).isdisjoint(STORING)
+    return known and all(hasattr(array, name) for name in ("attrs", "dtype", "shape"))
+
+
+def _libraries(array: Any) -> set[str]:
+    return {base.__module__.partition(".")[0] for base in type(array).__mro__}

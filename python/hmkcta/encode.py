@@ -14,7 +14,6 @@ from typing import Any, cast
 from warnings import warn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from . import backends as kernels
 from .axes import Axis, check_kind, mode_sizes
@@ -36,6 +35,7 @@ from .offset import lost_beside_offset
 from .plan import AUTO, SCHEMES, Plan
 from .streaming.budget import check_least_memory
 from .streaming.source import Source, prepare
+from .support.cut_short import whole_map
 from .support.executors import thread_count
 from .support.memory import keep_freed_memory
 from .support.once import Once
@@ -90,8 +90,11 @@ def choose_plan(
     snr, size = the_goal(snr, size)
     _check_types(array, transform, nan)
     wanted = wanted_of(snr, size, decode_cost, organisation, max_memory, bits)
-    with _threads(run.threads):
-        return _chosen(prepare(array, axes, transform, nan, run.threads), run, wanted)[0]
+    with _threads(run.threads), whole_map(array):
+        source, run = _prepared(prepare(array, axes, transform, nan, run.threads), run)
+        chosen = _chosen(source, run, wanted)[0]
+        _check_steady(source)
+    return chosen
 
 
 def compress(
@@ -157,8 +160,8 @@ def compress(
         The model; `Model.save` writes the file. `Model.made_by` is the plan that was best, for other arrays like it.
 
     Raises:
-        HmkctaError: an argument is out of range, the array holds NaN or infinity, memory would not do, or the journal
-            is of another call.
+        HmkctaError: an argument is out of range, the array holds NaN or infinity, memory would not do, the journal is
+            of another call, or the array changed while it was read (kind `SourceChanged`).
 
     Warns:
         GoalMissed: the SNR is out of reach; the model is the best found.
@@ -179,8 +182,8 @@ def compress(
     expect("journal", journal, Journal | None, "a Journal")
     _check_names(scheme, kind)
     wanted = wanted_of(snr, size, decode_cost, organisation, max_memory, bits)
-    with _threads(run.threads):
-        source = prepare(array, axes, transform, nan, run.threads)
+    with _threads(run.threads), whole_map(array):
+        source, run = _prepared(prepare(array, axes, transform, nan, run.threads), run)
         check_kind(source.axes, kind or source.kind)
         if plan is not None:
             plan = read_plan(plan, source, wanted, scheme)
@@ -197,8 +200,9 @@ def compress(
             else:
                 task = _task(source, run, wanted, kind or source.kind, plan)
                 model = follow(task)
+        _check_steady(source)
     model.made_by = task.plan
-    _warn_of(model, source.array, task.plan.snr if plan else wanted.snr)  # without a goal it ends at 50 dB if it can
+    _warn_of(model, source, task.plan.snr if plan else wanted.snr)  # without a goal it ends at 50 dB if it can
     return model
 
 
@@ -226,14 +230,27 @@ def _best_for(source: Source, run: Run, wanted: Wanted, kind: str) -> Followed:
     return best_of([best(run), before])
 
 
+def _prepared(source: Source, run: Run) -> tuple[Source, Run]:
+    """The source, and the run that ends early where it turns out not to stay as it was."""
+    return source, run if source.steady is None else replace(run, progress=source.steady.told(run.progress))
+
+
+def _check_steady(source: Source) -> None:
+    """Refuse what was made of a source that did not stay as it was: it is of none of its states."""
+    if source.steady is not None:
+        source.steady.check()
+
+
 def _task(source: Source, run: Run, wanted: Wanted, kind: str, plan: Plan) -> Task:
     organised = wanted.organisation is not None
     return Task(source, plan, wanted.decode_cost, kind, run, wanted.max_memory, wanted.bits, organised)
 
 
-def _warn_of(model: Model, array: NDArray[Any], goal: float | None) -> None:
-    """Warn, where `compress` was called, of an SNR below the goal, of one that needs no file, and of one that is the
-    offset's alone."""
+def _warn_of(model: Model, source: Source, goal: float | None) -> None:
+    """Warn, where `compress` was called, of what is not kept, of an SNR below the goal, of one that needs no file, and
+    of one that is the offset's alone."""
+    for note in source.notes:
+        warn(note, stacklevel=3)
     if misses(model.snr, goal):
         said = f"the SNR is {model.snr:.2f} dB, below the {goal:g} dB asked for; the model is the best found"
         warn(said, GoalMissed, stacklevel=3)
@@ -241,7 +258,7 @@ def _warn_of(model: Model, array: NDArray[Any], goal: float | None) -> None:
         changed = model.metadata.is_transformed
         better = "another transform, or the same with a larger scale" if changed else "ask for more bytes"
         warn(f"an SNR of {model.snr:.1f} dB is no better than zeros alone. Next: {better}", stacklevel=3)
-    elif lost := lost_beside_offset(model, array):
+    elif lost := lost_beside_offset(model, source.array):
         warn(lost, stacklevel=3)
 
 

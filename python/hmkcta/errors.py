@@ -23,7 +23,7 @@ class Kind(Enum):
 
     Attributes:
         label: the kind as messages and the TypeScript reader have it, e.g. ``"InvalidArgument"``.
-        exit_code: 2 for an invalid argument, 3 to 6 for the others.
+        exit_code: 2 for an invalid argument, 3 to 6, 8 and 9 for the others.
 
     >>> Kind.CORRUPTION.label, Kind.CORRUPTION.exit_code
     ('Corruption', 4)
@@ -35,6 +35,8 @@ class Kind(Enum):
     INSUFFICIENT_DATA = ("InsufficientData", 4)
     COMPATIBILITY = ("Compatibility", 5)
     RESOURCE_LIMIT = ("ResourceLimit", 6)
+    SOURCE_CHANGED = ("SourceChanged", 8)
+    OTHER_SOURCE = ("OtherSource", 9)
 
     def __init__(self, label: str, exit_code: int) -> None:
         self.label = label
@@ -99,7 +101,7 @@ class HmkctaError(Exception):
 
 
 class ForeignFile(HmkctaError):
-    """No `.hmk` file, by how it begins or as safetensors of somebody else: kind and reason are the format's.
+    """No `.hmk` file, by how it begins or as safetensors of somebody else.
 
     The command line ends with 3, as it does for a file that cannot be read.
 
@@ -119,6 +121,17 @@ def invalid(reason: str, where: str, found: object = None, allowed: object = Non
     C of mode 1: found 0, allowed 1 or more. [InvalidArgument/clusters-too-small]
     """
     return HmkctaError(Kind.INVALID_ARGUMENT, reason, where, found=found, allowed=allowed, hint=hint)
+
+
+def source_changed(reason: str, where: str, told: str) -> HmkctaError:
+    """The error, to be raised, where a source did not stay as it was while it was read.
+
+    >>> print(source_changed("source-changed", "wood.npy", "has changed while it was read"))
+    wood.npy: has changed while it was read. Next: wait until nobody writes it, and begin anew. \
+[SourceChanged/source-changed]
+    """
+    hint = "wait until nobody writes it, and begin anew"
+    return HmkctaError(Kind.SOURCE_CHANGED, reason, where, hint=hint, told=told)
 
 
 def expect(name: str, value: object, types: Any, words: str, hint: str = "") -> None:

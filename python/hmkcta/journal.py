@@ -3,7 +3,8 @@
 Fitting is deterministic, so a run that is begun again makes the same steps in the same order; the fitted cells of a
 node are known by the number of the step and of the node. The residual is never stored: it follows from the cells.
 A journal is a folder with `run.json` (all that decides the result), `plan.json` (the plans, if they were chosen),
-`limit-<step>.json` (what memory allowed a plan) and `nodes.log` (`recordlog.py`).
+`limit-<step>.json` (what memory allowed a plan), `nodes.log` (`recordlog.py`) and, once the model is about to be saved,
+`done.json`. `nodes.log` is bounded: of many plans those fitted first are forgotten, and are fitted once more.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from copy import copy
 from dataclasses import asdict, dataclass
+from math import prod
 from pathlib import Path
 from time import sleep
 from types import TracebackType
@@ -36,7 +38,9 @@ from .support.recordlog import Busy, RecordLog, in_use
 
 #: More steps than a fit has.
 MOST_STEPS = 1 << 12
-RUN, PLAN, NODES = "run.json", "plan.json", "nodes.log"
+RUN, PLAN, NODES, DONE = "run.json", "plan.json", "nodes.log", "done.json"
+#: Bytes that finished nodes may take for each element of the array, and for all of it at the least.
+ARRAY_KEPT, LEAST_KEPT = 2, 1 << 20
 #: Seconds beyond which no process merely looks whether another is at work.
 _LOOK = 0.05
 
@@ -140,8 +144,8 @@ class Journal(NoJournal):
     ) -> None:
         if self._log is None:
             return
-        # What was asked for cannot be, and will not be the next time: there is nothing to go on with.
-        vain = isinstance(error, HmkctaError) and error.kind is Kind.INVALID_ARGUMENT
+        # What was asked for cannot be, and will not be the next time; or what is kept is of several states of a source.
+        vain = isinstance(error, HmkctaError) and error.kind in (Kind.INVALID_ARGUMENT, Kind.SOURCE_CHANGED)
         if error is None or vain:
             self._discard()
         else:
@@ -189,11 +193,30 @@ class Journal(NoJournal):
                     self.found = len(self._log)
                 else:
                     self._clear()
+                    (self.folder / DONE).unlink(missing_ok=True)
                     self._write(RUN, run)
             except BaseException:
                 self.close()
                 raise
+        self._log.most = max(LEAST_KEPT, ARRAY_KEPT * prod(run.get("shape", ())))
         self._steps = 0
+
+    def about_to_publish(self, done: Mapping[str, Any]) -> None:
+        """Note what tells that the output, once it is there, is this run's, as `done`."""
+        with self._as_io():
+            self._write(DONE, done)
+
+    @property
+    def done(self) -> dict[str, Any]:
+        """What `about_to_publish` noted; empty: nothing."""
+        with suppress(OSError, HmkctaError):
+            return dict(self._read(DONE))
+        return {}
+
+    def remove(self) -> None:
+        """Remove the folder before any run begins, as its output is there."""
+        self._log = self._opened()
+        self._discard()
 
     def plans(self, choose: Callable[[], list[Plan]], name: str = "plan") -> list[Plan]:
         """The plans of the interrupted run; else those chosen now, which are written down.
@@ -310,7 +333,8 @@ class Journal(NoJournal):
         assert self._log is not None
         self._log.clear()
         for path in (*self.folder.glob("*.json"), *self.folder.glob(".*.tmp")):
-            path.unlink(missing_ok=True)
+            if path.name != DONE:
+                path.unlink(missing_ok=True)
 
     def _discard(self) -> None:
         """Remove the folder, unless somebody put files of their own there."""
@@ -319,6 +343,7 @@ class Journal(NoJournal):
             self._clear()
             self._log.close()
             (self.folder / NODES).unlink(missing_ok=True)
+            (self.folder / DONE).unlink(missing_ok=True)  # the last, as it says what to make of the others
         self._log = None
         with suppress(OSError):
             self.folder.rmdir()

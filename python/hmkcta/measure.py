@@ -6,9 +6,10 @@ Errors are summed in float64; values are decoded in float32 where no level is ab
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .arrays import F64
 from .axes import mode_rows, organise
@@ -18,7 +19,9 @@ from .errors import invalid
 from .metrics import noise_at, snr_db
 from .model import Model
 from .packed import LevelQuality
-from .support.memory import drop_pages
+from .streaming.steady import Steady
+from .support.cut_short import whole_map
+from .support.memory import drop_pages, memory_for
 from .support.progress import Progress
 from .support.slabs import slabs
 from .transform import from_json
@@ -83,7 +86,8 @@ def measure(model: Model, source: Any, *, nan: float | None = None, progress: Pr
         slab: elements to work on at once.
 
     Raises:
-        HmkctaError: the source has another shape, or values that are not finite and `nan` is None.
+        HmkctaError: the source has another shape, or values that are not finite and `nan` is None; or it changed while
+            it was read (kind `SourceChanged`).
 
     >>> from hmkcta._example import example_level, example_metadata
     >>> m = Model(example_metadata(), [example_level()])
@@ -100,9 +104,13 @@ def measure_both(model: Model, source: Any, *, nan: float | None = None, progres
     if tuple(source.shape) != model.shape:
         raise invalid("source-shape", "shape of the source", tuple(source.shape), f"{model.shape}, that of the file")
     source = meant(source)
-    sums = _summed(model, source, nan, progress, slab, np.float32) or _summed(
-        model, source, nan, progress, slab, np.float64
-    )
+    with whole_map(source), memory_for("a slab that is measured", "give a smaller slab=, or close what takes memory"):
+        steady = Steady(cast("NDArray[Any]", source)) if isinstance(source, np.ndarray) else None
+        sums = _summed(model, source, nan, progress, slab, np.float32) or _summed(
+            model, source, nan, progress, slab, np.float64
+        )
+        if steady is not None:
+            steady.check()
     assert sums is not None
     plain, transformed = sums
     found = transformed.quality()

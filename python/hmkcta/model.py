@@ -20,9 +20,10 @@ from .errors import expect, invalid
 from .goals import memory_given
 from .hmkfile import DEFAULT_LIMITS, Limits, encoded_size, load, save
 from .indexing import Index, Selection, cut, occurring, positions, select
+from .metrics import all_finite
 from .packed import LevelBounds, LevelQuality, Metadata, PackedLevel
 from .plan import LevelSpec, Plan, multiply_adds
-from .support.memory import available_memory, check_memory, format_bytes
+from .support.memory import available_memory, check_memory, format_bytes, memory_for
 from .support.slabs import slabs
 from .transform import from_json, nearest
 
@@ -38,6 +39,8 @@ _SCATTERED = 1 << 20
 _BLOCK_WORTH = 512
 #: As many elements of one block around all take no longer than one that is decoded on its own, or in one of many.
 _AROUND_ELEMENTS, _AROUND_BLOCKS = 32, 8
+#: What to do where the result of an index does not fit into memory.
+_LESS, _INTO = "index a smaller part, or reconstruct into a numpy.memmap", "give a numpy.memmap as out, or index a part"
 
 
 @final
@@ -170,6 +173,7 @@ class Model:
         last = replace(self.levels[level - 1], child=None, part=absent, local=absent)
         return Model(self.metadata.upto(level), (*self.levels[: level - 1], last))
 
+    @memory_for("the elements of an index", _LESS)
     def __getitem__(self, key: Any) -> Any:
         """Decode the elements that NumPy would return for this key, as float32 (a scalar for a single element).
 
@@ -178,8 +182,7 @@ class Model:
             HmkctaError: the result does not fit into memory.
         """
         chosen = select(key, self.shape)
-        check_memory(4 * prod(chosen.shape), f"{' x '.join(map(str, chosen.shape))} elements",
-                     "index a smaller part, or reconstruct into a numpy.memmap")
+        check_memory(4 * prod(chosen.shape), f"{' x '.join(map(str, chosen.shape))} elements", _LESS)
         values = np.empty(chosen.shape, np.float32)
         self._decode(chosen, values)
         return values if values.ndim else values[()]
@@ -187,6 +190,7 @@ class Model:
     def __iter__(self) -> Iterator[Any]:
         return (self[i] for i in range(len(self)))
 
+    @memory_for("all elements", "index a part")
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
         """All elements; what NumPy calls to use the model as an array.
 
@@ -200,6 +204,7 @@ class Model:
         check_memory(wanted.itemsize * self.size, f"all {self.size} elements", "index a part")
         return self.reconstruct(np.empty(self.shape, wanted))
 
+    @memory_for("interpolated values", "ask for fewer positions at once")
     def sample(self, coords: Any) -> Any:
         """Multilinear interpolation between the elements.
 
@@ -220,6 +225,7 @@ class Model:
             values[start : start + step] = self._interpolate(flat[start : start + step])
         return values.reshape(points.shape[:-1])[()]
 
+    @memory_for("all elements", _INTO)
     def reconstruct(self, out: NDArray[Any] | None = None, max_memory: int | str | None = None) -> NDArray[Any]:
         """Decode all elements, slab by slab along the first axis.
 
@@ -243,8 +249,7 @@ class Model:
         own = 0 if out is not None else 4 * self.size
         # A slab and the decoder's working arrays take up to four times its elements.
         slab = _SLAB if limit is None else min(_SLAB, (limit - own) // 16)
-        check_memory(own + 16 * min(1 << 16, self.size), f"all {self.size} elements",
-                     "give a numpy.memmap as out, or index a part", limit)
+        check_memory(own + 16 * min(1 << 16, self.size), f"all {self.size} elements", _INTO, limit)
         result = np.empty(self.shape, np.float32) if out is None else out
         if result.dtype.kind == "f" and result.itemsize >= 4:
             self._decode(select((), self.shape), result, slab)
@@ -271,7 +276,7 @@ class Model:
         for part in slabs(chosen.shape, _IN_PLACE):
             rows = [index.reshape(-1) for index in self._in_modes(cut(chosen.axes, part))]
             block = out[(*part, ...)].reshape([len(index) for index in rows])
-            if not _all_finite(decode_block(self.levels, self._sizes, rows, out=block)):
+            if not all_finite(decode_block(self.levels, self._sizes, rows, out=block)):
                 return False
         return True
 
@@ -345,7 +350,7 @@ class Model:
     def _source_values(self, decode: Callable[[DTypeLike], NDArray[Any]]) -> Floats:
         """Decode and undo the value transform; numbers too large for float32 become its largest."""
         values = self._transform.inverse(decode(np.float32))
-        if _all_finite(values):
+        if all_finite(values):
             return values
         largest = np.finfo(np.float32).max
         return np.clip(self._transform.inverse(decode(np.float64)), -largest, largest).astype(np.float32)
@@ -367,12 +372,7 @@ class Model:
         return np.einsum("cb,cb->b", np.stack(weights), values)
 
 
-def _all_finite(values: Floats) -> bool:
-    """Whether no number is infinite or NaN; their sum nearly always tells, at a tenth of the cost."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        return bool(np.isfinite(np.add.reduce(values, axis=None)) or np.isfinite(values).all())
-
-
+@memory_for("the arrays of the file", "close what else takes memory, or take a machine that has more")
 def open(path: str | os.PathLike[str], verify: bool = True, limits: Limits = DEFAULT_LIMITS) -> Model:
     """Open a file as a `Model`; its arrays are mapped, not read, until they are needed.
 

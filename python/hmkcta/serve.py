@@ -1,89 +1,55 @@
 """The viewer's page and one file on loopback: nothing else is served, to nobody else.
 
-Only 127.0.0.1 is listened on, only names in a fixed table are answered, and only requests that name this host are: a
-page of another site can neither read the file nor be pointed at this port by its name server.
+The page is everybody's who finds the port; the file is for whoever has the token of the address, which is new each
+time. It is opened once: a link that leads elsewhere later changes nothing of what is served.
 """
 
 from __future__ import annotations
 
 import os
-import re
-import sys
+import secrets
+import tempfile
 import threading
 import webbrowser
 from collections.abc import Mapping
-from dataclasses import dataclass
-from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from contextlib import suppress
+from html import escape
 from importlib import resources
 from importlib.resources.abc import Traversable
-from io import BytesIO
+from io import FileIO
 from numbers import Integral
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO, cast
-from urllib.parse import quote, unquote, urlsplit
+from urllib.parse import quote
 
 from numpy.typing import ArrayLike
 
 from .errors import HmkctaError, Kind, expect
-from .hmkfile import encode, is_hmk
-from .model import open as open_model
+from .hmkfile import encode, is_hmk, load_open, open_regular
+from .loopback import HOST, Held, Listener, Resource
 from .packed import Metadata
 from .readers import open_array
 from .support.progress import Progress
 from .verbatim import check_shape, verbatim
 
-HOST = "127.0.0.1"
 PAGE = "viewer_page"
-CHUNK = 1 << 20
 
 TYPES = {".html": "text/html; charset=utf-8", ".js": "text/javascript; charset=utf-8",
          ".css": "text/css; charset=utf-8"}
-#: The page decodes on the GPU, draws what it makes itself, and talks to nobody.
-POLICY = ("default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
-          "base-uri 'none'; form-action 'none'; frame-ancestors 'none'")
-HEADERS = {"Content-Security-Policy": POLICY, "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer",
-           "Cross-Origin-Resource-Policy": "same-origin", "Cache-Control": "no-cache"}
-
-_RANGE = re.compile(r"bytes=([0-9]{0,15})-([0-9]{0,15})")
-
-
-@dataclass(frozen=True)
-class Resource:
-    """Something that is served: a file of the disk, or bytes.
-
-    Args:
-        content_type: its MIME type.
-        path: the file; None: `data` is served.
-        data: the bytes.
-
-    >>> stream, size = Resource("text/html", data=b"page").opened()
-    >>> stream.read(), size
-    (b'page', 4)
-    """
-
-    content_type: str
-    path: Path | None = None
-    data: bytes = b""
-
-    def opened(self) -> tuple[BinaryIO, int]:
-        """A stream to read it from, and its size in bytes.
-
-        Raises:
-            OSError: the file cannot be read.
-        """
-        if self.path is None:
-            return BytesIO(self.data), len(self.data)
-        file = self.path.open("rb")
-        return file, os.fstat(file.fileno()).st_size
 
 
 class Server:
     """A running server, which `serve` and `view` make; a context manager that ends it.
 
+    Args:
+        page: what is served to everybody, by path.
+        files: what is served to whoever has the token, by path.
+        query: what the page's address says, after the token.
+        port: 0 takes a free one.
+
     Attributes:
-        url: of the page that shows the file.
+        url: of the page that shows the file. Who knows it reads the file.
+        token: the part of `url` that is secret.
         port: on which 127.0.0.1 is listened to.
 
     >>> import tempfile, urllib.request
@@ -92,16 +58,19 @@ class Server:
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     Model(example_metadata(), [example_level()]).save(f"{folder}/small.hmk")
     ...     with serve(f"{folder}/small.hmk", page={"/": Resource("text/html", data=b"page")}) as server:
-    ...         request = urllib.request.Request(server.url.split("?")[0] + "files/small.hmk",
-    ...                                          headers={"Range": "bytes=8-8"})
+    ...         request = urllib.request.Request(
+    ...             f"http://127.0.0.1:{server.port}/files/small.hmk",
+    ...             headers={"Range": "bytes=8-8", "Authorization": f"Bearer {server.token}"})
     ...         urllib.request.urlopen(request).read()
     b'{'
     """
 
-    def __init__(self, table: Mapping[str, Resource], query: str, port: int) -> None:
-        self._server = _Listener(table, port)
+    def __init__(self, page: Mapping[str, Resource], files: Mapping[str, Resource], query: str, port: int) -> None:
+        self.token = secrets.token_urlsafe(24)
+        self._server = Listener(page, files, self.token, port)
         self.port = int(self._server.server_address[1])
-        self.url = f"http://{HOST}:{self.port}/{query}"
+        self.url = f"http://{HOST}:{self.port}/?token={self.token}&{query}"
+        self._doorway: tempfile.TemporaryDirectory[str] | None = None
         self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True)
         self._thread.start()
 
@@ -117,11 +86,29 @@ class Server:
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()
+        if self._doorway is not None:
+            self._doorway.cleanup()
 
     def wait(self) -> None:
         """Wait while it serves, until it is closed from another thread or Ctrl-C interrupts (`KeyboardInterrupt`)."""
         while self._thread.is_alive():
             self._thread.join(0.5)
+
+    def open_browser(self) -> bool:
+        """Open the page in the browser; whether one could be.
+
+        The browser is given a file that only this user can read and that leads on: commands and their arguments, which
+        would have the token in them, are seen by everybody on the computer.
+        """
+        with suppress(webbrowser.Error, OSError):
+            if self._doorway is None:
+                self._doorway = tempfile.TemporaryDirectory(prefix="hmkcta-")
+            door = Path(self._doorway.name, "view.html")
+            there = escape(self.url)
+            door.write_text(f"<!doctype html><title>hmkcta</title><meta http-equiv=refresh content='0;url={there}'>"
+                            f"<a href='{there}'>Show the file</a>\n", encoding="utf-8")
+            return webbrowser.open(door.as_uri())
+        return False
 
 
 def serve(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | ArrayLike | None = None,
@@ -130,8 +117,8 @@ def serve(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | Ar
     """Serve the viewer and a file on 127.0.0.1.
 
     Args:
-        path: the `.hmk` file. It is checked here as `hmkcta.open` does, and again by the page, which reads it anew
-            at each reload.
+        path: the `.hmk` file. It is opened and checked here as `hmkcta.open` does; the page checks it again. A file
+            that takes its name later is not served.
         original: what to compare with: an array of the model's shape, or what NumPy makes one of; a file that
             `hmkcta.open_array` opens as one; or another `.hmk` file of that shape, whatever its axes are called.
         nan: value that stands for NaN and infinity in the original.
@@ -153,22 +140,26 @@ def serve(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | Ar
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     Model(example_metadata(), [example_level()]).save(f"{folder}/small.hmk")
     ...     with serve(f"{folder}/small.hmk", page={"/": Resource("text/html", data=b"page")}) as server:
-    ...         server.url == f"http://127.0.0.1:{server.port}/?file=files/small.hmk"
+    ...         server.url == f"http://127.0.0.1:{server.port}/?token={server.token}&file=files/small.hmk"
     True
     """
     expect("path", path, str | os.PathLike, "the path of an .hmk file", "save the model first: model.save(path)")
     expect("port", port, Integral, "a whole number")
-    file = Path(path)
-    metadata = open_model(file).metadata
-    table = dict(page if page is not None else installed_page())
-    table[f"/files/{file.name}"] = Resource("application/octet-stream", file)
+    name = Path(path).name
+    metadata, held = _held(path)
+    files = {f"/files/{name}": Resource("application/octet-stream", held=held)}
     # The page reads a parameter, and takes what it reads for an address: the name is quoted for both.
-    address = "files/" + quote(os.fsencode(file.name), safe=" ")
-    query = f"?file={quote(address)}"
-    if original is not None:
-        table["/original/original.hmk"] = _original(metadata, original, nan, progress)
-        query += "&original=original/original.hmk"
-    return Server(table, query, port)
+    query = "file=" + quote("files/" + quote(os.fsencode(name), safe=" "))
+    try:
+        shown = page if page is not None else installed_page()
+        if original is not None:
+            files["/original/original.hmk"] = _original(metadata, original, nan, progress)
+            query += "&original=original/original.hmk"
+        return Server(shown, files, query, port)
+    except BaseException:
+        for file in files.values():
+            file.close()
+        raise
 
 
 def view(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | ArrayLike | None = None,
@@ -196,20 +187,8 @@ def view(path: str | os.PathLike[str], *, original: str | os.PathLike[str] | Arr
     """
     server = serve(path, original=original, nan=nan, port=port, progress=progress)
     if browser:
-        is_opened(server.url)
+        server.open_browser()
     return server
-
-
-def is_opened(url: str) -> bool:
-    """Open an address in the browser; whether one could be.
-
-    >>> is_opened("http://127.0.0.1:8000/")  # doctest: +SKIP
-    True
-    """
-    try:
-        return webbrowser.open(url)
-    except (webbrowser.Error, OSError):
-        return False
 
 
 def installed_page() -> dict[str, Resource]:
@@ -243,118 +222,23 @@ def _original(
     """The original as a file that the page's decoder reads."""
     if isinstance(original, str | os.PathLike):
         if is_hmk(original):
-            check_shape(open_model(original).shape, like)
-            return Resource("application/octet-stream", Path(original))
+            metadata, held = _held(original)
+            try:
+                check_shape(tuple(axis.size for axis in metadata.axes), like)
+            except HmkctaError:
+                held.close()
+                raise
+            return Resource("application/octet-stream", held=held)
         original = open_array(os.fspath(original), progress=progress)
     metadata, level = verbatim(original, like, nan)
     return Resource("application/octet-stream", data=b"".join(encode(metadata, (level,))))
 
 
-class _Listener(ThreadingHTTPServer):
-    daemon_threads = True
-
-    def __init__(self, table: Mapping[str, Resource], port: int) -> None:
-        self.table = table
-        try:
-            super().__init__((HOST, port), _Handler)
-        except (OSError, OverflowError) as error:
-            raise HmkctaError(Kind.IO, "port-taken", f"port {port}", found=getattr(error, "strerror", error),
-                              allowed="a free port", hint="leave --port out to take any") from error
-
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        """A page that was closed in the middle of a request is nobody's business either."""
-        if not isinstance(sys.exception(), ConnectionError):
-            super().handle_error(request, client_address)
-
-
-class _Handler(BaseHTTPRequestHandler):
-    protocol_version = "HTTP/1.1"
-    server_version = "hmkcta"
-    sys_version = ""
-    timeout = 60
-
-    def do_GET(self) -> None:
-        self._answer(with_body=True)
-
-    def do_HEAD(self) -> None:
-        self._answer(with_body=False)
-
-    def log_message(self, format: str, *args: Any) -> None:
-        """Requests are nobody's business on the terminal."""
-
-    def _answer(self, with_body: bool) -> None:
-        listener = cast("_Listener", self.server)
-        port = int(listener.server_address[1])
-        if self.headers.get("Host") not in (f"{HOST}:{port}", f"localhost:{port}"):
-            self._refuse(HTTPStatus.MISDIRECTED_REQUEST)
-            return
-        try:
-            path = unquote(urlsplit(self.path).path, errors="surrogateescape")
-        except ValueError:
-            self._refuse(HTTPStatus.BAD_REQUEST)
-            return
-        resource = listener.table.get(path)
-        if resource is None:
-            self._refuse(HTTPStatus.NOT_FOUND)
-            return
-        try:
-            stream, size = resource.opened()
-        except OSError:
-            self._refuse(HTTPStatus.NOT_FOUND)
-            return
-        with stream:
-            self._send(resource, stream, size, with_body)
-
-    def _send(self, resource: Resource, stream: BinaryIO, size: int, with_body: bool) -> None:
-        span = _span(self.headers.get("Range"), size)
-        if span is None:
-            self._refuse(HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE, {"Content-Range": f"bytes */{size}"})
-            return
-        begin, end = span
-        partial = self.headers.get("Range") is not None and span != (0, size)
-        self.send_response(HTTPStatus.PARTIAL_CONTENT if partial else HTTPStatus.OK)
-        extra = {"Content-Range": f"bytes {begin}-{end - 1}/{size}"} if partial else {}
-        for name, value in {**HEADERS, "Content-Type": resource.content_type, "Content-Length": str(end - begin),
-                            "Accept-Ranges": "bytes", **extra}.items():
-            self.send_header(name, value)
-        self.end_headers()
-        if not with_body:
-            return
-        stream.seek(begin)
-        try:
-            while begin < end and (chunk := stream.read(min(CHUNK, end - begin))):
-                self.wfile.write(chunk)
-                begin += len(chunk)
-        except ConnectionError:  # the page was closed or reloaded
-            self.close_connection = True
-        if begin < end:  # the file became shorter meanwhile: the length that was announced cannot be kept
-            self.close_connection = True
-
-    def _refuse(self, status: HTTPStatus, extra: Mapping[str, str] = {}) -> None:
-        body = f"{status.value} {status.phrase}\n".encode()
-        self.send_response(status)
-        for name, value in {**HEADERS, "Content-Type": "text/plain", "Content-Length": str(len(body)), **extra}.items():
-            self.send_header(name, value)
-        self.end_headers()
-        if self.command != "HEAD":
-            self.wfile.write(body)
-
-
-def _span(header: str | None, size: int) -> tuple[int, int] | None:
-    """Begin and end of the bytes that a `Range` header asks for; all of them without one, None if there are none such.
-
-    What is not understood (several ranges, other units) is ignored, as HTTP has it.
-
-    >>> [_span(text, 10) for text in ("bytes=2-5", "bytes=8-", "bytes=-3", "bytes=10-", "lines=1")]
-    [(2, 6), (8, 10), (7, 10), None, (0, 10)]
-    """
-    found = _RANGE.fullmatch(header.strip()) if header is not None else None
-    if found is None or found.groups() == ("", ""):
-        return 0, size
-    first, last = found.groups()
-    if not first:
-        return (max(0, size - int(last)), size) if int(last) and size else None
-    begin, end = int(first), min(size, int(last) + 1) if last else size
-    if begin >= size:
-        return None
-    return (begin, end) if begin < end else (0, size)
+def _held(path: str | os.PathLike[str]) -> tuple[Metadata, Held]:
+    """A file's metadata, and the file itself: what was checked is what is served."""
+    file: FileIO = open_regular(path)
+    try:
+        return load_open(file, path)[0], Held(file)
+    except BaseException:
+        file.close()
+        raise

@@ -75,6 +75,27 @@ describe.runIf(there)("the page in Chromium", () => {
     expect(await readAt(width / 2, height / 2 - width / 4 - 5), "above the picture").toBe(null);
   });
 
+  it("takes the token off its address, and is reloaded without it", async () => {
+    const refused: string[] = [];
+    await open("stack.hmk", "&panel=closed");
+    await reached(page, "ready");
+    const address = page.url();
+    expect(address).toMatch(/^http:\/\/127.0.0.1:\d+\/\?file=files\/stack.hmk&panel=closed$/);
+    expect(await page.evaluate(() => document.cookie)).toBe("");
+    page.on("response", (response) => {
+      if (response.status() >= 400) {
+        refused.push(response.url());
+      }
+    });
+    await page.reload();
+    await reached(page, "ready");
+    expect(refused).toEqual([]);
+    await page.evaluate(() => sessionStorage.clear()); // as with somebody who knows the address alone
+    await page.reload();
+    await reached(page, "failed");
+    expect(await page.getByRole("alert").textContent()).toContain("open the whole address that hmkcta view printed");
+  });
+
   it("has the divider of a picture of fixed size where its sides meet", async () => {
     await open("material.hmk", "&pixels=96x192");
     await reached(page, "ready");

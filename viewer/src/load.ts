@@ -2,9 +2,8 @@
 
 import { LENGTH_BYTES, headerLength } from "./reader/header";
 import { DEFAULT_LIMITS, type Limits, ON_GPU } from "./reader/limits";
-import { START, recognised } from "./reader/lookalikes";
+import { START, checkStart as checkFormat } from "./reader/lookalikes";
 import { Reading } from "./reader/read";
-import { HmkError } from "./reader/reasons";
 import type { ByteSource } from "./stream";
 
 /** What the viewer takes less of than other readers. */
@@ -49,18 +48,11 @@ async function readTables(source: ByteSource, limits: Limits): Promise<Reading> 
 
 /** Read the header; what is no `.hmk` file at all is told by what it looks like. */
 async function begin(source: ByteSource, limits: Limits): Promise<Reading> {
-  try {
-    await source.upTo(LENGTH_BYTES);
-    const length = headerLength(source.bytes, source.size, limits);
-    await source.upTo(LENGTH_BYTES + length);
-    return new Reading(source.bytes.subarray(LENGTH_BYTES, LENGTH_BYTES + length), source.size, limits);
-  } catch (error) {
-    if (!(error instanceof HmkError)) {
-      throw error;
-    }
-    await source.upTo(START).catch(() => undefined);
-    throw recognised(error, source.bytes.subarray(0, Math.min(START, source.have)));
-  }
+  await source.upTo(START);
+  checkFormat(source.bytes.subarray(0, START), source.size, limits);
+  const length = headerLength(source.bytes, source.size, limits);
+  await source.upTo(LENGTH_BYTES + length);
+  return new Reading(source.bytes.subarray(LENGTH_BYTES, LENGTH_BYTES + length), source.size, limits);
 }
 
 /** Fetch while shaders are compiled and pictures drawn; one promise an end, each kept when its bytes are there. */

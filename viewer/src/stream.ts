@@ -2,6 +2,7 @@
 
 import { formatBytes } from "./bytes";
 import { Problem } from "./problem";
+import { fault } from "./reader/reasons";
 
 const FIRST = 65536;
 const TRIES = 3;
@@ -62,7 +63,7 @@ export class BlobSource extends ByteSource {
     try {
       this.add(new Uint8Array(await this.file.slice(this.have, end).arrayBuffer()));
     } catch (error) {
-      throw new Problem(`${this.name} can no longer be read.`, String(error), "Choose it again.");
+      throw fault("unreadable", this.name, String(error), "a file that can be read", "choose it again");
     }
   }
 }
@@ -137,8 +138,22 @@ class BodySource extends ByteSource {
   }
 }
 
+/** What a host wants to see before it gives a file, and which host that is. */
+export interface Pass {
+  readonly origin: string;
+  readonly token: string;
+}
+
+let pass: Pass | null = null;
+
+/** Show this to its host, and to no other, with everything that is asked of it from now on. */
+export function present(shown: Pass | null): void {
+  pass = shown;
+}
+
 async function request(url: URL, headers: Record<string, string>, signal: AbortSignal | null = null): Promise<Response> {
-  return fetch(url, { headers, signal, cache: "no-cache", credentials: "same-origin" });
+  const shown = pass?.origin === url.origin ? { ...headers, Authorization: `Bearer ${pass.token}` } : headers;
+  return fetch(url, { headers: shown, signal, cache: "no-cache", credentials: "same-origin" });
 }
 
 /** The address of a file named on the page's address: http or https, nothing else. */
@@ -197,7 +212,7 @@ function refused(name: string, host: string, status: number): Problem {
   }
   if (status === 401 || status === 403) {
     return new Problem(`${host} does not allow this page to load ${name}: status ${status}.`, "",
-      "Ask whoever runs that server, or log in there first.");
+      "Ask whoever runs that server, log in there first, or open the whole address that hmkcta view printed.");
   }
   return new Problem(status === 404 ? `There is no file ${name} on ${host}.` : `${host} refused ${name} with status ${status}.`, "",
     "Check the address.");

@@ -4,7 +4,7 @@ import { type RequestListener, createServer } from "node:http";
 import type { AddressInfo } from "node:net";
 import { describe, expect, it } from "vitest";
 import { Problem } from "../src/problem";
-import { openUrl } from "../src/stream";
+import { openUrl, present } from "../src/stream";
 
 const whole = Uint8Array.from({ length: 200_000 }, (_, i) => (7 * i + (i >> 8)) % 256);
 
@@ -102,6 +102,28 @@ describe("a file from its address", () => {
       server.closeAllConnections();
       server.close();
     }
+  });
+
+  it("is asked for with the pass of its host, which no other host sees", async () => {
+    const seen: (string | undefined)[] = [];
+    const server = createServer((request, response) => {
+      seen.push(request.headers.authorization);
+      response.end(whole);
+    });
+    await new Promise<void>((resolve) => server.listen(0, "127.0.0.1", resolve));
+    const url = new URL(`http://127.0.0.1:${(server.address() as AddressInfo).port}/a.hmk`);
+    try {
+      for (const pass of [null, { origin: url.origin, token: "abc" }, { origin: "http://127.0.0.1:1", token: "abc" }]) {
+        present(pass);
+        const source = await openUrl(url);
+        await source.upTo(source.size);
+      }
+    } finally {
+      present(null);
+      server.closeAllConnections();
+      server.close();
+    }
+    expect(seen).toEqual([undefined, "Bearer abc", undefined]);
   });
 
   it("is asked for once where the host ignores Range", async () => {

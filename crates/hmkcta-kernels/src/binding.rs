@@ -3,8 +3,9 @@
 use crate::cell_pairs::Pairs;
 use crate::cells::{Node, Shape};
 use crate::packed::{Level, MOST_MODES, Ragged};
+use crate::sizes::{has_room, product};
 use numpy::{Element, PyReadonlyArray1};
-use pyo3::exceptions::PyValueError;
+use pyo3::exceptions::{PyMemoryError, PyValueError};
 use pyo3::prelude::*;
 
 type Array<'py, T> = PyReadonlyArray1<'py, T>;
@@ -32,10 +33,18 @@ pub struct Arrays<'py> {
     local: OfModes<'py, u32>,
 }
 
+/// Levels that a model has at most: the tree of its nodes is walked down level by level.
+const MOST_LEVELS: usize = 1024;
+/// Rounds of whatever kind that may be asked for: more would not end in this life.
+const MOST_ROUNDS: usize = 1_000_000;
+
 /// The levels, each of as many modes as the others.
 pub fn levels<'a>(arrays: &'a [Arrays]) -> PyResult<Vec<Level<'a>>> {
     let levels = arrays.iter().map(Arrays::level).collect::<PyResult<Vec<_>>>()?;
     let order = levels.first().map_or(0, Level::order);
+    if levels.len() > MOST_LEVELS {
+        return Err(PyValueError::new_err(format!("a model has up to {MOST_LEVELS} levels, got {}", levels.len())));
+    }
     if order == 0 || order > MOST_MODES || levels.iter().any(|level| level.order() != order) {
         return Err(PyValueError::new_err(format!("a model has 1 to {MOST_MODES} modes, the same in every level")));
     }
@@ -96,6 +105,35 @@ pub fn check_length(what: &str, length: usize, expected: usize) -> PyResult<()> 
     Err(PyValueError::new_err(format!("{what} must hold {expected} numbers, got {length}")))
 }
 
+/// The product of sizes as Python gave them.
+pub fn count<I: IntoIterator<Item = usize, IntoIter: Clone>>(sizes: I) -> PyResult<usize> {
+    product(sizes).map_err(PyValueError::new_err)
+}
+
+/// How many numbers come out, if there is room for them.
+pub fn room_for<T>(what: &str, sizes: impl IntoIterator<Item = usize, IntoIter: Clone>) -> PyResult<usize> {
+    let count = count(sizes)?;
+    if has_room::<T>(count) {
+        return Ok(count);
+    }
+    Err(PyMemoryError::new_err(format!("there is no memory for {what} of {count} numbers")))
+}
+
+/// Refuse rows that would be taken for others: nodes have as many as 32 bits count.
+pub fn check_indices(rows: &[i64]) -> PyResult<()> {
+    match rows.iter().find(|&&row| u32::try_from(row).is_err()) {
+        Some(row) => Err(PyValueError::new_err(format!("no mode has a row {row}"))),
+        None => Ok(()),
+    }
+}
+
+pub fn check_rounds(what: &str, rounds: usize) -> PyResult<()> {
+    if rounds <= MOST_ROUNDS {
+        return Ok(());
+    }
+    Err(PyValueError::new_err(format!("{what} must be up to {MOST_ROUNDS}, got {rounds}")))
+}
+
 pub fn check_bases<B: AsRef<[f32]>>(node: &Node, bases: &[B]) -> PyResult<()> {
     check_length("the list of bases", bases.len(), node.order())?;
     bases
@@ -105,7 +143,7 @@ pub fn check_bases<B: AsRef<[f32]>>(node: &Node, bases: &[B]) -> PyResult<()> {
 }
 
 pub fn check_tensor(node: &Node, length: usize) -> PyResult<()> {
-    check_length("the tensor", length, node.sizes.iter().product())
+    check_length("the tensor", length, count(node.sizes.iter().copied())?)
 }
 
 pub fn check_cores(node: &Node, length: usize) -> PyResult<()> {
@@ -148,11 +186,15 @@ pub fn cores_of<'a>(node: &Node, cores: &'a Floats) -> PyResult<&'a [f32]> {
 /// All pairs of as many cells as have so many numbers in their cores.
 pub fn pairs_of<'a>(ranks: &'a [usize], products: &'a [&'a [f64]], cores: usize) -> PyResult<Pairs<'a>> {
     check_length("the list of products", products.len(), ranks.len())?;
-    let cells = cores / ranks.iter().product::<usize>().max(1);
+    if ranks.is_empty() || ranks.len() > crate::cells::MOST_MODES || ranks.contains(&0) {
+        return Err(PyValueError::new_err(format!("a core has ranks of 1 and more, got {ranks:?}")));
+    }
+    let size = count(ranks.iter().copied())?;
+    let cells = cores / size;
     let pairs = Pairs { cells, ranks, products };
-    check_length("the cores", cores, cells * pairs.core_size())?;
-    pairs
-        .modes(None)
-        .try_for_each(|m| check_length(&format!("product {}", m + 1), products[m].len(), (cells * ranks[m]).pow(2)))?;
+    check_length("the cores", cores, cells * size)?;
+    pairs.modes(None).try_for_each(|m| {
+        check_length(&format!("product {}", m + 1), products[m].len(), count([cells, ranks[m], cells, ranks[m]])?)
+    })?;
     Ok(pairs)
 }

@@ -140,6 +140,7 @@ impl Part<'_> {
     #[inline(always)]
     unsafe fn combine<S: Simd, const B: usize, const V: usize>(self, simd: S) {
         let Part { cores, core_steps, basis, width, out, out_steps, sizes: (tuples, rank, rank_b) } = self;
+        // SAFETY: as the caller promises.
         unsafe {
             let row = |r: usize| -> [S::f32s; V] {
                 let at = basis.as_ptr().add(r * width).cast::<S::f32s>();
@@ -262,6 +263,9 @@ impl Tiles<'_> {
     }
 
     /// Lines of `M` rows, `V` vectors of the members of one cluster of mode b, which stay in registers.
+    ///
+    /// # Safety
+    /// Lines, padded to whole vectors, have these members, and `out` has `M` lines.
     #[inline(always)]
     unsafe fn tile<S: Simd, const M: usize, const V: usize>(&self, simd: S, c: usize, first: usize, out: &mut [f32]) {
         let &Tiles { lines, choices, group, panels, .. } = self;
@@ -269,6 +273,7 @@ impl Tiles<'_> {
         let line = lines.places.line();
         let start = lines.places.segments[c] + first * S::F32_LANES;
         let mut sums = [[simd.splat_f32s(0.0); V]; M];
+        // SAFETY: as the caller promises.
         unsafe {
             let (basis, panels) = (group.basis.as_ptr().add(c * rank * ROWS), panels.as_ptr().add(start));
             for choice in choices {

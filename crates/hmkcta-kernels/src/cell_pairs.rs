@@ -1,5 +1,6 @@
 //! Pairs of cells by the inner products of their bases. The lanes of a vector are cells.
 
+use crate::sizes::zeros;
 use crate::threads::{count, for_each};
 use pulp::Simd;
 
@@ -35,7 +36,7 @@ const WIDE: usize = 8;
 
 impl Laid {
     pub fn new(cells: usize, size: usize, mut numbers: impl Iterator<Item = f64>) -> Self {
-        let mut laid = Laid { size, numbers: vec![0.0; cells.next_multiple_of(WIDE) * size] };
+        let mut laid = Laid { size, numbers: zeros(cells.next_multiple_of(WIDE) * size) };
         for cell in 0..cells {
             let places = laid.place(cell)..;
             laid.numbers[places].iter_mut().step_by(WIDE).zip(numbers.by_ref().take(size)).for_each(|(to, z)| *to = z);

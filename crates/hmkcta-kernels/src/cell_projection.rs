@@ -3,6 +3,7 @@
 use crate::cells::Node;
 use crate::chain::{Chain, unfold};
 use crate::gemm::{Matrix, multiply};
+use crate::sizes::zeros;
 use crate::threads::{PARALLEL, Scratch, for_each, room, with_scratch};
 use crate::tree::Tree;
 
@@ -15,7 +16,7 @@ const GATHERED: usize = 256 * 1024;
 /// `Y_n[c] = T x_{m != n} U_{m,c}^T` for all rows of mode `n`: `[PC, I_n, prod_{m != n} R_m]`, zero for empty cells.
 pub fn project_cells(node: Node, tensor: &[f32], bases: &[&[f32]], n: usize) -> Vec<f32> {
     let size = node.core_size() / node.ranks[n] * node.sizes[n];
-    let mut all = vec![0.0f32; node.cells() * size];
+    let mut all = zeros(node.cells() * size);
     let tree = Tree::new(node, bases, Some(n), |_| true);
     let projection = Projection::new(&tree, tensor, n);
     let mut targets: Vec<Option<&mut [f32]>> = all.chunks_exact_mut(size).map(Some).collect();
@@ -29,7 +30,7 @@ pub fn project_cells(node: Node, tensor: &[f32], bases: &[&[f32]], n: usize) -> 
         })
         .collect();
     for_each(parallel, tasks, |(group, targets)| {
-        let mut y = vec![0.0; group.len() * size];
+        let mut y = zeros(group.len() * size);
         projection.descend(0, 0, group, &mut vec![Level::default(); tree.depth], &mut y);
         for (target, y) in targets.into_iter().zip(y.chunks_exact(size)) {
             unfold(false, y, &projection.sizes, n, target);

@@ -1,8 +1,13 @@
 //! The cells (clusters c = c_1..c_N) of one node: which rows belong to a cell and where its basis rows are stored.
 
+use crate::sizes::{product, zeros};
 use crate::sorting::Sorting;
 use crate::transpose::{SIDE, turn_over};
 
+/// Modes of a node at most; trees are walked down mode by mode.
+pub const MOST_MODES: usize = 64;
+/// Clusters of a mode, whose numbers are kept in 16 bits.
+const MOST_CLUSTERS: usize = 1 << 16;
 /// Rows transposed at a time, so that a cache line is used up before it is dropped.
 const TILE: usize = 64;
 
@@ -44,17 +49,19 @@ impl<'a> Node<'a> {
         let (sizes, clusters, mixture, ranks, undecomposed) = shape;
         let order = sizes.len();
         let lengths = [clusters.len(), mixture.len(), ranks.len(), undecomposed.len(), members.len()];
-        if order == 0 || lengths.iter().any(|&length| length != order) {
+        if order == 0 || order > MOST_MODES || lengths.iter().any(|&length| length != order) {
             return Err(format!(
-                "a node of order {order} needs as many C, K, R, flags and memberships, got {lengths:?}"
+                "a node of order {order}, of up to {MOST_MODES}, needs as many C, K, R, flags and memberships, \
+                 got {lengths:?}"
             ));
         }
         for n in 0..order {
             let (size, c, k, r) = (sizes[n], clusters[n], mixture[n], ranks[n]);
             let mode = n + 1;
-            if size == 0 || c == 0 || k == 0 || k > c || r == 0 {
+            let countable = u32::try_from(size).is_ok() && c <= MOST_CLUSTERS;
+            if size == 0 || k == 0 || k > c || r == 0 || !countable {
                 return Err(format!(
-                    "mode {mode} needs a row, R >= 1 and 1 <= K <= C, got {size} rows, R={r} C={c} K={k}"
+                    "mode {mode} needs a row, R >= 1 and 1 <= K <= C <= {MOST_CLUSTERS}, got {size} rows, R={r} C={c} K={k}"
                 ));
             }
             if undecomposed[n] && (r != size || c != 1) {
@@ -62,11 +69,12 @@ impl<'a> Node<'a> {
             }
             check_members(members[n], size, c, k).map_err(|what| format!("memberships of mode {mode}: {what}"))?;
         }
-        let product = |of: &[usize]| of.iter().try_fold(1usize, |product, &x| product.checked_mul(x));
-        let cells = product(&clusters).zip(product(&ranks)).and_then(|(cells, size)| cells.checked_mul(size));
-        let basis = |n: usize| cells.and_then(|numbers| numbers.checked_mul(members[n].len()));
-        if (0..order).any(|n| basis(n).is_none()) {
-            return Err(format!("C {clusters:?} and R {ranks:?} make more numbers than can be counted"));
+        // With these every product that the kernels form of a node can be counted.
+        product(sizes.iter().zip(&ranks).map(|(&size, &rank)| size.max(rank)))?;
+        product(clusters.iter().chain(&ranks).copied())?;
+        for n in 0..order {
+            let others = (0..order).filter(|&m| m != n).map(|m| clusters[m]);
+            product([members[n].len(), ranks[n]].into_iter().chain(others))?;
         }
         let subsets = (0..order).map(|n| invert(members[n], clusters[n], mixture[n])).collect();
         Ok(Node { sizes, clusters, mixture, ranks, undecomposed, members, subsets })
@@ -167,7 +175,7 @@ impl<'a> Node<'a> {
         let slots = &self.subsets[n][cell.subset[n]].slots;
         let (rank, rows) = (self.ranks[n], slots.len());
         let numbers = |slot: u32| &stored[self.offset(cell, n, slot as usize)..][..rank];
-        let mut basis = vec![0.0; rank * rows];
+        let mut basis = zeros(rank * rows);
         let (fours, rest) = slots.as_chunks::<SIDE>();
         for (four, slots) in fours.iter().enumerate() {
             turn_over(slots.map(numbers), &mut basis[four * SIDE..], rows);
@@ -183,7 +191,7 @@ impl<'a> Node<'a> {
         let (clusters, mixture, rank) = (self.clusters[n], self.mixture[n], self.ranks[n]);
         let behind: usize = self.clusters[n + 1..].iter().product();
         let step = self.sizes[n] * rank;
-        let mut dense = vec![0.0; self.cells() * step];
+        let mut dense = zeros(self.cells() * step);
         let slots = stored.chunks_exact(self.combinations(n) * rank).zip(self.members[n]).enumerate();
         for (at, (numbers, &k)) in slots {
             let row = at / mixture * rank;
@@ -212,7 +220,7 @@ impl<'a> Node<'a> {
 
 /// K_n distinct subsets below C_n for each of `size` rows.
 pub fn check_members(members: &[u16], size: usize, clusters: usize, mixture: usize) -> Result<(), String> {
-    if members.len() != size * mixture {
+    if Some(members.len()) != size.checked_mul(mixture) {
         return Err(format!("{size} x {mixture} numbers expected, got {}", members.len()));
     }
     for (i, subsets) in members.chunks_exact(mixture).enumerate() {

@@ -7,9 +7,13 @@ use crate::dictionary::{Dictionary, Given};
 use crate::elimination::{
     BLOCK, Rows, backward, eliminate, forward, subtract_gram, subtract_product, subtract_transposed,
 };
+use crate::sizes::zeros;
 
 /// A subset must be better by so much of the gain, so that ties go to the one seen first.
 const TIE: f64 = 1e-9;
+
+/// Subsets of clusters that are looked at one by one, at the most.
+const MOST_SUBSETS: usize = 1 << 20;
 
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Search {
@@ -191,11 +195,18 @@ impl Panel {
 /// Some of the columns, filled up to whole blocks.
 fn pick(y: &[f64], columns: usize, places: &[u32]) -> Vec<f64> {
     let width = places.len().next_multiple_of(BLOCK);
-    let mut picked = vec![0.0; y.len() / columns * width];
+    let mut picked = zeros(y.len() / columns * width);
     for (from, to) in y.chunks_exact(columns).zip(picked.chunks_exact_mut(width)) {
         to.iter_mut().zip(places).for_each(|(to, &place)| *to = from[place as usize]);
     }
     picked
+}
+
+/// Whether all subsets can be looked at.
+pub fn is_few(clusters: usize, mixture: usize) -> bool {
+    let few = |subsets: &usize| *subsets <= MOST_SUBSETS;
+    let steps = (0..mixture.min(clusters - mixture)).map(|k| (clusters - k, k + 1));
+    steps.into_iter().try_fold(1usize, |subsets, (of, by)| Some(subsets * of / by).filter(few)).is_some()
 }
 
 /// All subsets of so many clusters, in order, for all rows.

@@ -3,7 +3,8 @@
 //! A mode may merge axes of the array, and any of its rows may be wanted: where a row lies is told by its offset, and an
 //! element lies where the offsets of its rows add up to.
 
-use crate::binding::check_length;
+use crate::binding::{check_length, count};
+use crate::guard;
 use numpy::{Element, PyArrayMethods, PyReadonlyArray1, PyReadonlyArrayDyn, PyReadwriteArray1, PyUntypedArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -12,6 +13,8 @@ use pyo3::prelude::*;
 const LINE: usize = 64;
 /// Numbers of a line of the tensor that are collected before those of its neighbours: their cache lines stay at hand.
 const CHUNK: usize = 256;
+/// How far apart rows of a mode may lie, in elements: sums over all modes can be counted.
+const MOST_OFFSET: u64 = 1 << 56;
 /// Elements of a line of the tensor, at the least, if there are as many.
 const LONG: usize = 64;
 
@@ -56,29 +59,31 @@ fn collected<T: Element + Copy>(
     change: impl Fn(T) -> T + Send,
 ) -> PyResult<()> {
     let (offsets, out) = (crate::binding::slices(offsets)?, out.as_slice_mut()?);
-    check_length("out", out.len(), offsets.iter().map(|rows| rows.len()).product())?;
-    if !out.is_empty() {
-        check(array, &offsets)?;
-        let start = array.data() as usize;
-        // SAFETY: every sum of offsets lies between the first and the last element of the array, which lives as long.
-        py.detach(|| unsafe { Lines::new::<T>(&offsets).copy(start as *const T, out, change) });
+    check_length("out", out.len(), count(offsets.iter().map(|rows| rows.len()))?)?;
+    if out.is_empty() {
+        return Ok(());
     }
-    Ok(())
+    check(array, &offsets)?;
+    let start = array.data() as usize;
+    // SAFETY: every sum of offsets lies between the first and the last element of the array, which is aligned and lives
+    // as long; `out` has an element for each of them.
+    guard::run(py, || unsafe { Lines::new::<T>(&offsets).copy(start as *const T, out, change) })
 }
 
-/// Refuse offsets that lead out of the array.
+/// Refuse offsets that lead out of the array, of which every mode has some.
 fn check<T: Element>(array: &PyReadonlyArrayDyn<T>, offsets: &[&[i64]]) -> PyResult<()> {
     let size = size_of::<T>() as isize;
     let (mut least, mut most) = (0, 0);
     for (&stride, &length) in array.strides().iter().zip(array.shape()) {
-        let last = (length as i64 - 1) * (stride / size) as i64;
+        let last = (length as i128 - 1) * (stride / size) as i128;
         (least, most) = (least + last.min(0), most + last.max(0));
     }
-    let ends =
-        |of: fn(&i64, i64) -> i64, from| offsets.iter().map(|rows| rows.iter().fold(from, |a, b| of(b, a))).sum();
-    let (first, last): (i64, i64) = (ends(|&a, b| a.min(b), i64::MAX / 64), ends(|&a, b| a.max(b), i64::MIN / 64));
-    let aligned = array.strides().iter().all(|stride| stride % size == 0);
-    if aligned && !array.shape().contains(&0) && least <= first && last <= most {
+    let ends = |rows: &&[i64]| rows.iter().fold((i64::MAX, i64::MIN), |(a, b), &row| (a.min(row), b.max(row)));
+    let add = |(first, last), (a, b): (i64, i64)| (first + i128::from(a), last + i128::from(b));
+    let (first, last) = offsets.iter().map(ends).fold((0, 0), add);
+    let far = offsets.iter().map(ends).any(|(a, b)| a.unsigned_abs().max(b.unsigned_abs()) > MOST_OFFSET);
+    let even = array.is_aligned() && array.strides().iter().all(|stride| stride % size == 0);
+    if even && !far && !array.shape().contains(&0) && least <= first && last <= most {
         return Ok(());
     }
     Err(PyValueError::new_err(format!("offsets from {first} to {last} lead out of an array of {least} to {most}")))
@@ -136,6 +141,7 @@ impl<'a> Lines<'a> {
                 }
                 None => (&[0][..], from, 0),
             };
+            // SAFETY: the caller promises elements at all sums of offsets, and these are some.
             unsafe { self.lines(start, from, rows, &mut to[place..], apart, &change) };
             // The next rows, the last mode's first.
             let Some(n) = (0..sizes.len()).rev().find(|&n| at[n] + self.together(n, at[n]) < sizes[n]) else { return };
@@ -150,6 +156,9 @@ impl<'a> Lines<'a> {
     }
 
     /// Lines that lie so far from each other in the tensor, from rows that share cache lines.
+    ///
+    /// # Safety
+    /// That of `copy`, for these rows.
     #[inline]
     unsafe fn lines<T: Copy>(
         &self,
@@ -163,6 +172,7 @@ impl<'a> Lines<'a> {
         for (number, chunk) in self.within.chunks(CHUNK).enumerate() {
             for (beside, row) in rows.iter().enumerate() {
                 let line = to[beside * apart + number * CHUNK..][..chunk.len()].iter_mut();
+                // SAFETY: as the caller promises.
                 unsafe {
                     let from = start.offset((from + row) as isize);
                     match self.step {

@@ -1,6 +1,7 @@
 //! A further mode summed over, lane by lane, after `pair_projection.rs`.
 
 use crate::machine::dispatch;
+use crate::sizes::zeros;
 use crate::threads::{PARALLEL, for_each};
 use pulp::{Simd, WithSimd};
 
@@ -9,7 +10,7 @@ use pulp::{Simd, WithSimd};
 /// `P` is `[before, J, after, lanes]`, `W` `[J, R, lanes]`, the result `[before, after, R, lanes]`.
 pub fn contract_lanes(p: &[f32], w: &[f32], sizes: [usize; 3], rank: usize, lanes: usize) -> Vec<f32> {
     let [before, size, after] = sizes;
-    let mut y = vec![0.0f32; before * after * rank * lanes];
+    let mut y = zeros(before * after * rank * lanes);
     let tasks = y.chunks_mut(rank * lanes).enumerate().collect();
     for_each(p.len() >= PARALLEL, tasks, |(at, y)| {
         y.fill(0.0); // as pages of fresh zeros are not to be read first

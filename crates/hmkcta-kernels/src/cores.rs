@@ -2,6 +2,7 @@
 
 use crate::cell_pairs::{Laid, Pairs};
 use crate::machine::dispatch;
+use crate::sizes::zeros;
 use pulp::{Simd, WithSimd};
 
 /// Where what is left of the right sides, squared, is a smaller share of them, the cores are exact.
@@ -37,7 +38,7 @@ pub fn solve_cores(pairs: &Pairs, cores: &mut [f32], b: &[f64], steps: usize) {
 /// `G Z`
 fn normal(pairs: &Pairs, z: &Laid) -> Laid {
     let (cells, size) = (pairs.cells, pairs.core_size());
-    let mut g = vec![0.0; cells * size];
+    let mut g = zeros(cells * size);
     pairs.share_cells(&mut g, |from, g| dispatch(Rows { pairs, from, z, g }));
     Laid::new(cells, size, g.into_iter())
 }

@@ -7,6 +7,7 @@
 use crate::element::Elements;
 use crate::packed::{Level, NodeView};
 use crate::part::{Part, Requested};
+use crate::sizes::zeros;
 use crate::threads::for_each;
 
 /// Elements of a run: many, since each run widens the numbers of its nodes for itself.
@@ -92,7 +93,7 @@ impl Walk<'_> {
         }
         let Some(first) = level.first_child(s).filter(|_| depth + 1 < self.levels.len()) else { return Ok(()) };
         let parts: Vec<Vec<Requested>> =
-            (0..node.order).map(|n| split(level, s, n, node.clusters[n], requested[n])).collect();
+            (0..node.order).map(|n| split(level, s, n, node.clusters[n], requested[n])).collect::<Result<_, _>>()?;
         for flat in 0..node.cells() {
             let mut rest = flat;
             let mut chosen = vec![];
@@ -126,7 +127,7 @@ impl Walk<'_> {
             }
             return Ok(());
         }
-        let mut model = vec![0.0; part.len()];
+        let mut model = zeros(part.len());
         part.accumulate(&mut model)?;
         part.put(&model, &self.sizes, self.out);
         Ok(())
@@ -140,15 +141,16 @@ fn halves(requested: &Requested) -> [Requested; 2] {
 }
 
 /// The requested rows of one mode by the part they go to, with their positions in it.
-fn split(level: &Level, s: usize, n: usize, parts: usize, requested: &Requested) -> Vec<Requested> {
+fn split(level: &Level, s: usize, n: usize, parts: usize, requested: &Requested) -> Result<Vec<Requested>, String> {
     let mut all = vec![Requested::default(); parts];
-    let way = level.way_down(s, n);
+    let way = level.way_down(s, n)?;
     for (&position, &place) in requested.pos.iter().zip(&requested.place) {
-        let (part, local) = way.of(position);
-        all[part].pos.push(local);
-        all[part].place.push(place);
+        let (part, local) = way.of(position)?;
+        let part = all.get_mut(part).ok_or_else(|| format!("node {s} has no part {part}"))?;
+        part.pos.push(local);
+        part.place.push(place);
     }
-    all
+    Ok(all)
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! A mode's dictionary by its inner products, H and b, cluster after cluster and with columns of length one.
 
 use crate::elimination::BLOCK;
+use crate::sizes::zeros;
 
 /// Ridge on H relative to its diagonal: keeps collinear dictionaries solvable, costs nothing visible in SNR.
 const RIDGE: f64 = 1e-7;
@@ -42,7 +43,7 @@ impl Dictionary {
         let length: Vec<f64> = diagonal.map(|square| if square > 0.0 { square.sqrt() } else { 1.0 }).collect();
         let inverse: Vec<f64> = length.iter().map(|length| length.recip()).collect();
         let wide = clusters * padded;
-        let (mut h, mut b) = (vec![0.0; wide * wide], vec![0.0; wide * columns]);
+        let (mut h, mut b) = (zeros(wide * wide), zeros(wide * columns));
         for at in 0..wide {
             let (k, i) = (at / padded, at % padded);
             let line = &mut h[at * wide..][..wide];

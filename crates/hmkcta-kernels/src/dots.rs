@@ -119,6 +119,9 @@ fn inner_products<S: Simd, const M: usize, const N: usize>(
 }
 
 /// `sums[i][j] += a[i] * b[j]` for the vectors at `at`.
+///
+/// # Safety
+/// All rows have a vector of numbers from there on, or what the mask enables.
 #[inline(always)]
 unsafe fn add_products<S: Simd, const M: usize, const N: usize, const MASKED: bool>(
     simd: S,
@@ -128,6 +131,7 @@ unsafe fn add_products<S: Simd, const M: usize, const N: usize, const MASKED: bo
     at: usize,
     mask: MemMask<S::m32s>,
 ) {
+    // SAFETY: as the caller promises.
     unsafe {
         let mut right = [simd.splat_f32s(0.0); N];
         for (value, row) in right.iter_mut().zip(b) {
@@ -142,8 +146,11 @@ unsafe fn add_products<S: Simd, const M: usize, const N: usize, const MASKED: bo
     }
 }
 
+/// # Safety
+/// `from` points to a vector of numbers, or to what the mask enables.
 #[inline(always)]
 unsafe fn read<S: Simd, const MASKED: bool>(simd: S, from: *const f32, mask: MemMask<S::m32s>) -> S::f32s {
+    // SAFETY: as the caller promises: a vector of numbers is there, or what the mask enables.
     unsafe { if MASKED { simd.mask_load_ptr_f32s(mask, from) } else { from.cast::<S::f32s>().read_unaligned() } }
 }
 

@@ -288,15 +288,19 @@ impl<T: Real> Cell<T> {
                         of_inner = m.multiply_add(m.splat(weight), numbers, of_inner);
                         line += self.width;
                     }
+                    // SAFETY: as above.
                     of_mid = m.multiply_add(m.splat(unsafe { *self.mid.add(b) }), of_inner, of_mid);
                 }
                 sum = match self.outer {
+                    // SAFETY: as above.
                     Some(outer) => m.multiply_add(m.splat(unsafe { *outer.add(a) }), of_mid, sum),
                     None => of_mid,
                 };
             }
             let last = match self.beside {
+                // SAFETY: as above.
                 Some(beside) => unsafe { m.products(beside, self.last) },
+                // SAFETY: as above.
                 None => unsafe { m.load(self.last.add(from)) },
             };
             lanes = m.multiply_add(sum, last, lanes);

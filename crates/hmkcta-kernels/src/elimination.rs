@@ -127,12 +127,15 @@ impl WithSimd for Product<'_> {
 }
 
 impl Product<'_> {
+    /// # Safety
+    /// Slices hold all rows and columns, both whole blocks.
     #[inline(always)]
     unsafe fn blocks<S: Simd, const M: usize>(&mut self, simd: S) {
         let pair = 2 * S::F64_LANES;
         for row in (0..self.out.len().div_ceil(self.step)).step_by(M) {
             let first = if self.upper { row - row % BLOCK } else { 0 };
             let whole = self.columns - (self.columns - first) % pair;
+            // SAFETY: as the caller promises; whole blocks of rows and columns are there.
             unsafe {
                 for column in (first..whole).step_by(pair) {
                     self.tile::<S, M, 2>(simd, row, column);
@@ -145,10 +148,15 @@ impl Product<'_> {
     }
 
     /// `M` rows of `V` vectors of columns, which stay in registers.
+    ///
+    /// # Safety
+    /// Slices hold these rows and columns.
     #[inline(always)]
     unsafe fn tile<S: Simd, const M: usize, const V: usize>(&mut self, simd: S, row: usize, column: usize) {
+        // SAFETY: places of whole vectors of columns, which the caller promises.
         let at = |from: *const f64, v: usize| unsafe { from.add(v * S::F64_LANES).cast::<S::f64s>() };
         let mut sums = [[simd.splat_f64s(0.0); V]; M];
+        // SAFETY: as the caller promises: `M` rows and `V` vectors of columns from here on are within the slices.
         unsafe {
             let mut a = self.a.as_ptr().add(row * self.a_steps.1);
             let mut b = self.b.numbers.as_ptr().add(column);
@@ -224,6 +232,7 @@ impl WithSimd for Apply<'_> {
         for column in (0..columns).step_by(S::F64_LANES) {
             // SAFETY: all eight rows have these columns.
             let at = |i: usize| unsafe { out.as_ptr().add(i * step + column).cast_mut().cast::<S::f64s>() };
+            // SAFETY: a vector of columns is there, as `columns` are whole blocks.
             let mut rows: [S::f64s; BLOCK] = std::array::from_fn(|i| unsafe { at(i).read_unaligned() });
             for turn in 0..BLOCK {
                 let i = if upward { BLOCK - 1 - turn } else { turn };
@@ -235,6 +244,7 @@ impl WithSimd for Apply<'_> {
                 }
                 rows[i] = simd.mul_f64s(sum, simd.splat_f64s(inverse[i]));
             }
+            // SAFETY: as above.
             rows.into_iter().enumerate().for_each(|(i, row)| unsafe { at(i).write_unaligned(row) });
         }
     }

@@ -2,6 +2,7 @@
 //! the columns. Tiles of the result stay in registers. The instruction set is chosen at run time by `pulp`.
 
 use crate::machine::{dispatch, prefetch_from};
+use crate::masked::{load, store};
 use crate::shared::Shared;
 use crate::threads::{PIECES, PRODUCTS, for_each};
 use pulp::{MemMask, Simd, WithSimd};
@@ -178,6 +179,9 @@ fn ahead(rows: usize, columns: usize, depth: usize) -> usize {
 
 impl Panel {
     /// All columns, `MAX` vectors at a time, then what is left.
+    ///
+    /// # Safety
+    /// A, B and C have these rows and columns, and nobody else has those of C.
     #[inline(always)]
     unsafe fn run<S: Simd, const M: usize, const MAX: usize>(self, simd: S) {
         let wide = MAX * S::F32_LANES;
@@ -185,6 +189,7 @@ impl Panel {
         let full = MemMask::new(simd.mask_between_m32s(0, S::F32_LANES as u32).mask());
         let panel = (CACHED / self.depth).next_multiple_of(wide);
         for first in (0..whole).step_by(panel) {
+            // SAFETY: as the caller promises, of some columns.
             unsafe { self.rows::<S, M, MAX>(simd, first..whole.min(first + panel), full) };
         }
         let rest = self.n - whole;
@@ -193,6 +198,7 @@ impl Panel {
             let last = simd.mask_between_m32s(0, (rest - (vectors - 1) * S::F32_LANES) as u32);
             // A plain mask: pulp's own carries jump addresses that cost more than they save here.
             let last = MemMask::new(last.mask());
+            // SAFETY: as above, of the columns that are left, which the mask enables.
             unsafe {
                 match vectors {
                     1 => self.columns::<S, M, 1, true>(simd, whole, last),
@@ -205,6 +211,9 @@ impl Panel {
     }
 
     /// Whole vectors of columns, `MAX` at a time, of all rows of C, `M` at a time.
+    ///
+    /// # Safety
+    /// A, B and C have these rows and columns, and nobody else has those of C.
     #[inline(always)]
     unsafe fn rows<S: Simd, const M: usize, const MAX: usize>(
         self,
@@ -216,6 +225,7 @@ impl Panel {
         let mut row = 0;
         while row + M <= self.m {
             for column in columns.clone().step_by(step) {
+                // SAFETY: as the caller promises: these rows and columns are there.
                 unsafe { self.tile::<S, M, MAX, false>(simd, row, column, full) };
             }
             row += M;
@@ -228,12 +238,16 @@ impl Panel {
                 ..self
             };
             for column in columns.step_by(step) {
+                // SAFETY: as above, of the rows that are left.
                 unsafe { rest.columns::<S, M, MAX, false>(simd, column, full) };
             }
         }
     }
 
     /// `V` vectors of columns, the last one `MASKED` or whole, of all rows of C, `M` at a time.
+    ///
+    /// # Safety
+    /// A, B and C have these rows and columns, and nobody else has those of C.
     #[inline(always)]
     unsafe fn columns<S: Simd, const M: usize, const V: usize, const MASKED: bool>(
         self,
@@ -242,6 +256,7 @@ impl Panel {
         last: MemMask<S::m32s>,
     ) {
         let mut row = 0;
+        // SAFETY: as the caller promises: `M` rows from this one on, or as many as are left.
         unsafe {
             while row + M <= self.m {
                 self.tile::<S, M, V, MASKED>(simd, row, column, last);
@@ -259,6 +274,9 @@ impl Panel {
     }
 
     /// `M` rows by `V` vectors of C, kept in registers.
+    ///
+    /// # Safety
+    /// A, B and C have these rows and columns, and nobody else has those of C.
     #[inline(always)]
     unsafe fn tile<S: Simd, const M: usize, const V: usize, const MASKED: bool>(
         self,
@@ -268,6 +286,7 @@ impl Panel {
         last: MemMask<S::m32s>,
     ) {
         let mut sums = [[simd.splat_f32s(0.0); V]; M];
+        // SAFETY: as the caller promises: all of A, B and C that is touched is there.
         unsafe {
             let out = self.out.add(row * self.out_row + column);
             if self.ahead > 0 {
@@ -294,39 +313,6 @@ impl Panel {
             }
             for (i, line) in sums.iter().enumerate() {
                 store::<S, V, MASKED>(simd, out.add(i * self.out_row), line, last);
-            }
-        }
-    }
-}
-
-/// `V` vectors of which the last one may be masked.
-#[inline(always)]
-unsafe fn load<S: Simd, const V: usize, const MASKED: bool>(
-    simd: S,
-    from: *const f32,
-    last: MemMask<S::m32s>,
-) -> [S::f32s; V] {
-    std::array::from_fn(|v| unsafe {
-        let from = from.add(v * S::F32_LANES);
-        if MASKED && v == V - 1 { simd.mask_load_ptr_f32s(last, from) } else { from.cast::<S::f32s>().read_unaligned() }
-    })
-}
-
-/// The same: masked stores are slow without AVX-512.
-#[inline(always)]
-unsafe fn store<S: Simd, const V: usize, const MASKED: bool>(
-    simd: S,
-    to: *mut f32,
-    values: &[S::f32s; V],
-    last: MemMask<S::m32s>,
-) {
-    for (v, &value) in values.iter().enumerate() {
-        unsafe {
-            let to = to.add(v * S::F32_LANES);
-            if MASKED && v == V - 1 {
-                simd.mask_store_ptr_f32s(last, to, value);
-            } else {
-                to.cast::<S::f32s>().write_unaligned(value);
             }
         }
     }

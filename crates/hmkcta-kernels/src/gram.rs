@@ -2,6 +2,7 @@
 
 use crate::cell_pairs::{Group, Laid, Pairs};
 use crate::machine::dispatch;
+use crate::sizes::zeros;
 use pulp::{Simd, WithSimd};
 
 /// `H_n[c,c'] = unf_n(Z_c) (kron_{m != n} M_m(c,c')) unf_n(Z_c')^T` for all pairs: `[PC R_n, PC R_n]`, symmetric.
@@ -11,7 +12,7 @@ pub fn dictionary_gram(pairs: &Pairs, cores: &[f32], n: usize) -> Vec<f64> {
     let (cells, size) = (pairs.cells, pairs.core_size());
     let side = cells * pairs.ranks[n];
     let laid = Laid::new(cells, size, cores.iter().map(|&z| f64::from(z)));
-    let mut h = vec![0.0; side * side];
+    let mut h = zeros(side * side);
     pairs.share_cells(&mut h, |from, rows| dispatch(Rows { pairs, cores, laid: &laid, n, from, rows }));
     mirror(&mut h, side);
     h

@@ -3,6 +3,7 @@
 use crate::cells::Node;
 use crate::leading::{Leading, alike, subsets};
 use crate::places::Places;
+use crate::sizes::zeros;
 
 /// Rows of mode a worked on at a time.
 pub const ROWS: usize = 8;
@@ -46,7 +47,7 @@ impl<'a> Lines<'a> {
         let b = self.node.order() - 1;
         let (rank, clusters, size) = (self.node.ranks[b], self.node.clusters[b], self.basis());
         let cells = self.node.cells() / clusters;
-        let mut sorted = vec![0.0; cells * size];
+        let mut sorted = zeros(cells * size);
         let mut filled = vec![0; clusters];
         for (&c, numbers) in self.node.members(b).iter().zip(basis.chunks_exact(cells * rank)) {
             let c = usize::from(c);
@@ -79,7 +80,7 @@ pub struct Group {
 fn groups(node: &Node, a: usize, basis: &[f32]) -> Vec<Group> {
     let length = basis.len() / node.sizes[a];
     let group = |rows: Vec<u32>| {
-        let mut numbers = vec![0.0; length * ROWS];
+        let mut numbers = zeros(length * ROWS);
         for (at, &row) in rows.iter().enumerate() {
             let from = &basis[row as usize * length..][..length];
             numbers[at..].iter_mut().step_by(ROWS).zip(from).for_each(|(to, &u)| *to = u);

@@ -1,6 +1,7 @@
 //! K-means of rows under a cap on cluster size; twin of `kmeans.py`, which adds numbers up in the same order.
 
-use crate::binding::Doubles;
+use crate::binding::{Doubles, check_rounds};
+use crate::guard;
 use crate::machine::dispatch;
 use crate::threads;
 use numpy::{IntoPyArray, PyArray1};
@@ -206,10 +207,10 @@ pub fn nearest_with_room<'py>(
 ) -> PyResult<Labels<'py>> {
     let distance = distance.as_slice()?;
     check_room(count_rows("the distances", distance, clusters)?, clusters, most)?;
-    let labels = py.detach(|| {
+    let labels = guard::run(py, || {
         let nearest: Vec<_> = distance.chunks_exact(clusters).map(Nearest::of).collect();
         with_room(&nearest, clusters, most, |i, k| distance[i * clusters + k])
-    });
+    })?;
     Ok(to_python(py, labels))
 }
 
@@ -227,7 +228,11 @@ pub fn cluster_rows<'py>(
     let clusters = count_rows("the centres", centres, width)?;
     check_room(count_rows("the features", features, width)?, clusters, most)?;
     let rows = Rows { numbers: features, width };
-    let (labels, cost) = py.detach(|| rounds_from(centres.to_vec(), rows, most, rounds));
+    if rounds == 0 {
+        return Err(PyValueError::new_err("k-means needs a round at the least"));
+    }
+    check_rounds("rounds", rounds)?;
+    let (labels, cost) = guard::run(py, || rounds_from(centres.to_vec(), rows, most, rounds))?;
     Ok((to_python(py, labels), cost))
 }
 

@@ -39,11 +39,13 @@ impl<T: Real, const P: usize, const FUSED: bool> Lanes<T, P> for Plain<FUSED> {
 
     #[inline(always)]
     unsafe fn load(self, from: *const T) -> [T; P] {
+        // SAFETY: as the caller promises.
         unsafe { from.cast::<[T; P]>().read_unaligned() }
     }
 
     #[inline(always)]
     unsafe fn products(self, a: *const T, b: *const T) -> [T; P] {
+        // SAFETY: as the caller promises.
         let (a, b) = unsafe { (a.cast::<[T; 2]>().read_unaligned(), b.cast::<[T; 4]>().read_unaligned()) };
         std::array::from_fn(|l| a[l / 4 % 2] * b[l % 4])
     }
@@ -83,27 +85,32 @@ mod x86 {
 
                 #[inline(always)]
                 fn splat(self, x: f32) -> $vector {
+                    // SAFETY: the machine has these instructions, here and below.
                     unsafe { $splat(x) }
                 }
 
                 #[inline(always)]
                 unsafe fn load(self, from: *const f32) -> $vector {
+                    // SAFETY: as the caller promises.
                     unsafe { $load(from) }
                 }
 
                 #[inline(always)]
                 unsafe fn products(self, a: *const f32, b: *const f32) -> $vector {
+                    // SAFETY: as the caller promises.
                     unsafe { $products(a, b) }
                 }
 
                 #[inline(always)]
                 fn multiply_add(self, a: $vector, b: $vector, c: $vector) -> $vector {
+                    // SAFETY: as in `splat`.
                     unsafe { $multiply_add(a, b, c) }
                 }
 
                 #[inline(always)]
                 fn array(self, a: $vector) -> [f32; $count] {
                     let mut array = [0.0; $count];
+                    // SAFETY: the array has as many numbers as the vector.
                     unsafe { $store(array.as_mut_ptr(), a) };
                     array
                 }
@@ -111,13 +118,18 @@ mod x86 {
         };
     }
 
+    /// # Safety
+    /// None is needed: it is not called.
     #[inline(always)]
     unsafe fn of_eight(_: *const f32, _: *const f32) -> __m128 {
         unreachable!("two times four numbers are eight")
     }
 
+    /// # Safety
+    /// The machine has AVX, `a` points to two numbers and `b` to four.
     #[inline(always)]
     unsafe fn two_by_four(a: *const f32, b: *const f32) -> __m256 {
+        // SAFETY: as the caller promises; the machine has AVX.
         unsafe {
             let a = _mm256_castpd_ps(_mm256_set1_pd(a.cast::<f64>().read_unaligned()));
             let a = _mm256_permutevar_ps(a, _mm256_setr_epi32(0, 0, 0, 0, 1, 1, 1, 1));

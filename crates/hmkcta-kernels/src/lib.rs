@@ -13,6 +13,7 @@ mod coding;
 mod collect;
 mod contract;
 mod cores;
+mod cut_short;
 mod dense;
 mod dictionary;
 mod dots;
@@ -22,6 +23,7 @@ mod gauss_seidel;
 mod gemm;
 mod gram;
 mod grouped;
+mod guard;
 mod hooi;
 mod kmeans;
 mod lanes;
@@ -30,6 +32,7 @@ mod leading;
 mod lines;
 mod machine;
 mod magnitudes;
+mod masked;
 mod mode_order;
 mod orthonormal;
 mod packed;
@@ -37,6 +40,7 @@ mod pair_projection;
 mod part;
 mod permuted;
 mod pick;
+mod picked;
 mod places;
 mod rank_boxes;
 mod real;
@@ -45,6 +49,7 @@ mod scattered;
 mod search_kernels;
 mod shared;
 mod shuffle;
+mod sizes;
 mod sorting;
 mod steps;
 mod subspace;
@@ -58,18 +63,16 @@ mod tuple_lanes;
 mod widened;
 
 use binding::{
-    Arrays, Doubles, Floats, Members, bases_of, check_bases, check_cores, check_decomposed, check_length, check_mode,
-    check_tensor, cores_of, node, pairs_of, slices, tensor_of,
+    Arrays, Doubles, Floats, Members, bases_of, check_bases, check_cores, check_decomposed, check_indices,
+    check_length, check_mode, check_rounds, check_tensor, cores_of, count, node, pairs_of, room_for, slices, tensor_of,
 };
 use cells::Shape;
 use coding::Search;
 use dictionary::Given;
 use element::Decode;
 use gauss_seidel::Effort;
-use numpy::{
-    Element, IntoPyArray, PyArray1, PyArrayMethods, PyReadonlyArray1, PyReadwriteArray1, PyUntypedArrayMethods,
-};
-use pick::Pick;
+use numpy::prelude::*;
+use numpy::{Element, PyArray1, PyReadonlyArray1, PyReadwriteArray1};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
@@ -95,8 +98,9 @@ fn fit_cells(
     check_tensor(&node, residual.len())?;
     check_bases(&node, &bases)?;
     check_cores(&node, cores.len())?;
-    py.detach(|| gauss_seidel::fit(node, residual, &mut bases, cores, Effort { sweeps, iterations }));
-    Ok(())
+    check_rounds("sweeps", sweeps)?;
+    check_rounds("iterations", iterations)?;
+    guard::run(py, || gauss_seidel::fit(node, residual, &mut bases, cores, Effort { sweeps, iterations }))
 }
 
 /// `tensor += weight * model` in place.
@@ -114,8 +118,7 @@ fn accumulate(
     let tensor = tensor.as_slice_mut()?;
     check_tensor(&node, tensor.len())?;
     let (bases, cores) = (bases_of(&node, &bases)?, cores_of(&node, &cores)?);
-    py.detach(|| reconstruct::accumulate(node, tensor, &bases, cores, weight));
-    Ok(())
+    guard::run(py, || reconstruct::accumulate(node, tensor, &bases, cores, weight))
 }
 
 /// `Y_n[c]` of all cells and rows, flat.
@@ -131,7 +134,9 @@ fn project_cells<'py>(
     let node = node(shape, &members)?;
     let (tensor, bases) = (tensor_of(&node, &tensor)?, bases_of(&node, &bases)?);
     check_mode(node.order(), mode)?;
-    Ok(py.detach(|| cell_projection::project_cells(node, tensor, &bases, mode)).into_pyarray(py))
+    let other_ranks = (0..node.order()).filter(|&n| n != mode).map(|n| node.ranks[n]);
+    room_for::<f32>("projections", [node.cells(), node.sizes[mode]].into_iter().chain(other_ranks))?;
+    Ok(guard::run(py, || cell_projection::project_cells(node, tensor, &bases, mode))?.into_pyarray(py))
 }
 
 /// The tensor projected on the bases of all cells in a pair of modes, flat.
@@ -151,7 +156,9 @@ fn project_pair<'py>(
     if a == b {
         return Err(PyValueError::new_err("two modes are needed"));
     }
-    Ok(py.detach(|| pair_projection::project_pair(&node, tensor, &bases, pair)).into_pyarray(py))
+    let kept = (0..node.order()).filter(|&n| n != a && n != b).map(|n| node.sizes[n]);
+    room_for::<f32>("projections", [node.cells(), node.ranks[a], node.ranks[b]].into_iter().chain(kept))?;
+    Ok(guard::run(py, || pair_projection::project_pair(&node, tensor, &bases, pair))?.into_pyarray(py))
 }
 
 /// `sum_j P[i, j, k, l] W[j, r, l]`, flat.
@@ -165,9 +172,14 @@ fn contract_lanes<'py>(
     lanes: usize,
 ) -> PyResult<Bound<'py, PyArray1<f32>>> {
     let (p, w) = (p.as_slice()?, w.as_slice()?);
-    check_length("p", p.len(), sizes.iter().product::<usize>() * lanes)?;
-    check_length("w", w.len(), sizes[1] * rank * lanes)?;
-    Ok(py.detach(|| contract::contract_lanes(p, w, sizes, rank, lanes)).into_pyarray(py))
+    let [before, size, after] = sizes;
+    check_length("p", p.len(), count([before, size, after, lanes])?)?;
+    check_length("w", w.len(), count([size, rank, lanes])?)?;
+    let length = room_for::<f32>("sums", [before, after, rank, lanes])?;
+    if length == 0 {
+        return Ok(vec![].into_pyarray(py));
+    }
+    Ok(guard::run(py, || contract::contract_lanes(p, w, sizes, rank, lanes))?.into_pyarray(py))
 }
 
 /// `U_n` of all cells with its zero rows written out, flat.
@@ -183,7 +195,8 @@ fn dense_basis<'py>(
     let basis = basis.as_slice()?;
     check_decomposed(&node, mode)?;
     check_length("the basis", basis.len(), node.basis_size(mode))?;
-    Ok(py.detach(|| node.dense_basis(mode, basis)).into_pyarray(py))
+    room_for::<f32>("bases", [node.cells(), node.sizes[mode], node.ranks[mode]])?;
+    Ok(guard::run(py, || node.dense_basis(mode, basis))?.into_pyarray(py))
 }
 
 /// `H_n` of all pairs of cells, flat.
@@ -199,7 +212,8 @@ fn dictionary_gram<'py>(
     let cores = cores.as_slice()?;
     let pairs = pairs_of(&ranks, &products, cores.len())?;
     check_mode(ranks.len(), mode)?;
-    Ok(py.detach(|| gram::dictionary_gram(&pairs, cores, mode)).into_pyarray(py))
+    room_for::<f64>("inner products", [pairs.cells, ranks[mode], pairs.cells, ranks[mode]])?;
+    Ok(guard::run(py, || gram::dictionary_gram(&pairs, cores, mode))?.into_pyarray(py))
 }
 
 /// Cores that leave less, in place, by so many steps of conjugate gradients; `b` are projections on all bases.
@@ -216,8 +230,8 @@ fn solve_cores(
     let (cores, b) = (cores.as_slice_mut()?, b.as_slice()?);
     let pairs = pairs_of(&ranks, &products, cores.len())?;
     check_length("b", b.len(), cores.len())?;
-    py.detach(|| cores::solve_cores(&pairs, cores, b, steps));
-    Ok(())
+    check_rounds("steps", steps)?;
+    guard::run(py, || cores::solve_cores(&pairs, cores, b, steps))
 }
 
 /// Orthonormal bases of a mode, in place, with cores that keep the model.
@@ -235,54 +249,7 @@ fn orthonormalise(
     check_decomposed(&node, mode)?;
     check_length("the basis", basis.len(), node.basis_size(mode))?;
     check_cores(&node, cores.len())?;
-    py.detach(|| orthonormal::orthonormalise(&node, mode, basis, cores));
-    Ok(())
-}
-
-/// A sub-tensor of a contiguous array of the given sizes, and where that array starts.
-fn pick_of(tensor: &Bound<PyArray1<f32>>, sizes: &[usize], rows: &[PyReadonlyArray1<u32>]) -> PyResult<(Pick, usize)> {
-    let rows = slices(rows)?;
-    check_length("the list of rows", rows.len(), sizes.len())?;
-    check_length("the tensor", tensor.len(), sizes.iter().product())?;
-    let ascending = |rows: &[u32], size: usize| {
-        rows.windows(2).all(|pair| pair[0] < pair[1]) && rows.last().is_none_or(|&row| (row as usize) < size)
-    };
-    if !tensor.is_contiguous() || !rows.iter().zip(sizes).all(|(rows, &size)| ascending(rows, size)) {
-        return Err(PyValueError::new_err("a contiguous tensor and ascending rows of its modes are needed"));
-    }
-    Ok((Pick::new(sizes, &rows), tensor.data() as usize))
-}
-
-/// The sub-tensor of the given rows of each mode, flat. Meanwhile other threads may write to others.
-#[pyfunction]
-fn gather<'py>(
-    py: Python<'py>,
-    tensor: Bound<'py, PyArray1<f32>>,
-    sizes: Vec<usize>,
-    rows: Vec<PyReadonlyArray1<'py, u32>>,
-) -> PyResult<Bound<'py, PyArray1<f32>>> {
-    let (pick, start) = pick_of(&tensor, &sizes, &rows)?;
-    let mut block = vec![0.0; pick.len()];
-    // SAFETY: `pick_of` has checked the array, which lives as long as `tensor`; writers leave these elements alone.
-    py.detach(|| unsafe { pick.copy_from(start as *const f32, &mut block) });
-    Ok(block.into_pyarray(py))
-}
-
-/// Put a sub-tensor in its place. Meanwhile other threads may read and write others.
-#[pyfunction]
-fn scatter<'py>(
-    py: Python<'py>,
-    tensor: Bound<'py, PyArray1<f32>>,
-    sizes: Vec<usize>,
-    rows: Vec<PyReadonlyArray1<'py, u32>>,
-    block: Floats<'py>,
-) -> PyResult<()> {
-    let (pick, start) = pick_of(&tensor, &sizes, &rows)?;
-    let block = block.as_slice()?;
-    check_length("the block", block.len(), pick.len())?;
-    // SAFETY: as in `gather`.
-    py.detach(|| unsafe { pick.put_into(start as *mut f32, block) });
-    Ok(())
+    guard::run(py, || orthonormal::orthonormalise(&node, mode, basis, cores))
 }
 
 /// The best cluster subsets of a mode's rows and their coefficients, flat, from H and b.
@@ -301,26 +268,34 @@ fn code_rows<'py>(
 ) -> PyResult<Coded<'py>> {
     let (h, b) = (h.as_slice()?, b.as_slice()?);
     let kept = kept.as_ref().map(|kept| kept.as_slice()).transpose()?;
-    let side = clusters.iter().product::<usize>() * rank;
+    let side = count(clusters.iter().copied().chain([rank]))?;
     let own = clusters.get(mode).copied().unwrap_or(0);
-    if side == 0 || mixture == 0 || mixture > own || own > usize::from(u16::MAX) {
+    if side == 0 || mixture == 0 || mixture > own || own > usize::from(u16::MAX) || b.len() < side {
         return Err(PyValueError::new_err(format!(
             "mode {mode} needs 1 <= K <= C and R >= 1, got C={clusters:?} K={mixture} R={rank}"
         )));
     }
     let given = Given { h, b, clusters: &clusters, mode, rank, rows: b.len() / side };
-    check_length("H", h.len(), side * side)?;
+    check_length("H", h.len(), count([side, side])?)?;
     check_length("b", b.len(), given.rows * side)?;
+    if u32::try_from(given.rows).is_err() {
+        return Err(PyValueError::new_err(format!("{} rows are more than can be counted", given.rows)));
+    }
     if let Some(kept) = kept {
         cells::check_members(kept, given.rows, own, mixture).map_err(PyValueError::new_err)?;
     }
     let search = match search {
-        "optimal" => Search::Optimal,
+        "optimal" if coding::is_few(own, mixture) => Search::Optimal,
         "greedy" => Search::Greedy,
         "fixed" if kept.is_some() => Search::Fixed,
-        _ => return Err(PyValueError::new_err(format!("no search is called {search:?}, or it needs subsets to keep"))),
+        _ => {
+            return Err(PyValueError::new_err(format!(
+                "no search is called {search:?}, or it needs subsets to keep, or fewer of them to look at"
+            )));
+        }
     };
-    let (subsets, x) = py.detach(|| coding::code_rows(&given, kept, mixture, search));
+    room_for::<f32>("coefficients", [given.rows, mixture, side / own])?;
+    let (subsets, x) = guard::run(py, || coding::code_rows(&given, kept, mixture, search))?;
     Ok((subsets.into_pyarray(py), x.into_pyarray(py)))
 }
 
@@ -333,8 +308,9 @@ fn decode_scattered<'py, T: Decode + Element>(
 ) -> PyResult<()> {
     let levels = binding::levels(&levels)?;
     let (coords, out) = (coords.as_slice()?, out.as_slice_mut()?);
-    check_length("the coordinates", coords.len(), out.len() * levels[0].order())?;
-    py.detach(|| scattered::decode(&levels, coords, out)).map_err(PyValueError::new_err)
+    check_length("the coordinates", coords.len(), count([out.len(), levels[0].order()])?)?;
+    check_indices(coords)?;
+    guard::run(py, || scattered::decode(&levels, coords, out))?.map_err(PyValueError::new_err)
 }
 
 #[pyfunction]
@@ -369,15 +345,17 @@ fn decode_block<'py>(
     let levels = binding::levels(&levels)?;
     let (rows, out) = (slices(&rows)?, out.as_slice_mut()?);
     check_length("the list of rows", rows.len(), levels[0].order())?;
-    check_length("out", out.len(), rows.iter().map(|rows| rows.len()).product())?;
+    check_length("out", out.len(), count(rows.iter().map(|rows| rows.len()))?)?;
+    rows.iter().try_for_each(|rows| check_indices(rows))?;
     if out.is_empty() {
         return Ok(());
     }
-    py.detach(|| dense::decode(&levels, &rows, first, out)).map_err(PyValueError::new_err)
+    guard::run(py, || dense::decode(&levels, &rows, first, out))?.map_err(PyValueError::new_err)
 }
 
 #[pymodule]
 fn _native(module: &Bound<PyModule>) -> PyResult<()> {
+    guard::quiet();
     module.add_function(wrap_pyfunction!(fit_cells, module)?)?;
     module.add_function(wrap_pyfunction!(accumulate, module)?)?;
     module.add_function(wrap_pyfunction!(project_cells, module)?)?;
@@ -390,8 +368,8 @@ fn _native(module: &Bound<PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(collect::collect, module)?)?;
     module.add_function(wrap_pyfunction!(collect::collect_scaled, module)?)?;
     module.add_function(wrap_pyfunction!(magnitudes::magnitudes, module)?)?;
-    module.add_function(wrap_pyfunction!(gather, module)?)?;
-    module.add_function(wrap_pyfunction!(scatter, module)?)?;
+    module.add_function(wrap_pyfunction!(picked::gather, module)?)?;
+    module.add_function(wrap_pyfunction!(picked::scatter, module)?)?;
     module.add_function(wrap_pyfunction!(code_rows, module)?)?;
     module.add_function(wrap_pyfunction!(kmeans::nearest_with_room, module)?)?;
     module.add_function(wrap_pyfunction!(kmeans::cluster_rows, module)?)?;
@@ -401,5 +379,6 @@ fn _native(module: &Bound<PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(decode_scattered_f64, module)?)?;
     module.add_function(wrap_pyfunction!(decode_block, module)?)?;
     module.add_function(wrap_pyfunction!(threads::set_threads, module)?)?;
+    module.add_class::<cut_short::MapWatch>()?;
     Ok(())
 }

@@ -1,5 +1,6 @@
 //! How large numbers are: the sum of their squares, the largest magnitude, the smallest but zero.
 
+use crate::guard;
 use crate::machine::dispatch;
 use numpy::PyReadonlyArray1;
 use pulp::{Simd, WithSimd};
@@ -13,7 +14,7 @@ const LANES: usize = 32;
 #[pyfunction]
 pub fn magnitudes(py: Python, values: PyReadonlyArray1<f32>) -> PyResult<(f64, f32, f32)> {
     let values = values.as_slice()?;
-    Ok(py.detach(|| dispatch(Values(values))))
+    guard::run(py, || dispatch(Values(values)))
 }
 
 struct Values<'a>(&'a [f32]);

@@ -1,7 +1,12 @@
 //! The arrays of one level of a model as the file stores them (`docs/format.md`, section 3).
 
+use crate::sizes::product;
+
 /// Modes a tensor has at most.
 pub const MOST_MODES: usize = 8;
+
+/// Choices of clusters of an element, and of those a row may take in a mode: more than any file may ask for.
+const MOST_CHOICES: usize = 1 << 24;
 
 /// The row of an element in each mode.
 pub type Position = [u32; MOST_MODES];
@@ -101,8 +106,12 @@ impl<'a> Level<'a> {
         if shape[..order].iter().all(|&c| c == 0) {
             return Ok(None);
         }
-        if shape.contains(&0) {
-            return Err(format!("the shape of node {s} has a zero among C, K and R"));
+        let (clusters, mixture) = (&shape[..order], &shape[order..2 * order]);
+        let countable = shape.iter().all(|&x| x > 0) && mixture.iter().zip(clusters).all(|(k, c)| k <= c);
+        let choices = product(mixture.iter().map(|&k| k as usize)).is_ok_and(|count| count <= MOST_CHOICES);
+        let steps = mixture.iter().zip(clusters).all(|(&k, &c)| u64::from(k) * u64::from(c) <= MOST_CHOICES as u64);
+        if !countable || !choices || !steps {
+            return Err(format!("the shape of node {s} is none: C, K, R are {shape:?}"));
         }
         let mut node = NodeView {
             order,
@@ -121,8 +130,13 @@ impl<'a> Level<'a> {
             node.mixture[n] = shape[order + n] as usize;
             node.ranks[n] = shape[2 * order + n] as usize;
             let offset = self.row_offset[n].get(s..s + 2).ok_or_else(|| broken("row_offset"))?;
-            node.rows[n] = offset[1].wrapping_sub(offset[0]) as usize;
+            node.rows[n] = offset[1].checked_sub(offset[0]).ok_or_else(|| broken("row_offset"))? as usize;
+            if node.rows[n] == 0 {
+                return Err(format!("node {s} has a shape, and no row in mode {}", n + 1));
+            }
         }
+        // The stored arrays hold these, so that no product of them or of some of them wraps.
+        product(shape[..order].iter().chain(&shape[2 * order..]).map(|&x| x as usize))?;
         node.scale = self.core_scale.part(s, node.cells()).ok_or_else(|| broken("core_scale"))?;
         node.core = self.core.part(s, node.cells() * node.core_size()).ok_or_else(|| broken("core"))?;
         for n in 0..order {
@@ -135,7 +149,7 @@ impl<'a> Level<'a> {
             };
             node.decomposed[n] = true;
             node.cluster[n] = cluster.part(s, rows * mixture).ok_or_else(|| broken("cluster"))?;
-            let length = rows * mixture * node.others(n) * node.ranks[n];
+            let length = product([rows, mixture, node.others(n), node.ranks[n]])?;
             node.basis[n] = basis.part(s, length).ok_or_else(|| broken("basis"))?;
         }
         Ok(Some(node))
@@ -148,10 +162,12 @@ impl<'a> Level<'a> {
     }
 
     /// Where the rows of mode `n` of node `s` go.
-    pub fn way_down(&self, s: usize, n: usize) -> WayDown<'a> {
-        let Some((part, local)) = self.part[n].zip(self.local[n]) else { return WayDown(None) };
-        let rows = self.row_offset[n][s] as usize..self.row_offset[n][s + 1] as usize;
-        WayDown(Some((&part[rows.clone()], &local[rows])))
+    pub fn way_down(&self, s: usize, n: usize) -> Result<WayDown<'a>, String> {
+        let Some((part, local)) = self.part[n].zip(self.local[n]) else { return Ok(WayDown(None)) };
+        let rows = self.row_offset[n].get(s..s + 2).map(|edges| edges[0] as usize..edges[1] as usize);
+        let tables = rows.and_then(|rows| part.get(rows.clone()).zip(local.get(rows)));
+        let broken = || format!("part and local of node {s} do not have its rows of mode {}", n + 1);
+        tables.map(|tables| WayDown(Some(tables))).ok_or_else(broken)
     }
 }
 
@@ -161,10 +177,9 @@ pub struct WayDown<'a>(Option<(&'a [u16], &'a [u32])>);
 impl WayDown<'_> {
     /// Part and position in it of a row; an undecomposed mode has part 0 and keeps the position.
     #[inline(always)]
-    pub fn of(&self, position: u32) -> (usize, u32) {
-        match self.0 {
-            Some((part, local)) => (usize::from(part[position as usize]), local[position as usize]),
-            None => (0, position),
-        }
+    pub fn of(&self, position: u32) -> Result<(usize, u32), String> {
+        let Some((part, local)) = self.0 else { return Ok((0, position)) };
+        let found = part.get(position as usize).zip(local.get(position as usize));
+        found.map(|(&part, &local)| (usize::from(part), local)).ok_or_else(|| format!("a node has no row {position}"))
     }
 }

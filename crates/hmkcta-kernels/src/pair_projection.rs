@@ -7,6 +7,7 @@
 
 use crate::cells::Node;
 use crate::machine::{prefetch, prefetch_from};
+use crate::sizes::zeros;
 use crate::threads::{PARALLEL, Scratch, for_each, room, with_scratch};
 use crate::transpose::{SIDE, turn_over};
 use crate::tuple_lanes::{Product, TUPLES};
@@ -27,7 +28,7 @@ pub fn project_pair(node: &Node, tensor: &[f32], bases: &[&[f32]], modes: (usize
     let pair = Pair::new(node, bases, modes);
     let tuples = tensor.len() / (node.sizes[modes.0] * node.sizes[modes.1]);
     let width = width(node, modes);
-    let mut all = vec![0.0f32; tuples * width];
+    let mut all = zeros(tuples * width);
     let tasks = all.chunks_mut(TUPLES * width).enumerate().collect();
     for_each(tensor.len() >= PARALLEL, tasks, |(number, out)| {
         with_scratch(|Scratch { slab, steps, .. }| pair.tuples(tensor, number * TUPLES, slab, &mut steps[0], out));
@@ -63,8 +64,8 @@ impl<'a> Pair<'a> {
         let columns = node.cells() / (node.clusters[a] * node.clusters[b]) * node.ranks[b];
         let members = |n: usize, k: usize| node.rows(n, k).len();
         let empty = |(ka, kb)| Panel {
-            columns: vec![0.0; members(b, kb) * columns],
-            weights: vec![0.0; members(a, ka) * node.ranks[a] * columns],
+            columns: zeros(members(b, kb) * columns),
+            weights: zeros(members(a, ka) * node.ranks[a] * columns),
         };
         let numbers = (0..node.clusters[a]).flat_map(|ka| (0..node.clusters[b]).map(move |kb| (ka, kb)));
         let panels = numbers.map(empty).collect();

@@ -6,6 +6,7 @@ use crate::machine::dispatch;
 use crate::packed::{NodeView, Position};
 use crate::real::widen_all;
 use crate::reconstruct::accumulate;
+use crate::sizes::zeros;
 use pulp::{Simd, WithSimd};
 
 /// Elements decoded one by one at a time.
@@ -167,7 +168,7 @@ impl WithSimd for Widen<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) -> Vec<f32> {
-        let mut wide = vec![0.0; self.0.len()];
+        let mut wide = zeros(self.0.len());
         widen_all(self.0, &mut wide);
         wide
     }

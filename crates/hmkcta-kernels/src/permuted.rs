@@ -219,6 +219,8 @@ impl Plane<'_> {
                 Group { bases: &bases[at..at + count], numbers: &numbers[at * LINES..], apart: rows.len() }
             };
             let lines = (start, step);
+            // SAFETY: the machine has vectors `V`, as the caller promises, and nobody else has the lines of this
+            // plane.
             unsafe {
                 match rows.len() {
                     1 => permuted.lines::<V, 1>(lines, rows, &group),
@@ -285,16 +287,22 @@ impl Permuted<'_> {
         assert!(bases.iter().all(|from| from + self.orders.len() <= self.basis.len()));
         let mut lines = [plane; M];
         lines.iter_mut().zip(rows).for_each(|(line, &row)| *line = line.wrapping_add(row as usize * step));
+        // SAFETY: as the caller promises; bases and numbers are there, as asserted.
         unsafe {
             self.vectors::<V, M>(lines, group);
         }
     }
 
     /// Vector by vector of their columns.
+    ///
+    /// # Safety
+    /// That of `lines`, which has checked what the group points to.
     #[inline(always)]
     unsafe fn vectors<V: Shuffle, const M: usize>(&self, lines: [*mut f32; M], group: &Group) {
         let mut slot = 0;
         for &first in &self.starts {
+            // SAFETY: the caller has the lines, each of a vector of numbers or more from every start; bases and
+            // numbers of the group are there.
             unsafe {
                 let mut sums = lines.map(|line| V::load(line.add(first)));
                 for _ in 0..self.slots {

@@ -76,6 +76,7 @@ impl Pick {
     /// # Safety
     /// The tensor holds all elements of the pick, and nobody else uses these meanwhile.
     pub unsafe fn put_into(&self, x: *mut f32, block: &[f32]) {
+        // SAFETY: the caller answers for what `onto` needs.
         unsafe { self.onto::<false>(x, block) };
     }
 
@@ -95,6 +96,8 @@ impl Pick {
         unsafe { self.onto::<true>(x, block) };
     }
 
+    /// # Safety
+    /// As for `put_into`.
     unsafe fn onto<const ADD: bool>(&self, x: *mut f32, block: &[f32]) {
         assert_eq!(block.len(), self.len());
         let block = block.as_ptr();
@@ -141,18 +144,27 @@ impl<F: Fn(usize, usize) -> (*const f32, *mut f32), const ADD: bool> WithSimd fo
 }
 
 /// Copy or add one element.
+///
+/// # Safety
+/// `from` may be read, `to` read and written.
 #[inline(always)]
 unsafe fn single<const ADD: bool>(from: *const f32, to: *mut f32) {
+    // SAFETY: as the caller promises.
     unsafe { *to = if ADD { *to + *from } else { *from } };
 }
 
 /// Copy or add `length` contiguous elements.
+///
+/// # Safety
+/// `from` may be read, `to` read and written, of that length; they do not overlap.
 #[inline(always)]
 unsafe fn stretch<S: Simd, const ADD: bool>(simd: S, from: *const f32, to: *mut f32, length: usize) {
+    // SAFETY: as the caller promises: `at` and a vector beyond it are within the stretch.
     let sum = |at: usize| unsafe {
         let read = |from: *const f32| from.add(at).cast::<S::f32s>().read_unaligned();
         if ADD { simd.add_f32s(read(from), read(to)) } else { read(from) }
     };
+    // SAFETY: as above; the last vector begins where it ends with the stretch.
     unsafe {
         let Some(last) = length.checked_sub(S::F32_LANES) else {
             return few::<S, ADD>(simd, from, to, length);
@@ -167,8 +179,12 @@ unsafe fn stretch<S: Simd, const ADD: bool>(simd: S, from: *const f32, to: *mut 
 }
 
 /// Fewer than a vector has lanes; AVX-512 alone stores a part of a vector as fast as a whole one.
+///
+/// # Safety
+/// That of `stretch`.
 #[inline(always)]
 unsafe fn few<S: Simd, const ADD: bool>(simd: S, from: *const f32, to: *mut f32, length: usize) {
+    // SAFETY: as the caller promises; the mask enables `length` lanes, of which there are more.
     unsafe {
         if S::F32_LANES == 16 {
             let mask = MemMask::new(simd.mask_between_m32s(0, length as u32).mask());

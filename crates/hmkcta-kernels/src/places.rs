@@ -83,6 +83,7 @@ impl Places {
     /// The rows have all columns, and nobody else refers to them.
     #[inline(always)]
     pub unsafe fn add<S: Simd, const M: usize>(&self, _: S, lines: &[f32], tuple: usize, rows: [*mut f32; M]) {
+        // SAFETY: as many lanes as the machine has, which is what `Shuffle` needs; the rest the caller promises.
         unsafe {
             match S::F32_LANES {
                 #[cfg(target_arch = "x86_64")]
@@ -100,9 +101,11 @@ impl Places {
     unsafe fn rows<V: Shuffle, const M: usize>(&self, lines: &[f32], tuple: usize, rows: [*mut f32; M]) {
         assert!(V::LANES == self.lanes && M * self.line() + V::LANES <= lines.len());
         if self.columns >= V::LANES {
+            // SAFETY: as the caller promises, and as asserted.
             return unsafe { self.blocks::<V, M>(lines, tuple, rows) };
         }
         let mut few = [[0.0; PAD]; M];
+        // SAFETY: rows have all columns, and `few` has a vector of numbers for each.
         unsafe {
             few.iter_mut().zip(rows).for_each(|(few, row)| row.copy_to_nonoverlapping(few.as_mut_ptr(), self.columns));
             self.blocks::<V, M>(lines, tuple, few.each_mut().map(|few| few.as_mut_ptr()));
@@ -115,6 +118,7 @@ impl Places {
     #[inline(always)]
     unsafe fn blocks<V: Shuffle, const M: usize>(&self, lines: &[f32], tuple: usize, rows: [*mut f32; M]) {
         for Block { first, sources } in &self.blocks {
+            // SAFETY: as the caller promises.
             unsafe {
                 let mut sums = rows.map(|row| V::load(row.add(*first)));
                 for Source { start, step, order } in sources {

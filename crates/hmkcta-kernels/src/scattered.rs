@@ -55,7 +55,7 @@ impl<'b, T: Decode> Batch<'b, T> {
                 let Some(node) = level.node(s)? else { continue };
                 self.add(&node, &present.pos[range.clone()], &present.number[range.clone()])?;
                 if depth + 1 < levels.len() {
-                    next.descend(level, s, &node, &present.pos[range.clone()], &present.number[range]);
+                    next.descend(level, s, &node, &present.pos[range.clone()], &present.number[range])?;
                 }
             }
             next.sort(&mut keys, &mut present);
@@ -91,20 +91,31 @@ impl Walkers {
     }
 
     /// Take up the elements of node `s`, at their child node and position in it; those of a leaf stop.
-    fn descend(&mut self, level: &Level, s: usize, node: &NodeView, pos: &[Position], number: &[u32]) {
-        let Some(first) = level.first_child(s) else { return };
-        let ways: Vec<_> = (0..node.order).map(|n| level.way_down(s, n)).collect();
+    fn descend(
+        &mut self,
+        level: &Level,
+        s: usize,
+        node: &NodeView,
+        pos: &[Position],
+        number: &[u32],
+    ) -> Result<(), String> {
+        let Some(first) = level.first_child(s) else { return Ok(()) };
+        let ways = (0..node.order).map(|n| level.way_down(s, n)).collect::<Result<Vec<_>, _>>()?;
         self.number.extend_from_slice(number);
         for &pos in pos {
             let (mut flat, mut inside) = (0, pos);
             for ((way, clusters), position) in ways.iter().zip(&node.clusters).zip(&mut inside) {
-                let (part, local) = way.of(*position);
+                let (part, local) = way.of(*position)?;
+                if part >= *clusters {
+                    return Err(format!("node {s} has no part {part}"));
+                }
                 flat = flat * clusters + part;
                 *position = local;
             }
-            self.node.push((first + flat) as u32);
+            self.node.push(u32::try_from(first + flat).map_err(|_| format!("node {s} has no child {flat}"))?);
             self.pos.push(inside);
         }
+        Ok(())
     }
 
     /// Into the order of their nodes, as `sorted`; `keys` is a buffer.

@@ -16,6 +16,7 @@ pub trait Shuffle: Copy {
     /// The machine has such vectors, here and below, and `from` points to `LANES` numbers.
     #[inline(always)]
     unsafe fn load(from: *const f32) -> Self {
+        // SAFETY: as the caller promises.
         unsafe { from.cast::<Self>().read_unaligned() }
     }
 
@@ -23,6 +24,7 @@ pub trait Shuffle: Copy {
     /// `to` points to `LANES` numbers.
     #[inline(always)]
     unsafe fn store(self, to: *mut f32) {
+        // SAFETY: as the caller promises.
         unsafe { to.cast::<Self>().write_unaligned(self) }
     }
 
@@ -40,12 +42,14 @@ pub trait Shuffle: Copy {
 impl Shuffle for [f32; 4] {
     #[inline(always)]
     unsafe fn add_shuffled(self, order: &Order, from: *const f32) -> Self {
+        // SAFETY: as the caller promises.
         let numbers = unsafe { Self::load(from) };
         std::array::from_fn(|l| self[l] + if order[l] < FILLED { 0.0 } else { numbers[order[l] as usize % 4] })
     }
 
     #[inline(always)]
     unsafe fn multiply_add_shuffled(self, order: &Order, from: *const f32, factors: Self) -> Self {
+        // SAFETY: as the caller promises.
         let numbers = unsafe { Self::load(from) };
         std::array::from_fn(|l| self[l] + numbers[order[l] as usize % 4] * factors[l])
     }
@@ -60,6 +64,7 @@ mod x86 {
     impl Shuffle for __m256 {
         #[inline(always)]
         unsafe fn add_shuffled(self, order: &Order, from: *const f32) -> Self {
+            // SAFETY: the machine has these vectors, and `from` a vector of numbers, as the caller promises.
             unsafe {
                 let order = _mm256_loadu_si256(order.as_ptr().cast());
                 let numbers = _mm256_permutevar8x32_ps(Self::load(from), order);
@@ -69,6 +74,7 @@ mod x86 {
 
         #[inline(always)]
         unsafe fn multiply_add_shuffled(self, order: &Order, from: *const f32, factors: Self) -> Self {
+            // SAFETY: the machine has these vectors, and `from` a vector of numbers, as the caller promises.
             unsafe {
                 let order = _mm256_loadu_si256(order.as_ptr().cast());
                 _mm256_fmadd_ps(_mm256_permutevar8x32_ps(Self::load(from), order), factors, self)
@@ -80,6 +86,7 @@ mod x86 {
     impl Shuffle for __m512 {
         #[inline(always)]
         unsafe fn add_shuffled(self, order: &Order, from: *const f32) -> Self {
+            // SAFETY: the machine has these vectors, and `from` a vector of numbers, as the caller promises.
             unsafe {
                 let order = _mm512_loadu_si512(order.as_ptr().cast());
                 let filled = _mm512_movepi32_mask(order);
@@ -89,6 +96,7 @@ mod x86 {
 
         #[inline(always)]
         unsafe fn multiply_add_shuffled(self, order: &Order, from: *const f32, factors: Self) -> Self {
+            // SAFETY: the machine has these vectors, and `from` a vector of numbers, as the caller promises.
             unsafe {
                 let order = _mm512_loadu_si512(order.as_ptr().cast());
                 _mm512_fmadd_ps(_mm512_permutexvar_ps(order, Self::load(from)), factors, self)

@@ -1,5 +1,6 @@
 //! The threads kernels run on, and the buffers each of them keeps.
 
+use crate::sizes::expect_room;
 use pyo3::pyfunction;
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
@@ -15,6 +16,10 @@ pub const PRODUCTS: usize = 2_000_000;
 /// on their number.
 pub const PIECES: usize = 64;
 
+/// Threads that may be asked for, of each core and at the least of so many cores.
+const OF_A_CORE: usize = 2;
+const FEW_CORES: usize = 8;
+
 /// The pool, of which process (threads do not survive a fork), and how many threads were asked for (0: all cores).
 struct State {
     pool: Option<(u32, Arc<ThreadPool>)>,
@@ -23,14 +28,20 @@ struct State {
 
 static STATE: Mutex<State> = Mutex::new(State { pool: None, wanted: 0 });
 
-/// How many threads large tensors are worked on by; 0 stands for all cores. Results do not depend on it.
+/// How many threads large tensors are worked on by; 0 stands for all cores. Results do not depend on it, nor does it help
+/// to have more of them than there are cores.
 #[pyfunction]
 pub fn set_threads(count: usize) {
+    let count = count.min(OF_A_CORE * cores().max(FEW_CORES));
     let mut state = STATE.lock().unwrap_or_else(PoisonError::into_inner);
     if state.wanted != count {
         drop(own(state.pool.take()));
         state.wanted = count;
     }
+}
+
+fn cores() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
 }
 
 /// The pool, if it is this process's own. One of a parent process must not be dropped: its threads do not exist here.
@@ -49,10 +60,7 @@ fn pool() -> Option<Arc<ThreadPool>> {
     let mut state = STATE.lock().unwrap_or_else(PoisonError::into_inner);
     state.pool = own(state.pool.take());
     if state.pool.is_none() {
-        let threads = match state.wanted {
-            0 => std::thread::available_parallelism().map_or(1, usize::from),
-            wanted => wanted,
-        };
+        let threads = if state.wanted == 0 { cores() } else { state.wanted };
         let build = || ThreadPoolBuilder::new().num_threads(threads).thread_name(|i| format!("hmkcta-{i}")).build();
         state.pool = Some((std::process::id(), Arc::new(build().ok()?)));
     }
@@ -109,6 +117,7 @@ pub fn with_scratch<R>(work: impl FnOnce(&mut Scratch) -> R) -> R {
 /// The first `length` numbers of a buffer that grows as needed; what they are is left open.
 pub fn room<T: Copy + Default>(buffer: &mut Vec<T>, length: usize) -> &mut [T] {
     if buffer.len() < length {
+        expect_room::<T>(length);
         buffer.resize(length, T::default());
     }
     &mut buffer[..length]

@@ -57,12 +57,16 @@ impl WithSimd for Product<'_> {
 
 impl Product<'_> {
     /// All rows of `L` columns of bases, as many at a time as registers hold sums for.
+    ///
+    /// # Safety
+    /// `L` columns from the first on, all rows, and the sums of both lie within the slices.
     #[inline(always)]
     unsafe fn rows<S: Simd, const L: usize>(&mut self, simd: S, first: usize) {
         let most = if S::REGISTER_COUNT >= 32 { 4 } else { 2 } * if L <= 2 { 2 } else { 1 };
         for tuple in (0..TUPLES).step_by(S::F32_LANES) {
             let mut row = 0;
             while row < self.rows.len() {
+                // SAFETY: as the caller promises: these rows and columns lie within the slices.
                 unsafe {
                     row += match most.min(self.rows.len() - row) {
                         8.. => self.tile::<S, L, 8>(simd, (first, row, tuple)),
@@ -76,6 +80,9 @@ impl Product<'_> {
     }
 
     /// `M` rows, of a vector of tuples.
+    ///
+    /// # Safety
+    /// That of `rows`, for `M` rows from this one on.
     #[inline(always)]
     unsafe fn tile<S: Simd, const L: usize, const M: usize>(
         &mut self,
@@ -83,6 +90,7 @@ impl Product<'_> {
         (first, row, tuple): (usize, usize, usize),
     ) -> usize {
         let mut products = [[simd.splat_f32s(0.0); L]; M];
+        // SAFETY: as above.
         unsafe {
             let mut x = [self.x.as_ptr().add(tuple); M];
             for (i, x) in x.iter_mut().enumerate() {

@@ -124,6 +124,7 @@ unsafe impl<T: Real> Source<T> for Widened<'_, T> {
 
     #[inline(always)]
     unsafe fn numbers<const W: usize>(&self, slot: usize, choice: &Offsets<W>) -> *const T {
+        // SAFETY: the choice is one of these addresses, all of which lie within `all`, as the caller promises.
         unsafe { self.all.as_ptr().add(choice[slot] as usize) }
     }
 }

@@ -13,13 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _native
-from ..errors import HmkctaError, Kind
+from ..errors import HmkctaError, Kind, sentence
 from ..packed import PackedLevel
 
 Index = NDArray[np.intp]
 
 #: Modes the kernels have room for: as many as a file may have.
 MOST_MODES = 8
+#: What the kernels, and what flattens arrays for them, raise of a level whose arrays are none.
+NO_LEVEL = (ValueError, TypeError, AttributeError, OverflowError, RuntimeError)
 #: Of levels that are in use.
 flattened: WeakKeyDictionary[PackedLevel, dict[str, Any]] = WeakKeyDictionary()
 
@@ -44,9 +46,9 @@ def _checked(decode: Callable[[], None]) -> None:
     """Arrays that contradict each other are reported as in a file: they may be a map of one that was written into."""
     try:
         decode()
-    except ValueError as error:
+    except NO_LEVEL as error:
         raise HmkctaError(
-            Kind.CORRUPTION, "level-arrays", "arrays of a level", found=error,
+            Kind.CORRUPTION, "level-arrays", "arrays of a level", found=sentence(error),
             allowed="what docs/format.md, section 3, says",
             hint="open the file again if something wrote into it; replace a file that is open by Model.save") from error
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import signal
 import sys
 import traceback
@@ -90,14 +91,16 @@ class Hmkcta(ExamplesFirst, click.Group):
             raise
         except HmkctaError as error:
             if isinstance(error, ForeignFile):
-                raise _foreign(error) from error
+                raise Failure(str(error), Exit.IO, error) from error
             kept = going_on(ctx, then=bool(error.hint)) if may_go_on(ctx, error) else ""
-            raise Failure(by_options(f"{error} {kept}".rstrip()), error.kind.exit_code, error) from error
+            said = by_options(str(error).replace(f"Next: {error.hint}.", f"Next: {_possible(ctx, error)}."))
+            raise Failure(f"{said} {kept}".rstrip(), error.kind.exit_code, error) from error
         except KeyboardInterrupt as error:
             raise _interruption(ctx, error.number if isinstance(error, Interrupted) else signal.SIGINT) from None
         except MemoryError as error:
-            advice = "Next: give --max-memory, a smaller part, or a coarser plan."
-            raise Failure(f"the memory ran out. {advice} {going_on(ctx, then=True)}".rstrip(), Exit.RESOURCE) from error
+            ran_out = HmkctaError(Kind.RESOURCE_LIMIT, "memory", "the memory", told="ran out", hint=_less_memory(ctx))
+            kept = going_on(ctx, then=True)
+            raise Failure(f"{ran_out} {kept}".rstrip(), Exit.RESOURCE, ran_out) from error
         except Exception as error:
             raise _unforeseen(error, bool(ctx.meta.get(VERBOSE))) from error
 
@@ -114,19 +117,34 @@ def main() -> None:
     """Compress visual data so that any element can be decoded on its own."""
 
 
+def _options(ctx: click.Context) -> set[str]:
+    """The options of the command that runs."""
+    command = main.get_command(ctx, ctx.invoked_subcommand or "")
+    return {name for param in command.params for name in param.opts} if command is not None else set()
+
+
+def _possible(ctx: click.Context, error: HmkctaError) -> str:
+    """The advice of an error, but one about memory that the command cannot follow: that is for who calls functions."""
+    followed = set(re.findall(r"--[a-z-]+", error.hint)) <= _options(ctx)
+    of_functions = re.search(r"numpy|\bindex\b|\bpositions\b|=", error.hint)
+    return error.hint if error.reason != "memory" or (followed and not of_functions) else _less_memory(ctx)
+
+
+def _less_memory(ctx: click.Context) -> str:
+    """How the command that runs can do with less memory."""
+    ways = {"--plan": "a coarser --plan", "--max-memory": "a lower --max-memory", "--width": "a smaller --width and "
+            "--height", "--level": "a lower --level"}
+    held = _options(ctx)
+    possible = ", ".join(way for option, way in ways.items() if option in held)
+    return f"give {possible}, or close what else takes memory" if possible else (
+        "close what else takes memory, or take a machine that has more")
+
+
 def may_go_on(ctx: click.Context, error: HmkctaError) -> bool:
     """Whether the same command with --resume can end otherwise."""
     if error.kind is Kind.RESOURCE_LIMIT:  # with the same --max-memory it ends the same
         return not any(str(word).startswith("--max-memory") for word in ctx.meta.get(WORDS, ()))
     return error.kind is Kind.IO and error.reason != "partial-busy"
-
-
-def _foreign(error: ForeignFile) -> Failure:
-    """The error to end with for a file that is no `.hmk` file: what was wrong with a length that it never meant says
-    nothing."""
-    cause = HmkctaError(Kind.IO, "foreign-file", error.where, found=error.found, allowed=error.allowed, hint=error.hint)
-    sentence = str(error).removesuffix(f"[{error.kind.label}/{error.reason}]")
-    return Failure(f"{sentence}[{cause.kind.label}/{cause.reason}]", Exit.IO, cause)
 
 
 def _interruption(ctx: click.Context, number: int) -> Failure:

@@ -6,13 +6,12 @@ from collections.abc import Mapping
 from typing import Any
 
 import click
-from numpy.typing import NDArray
 
-from ..readers import open_array
+from ..readers import WatchedSource
 from .progress import Progress
 
 
-def opened(option: str, uri: str | None, source: Mapping[str, Any], quiet: bool = False) -> NDArray[Any] | None:
+def opened(option: str, uri: str | None, source: Mapping[str, Any], quiet: bool = False) -> WatchedSource | None:
     """What an option names, as the values of `source_options` describe it; None where it names nothing.
 
     Raises:
@@ -21,7 +20,7 @@ def opened(option: str, uri: str | None, source: Mapping[str, Any], quiet: bool 
     """
     if uri is not None:
         with Progress(quiet) as progress:
-            return open_array(uri, **source, progress=progress)
+            return WatchedSource(uri, **source, progress=progress)
     defaults = {param.name: param.default for param in click.get_current_context().command.params}
     given = [f"--{name}" for name, value in source.items() if value not in (None, defaults[name])]
     if given:

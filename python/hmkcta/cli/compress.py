@@ -35,7 +35,7 @@ from .options import (
 )
 from .output import decibels, emit, mebibytes, ratio, seconds, table, transformed_column, warnings_as_notes
 from .progress import Progress
-from .resume import journal_beside, resume_option
+from .resume import finished, journal_beside, publish, resume_option
 
 EXAMPLES = (
     "hmkcta compress wood.npy -o wood.hmk --axes light,view,y,x,rgb --snr 27",
@@ -59,6 +59,9 @@ def compress_command(source: str, output: str, plan: str | None, device: str, re
     No goal: 1/100 of its bytes, or 50 dB. Exit code 7: FILE misses the goal.
     """
     goal = goal_from(options)
+    if resume and (before := finished(output)) is not None:
+        _say_finished(output, *before, as_json, quiet)
+        return
     check_output(output, overwrite)
     apart(source, output)
     where = find_device(device)
@@ -68,15 +71,18 @@ def compress_command(source: str, output: str, plan: str | None, device: str, re
           warnings_as_notes() as said):
         if resume and not journal.holds_work:
             click.echo(f"hmkcta: there is nothing in {journal.folder} to go on with: it begins anew.", err=True)
-        array = goal.open(source, progress)
+        watched = goal.open(source, progress)
+        array = watched.array
         model = compress(array, plan, snr=goal.snr, size=goal.size, kind=goal.kind, device=where,
                          progress=progress, journal=journal, **goal.settings_for(array))
-        model.save(output, overwrite=overwrite)
+        watched.check(model.metadata.source["sha256"])
+        missed = _missed(model, goal, plan, output)
+        publish(journal, model, output, overwrite, missed)
     report: dict[str, Any] = {
         **describe(model, array, progress), "device": asdict(where), "nodes_resumed": journal.found,
         "plans_tried": progress.plans, **plan_of(model),
     }
-    missed = missed_goal(model, goal)
+    said += [f"{source} is no longer there: {output} is of what it was"] if watched.gone else []
     said += notes(model, array, planned=plan is not None) + unused(model, goal, plan)
     said += beyond_cost(model.decode_cost, goal, plan) + ordinary_cameras(goal, model.metadata.kind)
     if as_json:
@@ -91,9 +97,33 @@ def compress_command(source: str, output: str, plan: str | None, device: str, re
             click.echo("\n".join(f"  {stage}: {seconds(time)}" for stage, time in progress.stages.items()), err=True)
     for sentence in [] if quiet else said:
         click.echo(f"hmkcta: {sentence}.", err=True)
+    _end(missed)
+
+
+def _missed(model: Model, goal: Goal, plan: str | None, output: str) -> str | None:
+    """What is said where a goal was not reached."""
+    missed = missed_goal(model, goal)
+    better = "" if missed is None else f"{output} is written, and is the best found. Next: {advice(model, plan, goal)}."
+    return None if missed is None else f"{missed} {better}"
+
+
+def _say_finished(output: str, model: Model, missed: str | None, as_json: bool, quiet: bool) -> None:
+    """What is left to say where the interrupted command had written its file."""
+    said = "it was finished already, and only its journal was left"
+    if as_json:
+        emit({"output": output, "snr_db": model.snr, "bytes": model.nbytes, "decode_cost": model.decode_cost,
+              "reached": missed is None, "notes": [said]})
+    elif not quiet:
+        click.echo(f"{output}: {model!r}")
+    if not quiet:
+        click.echo(f"hmkcta: {said}.", err=True)
+    _end(missed)
+
+
+def _end(missed: str | None) -> None:
+    """End the command with the exit code of a goal that was missed, if one was."""
     if missed is not None:
-        better = advice(model, plan, goal)
-        click.echo(f"hmkcta: {missed} {output} is written, and is the best found. Next: {better}.", err=True)
+        click.echo(f"hmkcta: {missed}", err=True)
         click.get_current_context().exit(Exit.TARGET_MISSED)
 
 

@@ -31,6 +31,8 @@ EXIT_CODES = {
     5: "version or value transform of the file is not known",
     6: "resource limit",
     7: "target not reached: the file is written, and is the best found",
+    8: "the source changed while it was read: nothing is written",
+    9: "verify --against: the source is not the array the file was made from",
     130: "interrupted (143: by SIGTERM); what is finished is kept for --resume",
 }
 

@@ -10,12 +10,13 @@ from typing import Any, cast
 import click
 from numpy.typing import NDArray
 
-from ..axes import check_kind, format_organisation, name_axes
+from ..axes import check_kind, format_organisation
 from ..errors import invalid
 from ..fitting.fit import EFFORTS
 from ..hmkfile import KINDS
+from ..labels import labels_of
 from ..plan import AUTO, SCHEMES, Plan, multiply_adds
-from ..readers import open_array, read_coordinates
+from ..readers import WatchedSource, read_coordinates
 from .options import Assignment, ByteSize, Count, Names, memory_option, nan_option, source_options, together
 from .progress import Progress
 
@@ -62,9 +63,9 @@ class Goal:
     source: dict[str, Any]  # arguments of `open_array`
     along: dict[str, tuple[tuple[str, str], ...]]  # --coords and --unit
 
-    def open(self, path: str, progress: Progress) -> NDArray[Any]:
+    def open(self, path: str, progress: Progress) -> WatchedSource:
         """The source."""
-        return open_array(path, **self.source, max_memory=self.settings["max_memory"], progress=progress)
+        return WatchedSource(path, **self.source, max_memory=self.settings["max_memory"], progress=progress)
 
     def settings_for(self, array: NDArray[Any]) -> dict[str, Any]:
         """The settings, with the coordinates and units of the axes of the source.
@@ -73,10 +74,10 @@ class Goal:
             HmkctaError: an axis that is not there, coordinates that cannot be read, axes that do not make the --kind.
         """
         if self.kind is not None:
-            check_kind(name_axes(array.shape, self.settings["axes"]), self.kind)
+            check_kind(labels_of(array).named(array.shape, self.settings["axes"]), self.kind)
         if not any(self.along.values()):
             return self.settings
-        axes = {axis.name: axis for axis in name_axes(array.shape, self.settings["axes"])}
+        axes = {axis.name: axis for axis in labels_of(array).named(array.shape, self.settings["axes"])}
         for option, given in self.along.items():
             for name, value in given:
                 if name not in axes:

@@ -50,7 +50,8 @@ def plan_command(source: str, plan: str | None, as_json: bool, quiet: bool, verb
     del verbose
     goal = goal_from(options)
     with Progress(quiet or as_json) as progress:
-        array = goal.open(source, progress)
+        watched = goal.open(source, progress)
+        array = watched.array
         settings = goal.settings_for(array)
         described = describe_source(array, settings["axes"], settings["transform"])
         if plan is not None:
@@ -60,6 +61,7 @@ def plan_command(source: str, plan: str | None, as_json: bool, quiet: bool, verb
             beside = {name: value for name, value in settings.items() if name != "scheme"}  # which is of written levels
             chosen = choose_plan(array, snr=goal.snr, size=goal.size, progress=progress, **beside)
             choosing = perf_counter() - begun  # `compress` does the same
+            watched.check(None)
     report = describe(chosen, described, goal, choosing)
     report["command"] = command_for(source, "OUT.hmk", chosen, goal)
     report["goal_command"] = command_for(source, "OUT.hmk", None, goal) if plan is None else None

@@ -11,6 +11,7 @@ import click
 from ..errors import invalid
 from ..hmkfile import check_output
 from ..model import open as open_model
+from ..support.cut_short import whole_map
 from .compared import opened
 from .options import (
     Command,
@@ -76,17 +77,18 @@ def render_command(file: str, output: str, scene: str | None, against: str | Non
     _check_compared(described, against)
     model = open_model(file)
     source = {"member": member, "shape": shape, "dtype": dtype, "order": order, "offset": offset}
-    original = opened("--against", against, source, quiet or as_json)
+    watched = opened("--against", against, source, quiet or as_json)
+    original = None if watched is None else watched.array
     from ..render import Renderer
 
-    renderer = Renderer(model, original=original, backend=backend, kind=described.kind, position=described.position)
     started = time.monotonic()
-    if film:
-        with Progress(quiet or as_json) as progress:
+    with whole_map(original), Progress(quiet or as_json or not film) as progress:
+        renderer = Renderer(model, original=original, backend=backend, kind=described.kind, position=described.position)
+        if film:
             pictures = _followed(renderer, described, animate, frames, progress)
             count = _save_film(output, pictures, fps, overwrite)
-    else:
-        count = _save_still(output, renderer, described, overwrite)
+        else:
+            count = _save_still(output, renderer, described, overwrite)
     size = film_size(output, described.width, described.height)
     idle = idle_options(given, renderer.kind, model.metadata.axes, described.volume.mode)
     notes = [*renderer.notes, *_resized(described, size),

@@ -14,9 +14,12 @@ from .options import WORDS
 
 if TYPE_CHECKING:
     from ..journal import Journal
+    from ..model import Model
 
 #: Key of `click.Context.meta` under which the journal of the command stands.
 _JOURNAL = "hmkcta.journal"
+#: Words of a command that change nothing of what it makes.
+_PASSING = ("--resume", "--overwrite", "--json", "--quiet", "-v", "--verbose")
 
 resume_option = click.option("--resume", is_flag=True, help="Go on with interrupted work (kept in FILE.partial).")
 
@@ -29,6 +32,44 @@ def journal_beside(output: str, resume: bool, overwrite: bool) -> Journal:
     journal = Journal(folder, resume=resume, overwrite=overwrite and not resume)
     click.get_current_context().meta[_JOURNAL] = journal
     return journal
+
+
+def publish(journal: Journal, model: Model, output: str, overwrite: bool, missed: str | None) -> None:
+    """Save the model, so that a process killed before `journal` is removed is known to have finished."""
+    from ..hmkfile import header_digest
+
+    header = header_digest(model.metadata, model.levels)
+    journal.about_to_publish({"header": header, "words": _lasting_words(), "missed": missed})
+    model.save(output, overwrite=overwrite)
+
+
+def finished(output: str) -> tuple[Model, str | None] | None:
+    """The model that an interrupted run of the same command wrote already, and how it missed its goal.
+
+    What the run had kept, and what killed writers left beside the output, is removed.
+    """
+    from ..hmkfile import header_digest, remove_stale
+    from ..journal import Journal
+    from ..model import open as open_model
+
+    journal = Journal(Path(f"{os.fspath(output)}.partial"), resume=True)
+    done = journal.done
+    if done.get("words") != _lasting_words():
+        return None
+    try:
+        model = open_model(output)
+    except HmkctaError:  # it is not there, or not this run's
+        return None
+    if header_digest(model.metadata, model.levels) != done.get("header"):
+        return None
+    journal.remove()
+    remove_stale(output)
+    return model, done.get("missed")
+
+
+def _lasting_words() -> list[str]:
+    """The words of the command but for those that say how it begins and what it shows."""
+    return [word for word in map(str, click.get_current_context().meta[WORDS]) if word not in _PASSING]
 
 
 def abandon(ctx: click.Context) -> None:

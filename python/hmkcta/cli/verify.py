@@ -7,12 +7,16 @@ from math import isclose
 from typing import Any
 
 import click
+import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import HmkctaError, Kind
 from ..measure import measure_both
 from ..model import Model
 from ..model import open as open_model
 from ..packed import LevelQuality
+from ..streaming.steady import fingerprint_of
+from ..support.cut_short import whole_map
 from .compared import opened
 from .options import (
     Command,
@@ -44,25 +48,54 @@ SNR_TOLERANCE, ERROR_TOLERANCE = 0.01, 1e-3
 @verbose_option
 def verify_command(file: str, against: str | None, nan: float | None, as_json: bool, quiet: bool, verbose: bool,
                    **source: Any) -> None:
-    """Check FILE; with --against SRC also that it is as good as it says.
+    """Check FILE; with --against SRC also that it was made from SRC, and is as good as it says.
 
-    Exit code 4: FILE is damaged, or its quality is not what it says.
+    Exit code 4: FILE is damaged, or its quality is not what it says. 9: SRC is another array, however near.
     """
     del verbose
     model = open_model(file)
     report: dict[str, Any] = {"file": file, "digests": "ok", "structure": "ok"}
     measured = tuple[LevelQuality, ...]()
-    array = opened("--against", against, source, quiet or as_json)
-    if array is not None:
-        with Progress(quiet or as_json) as progress:
+    watched = opened("--against", against, source, quiet or as_json)
+    made_from = None
+    if watched is not None:
+        array = watched.array
+        with Progress(quiet or as_json) as progress, whole_map(array):
             measured, transformed = measure_both(model, array, nan=nan, progress=progress)
+            found = fingerprint_of(array)
+            made_from = _is_source(model, array, found)
+            watched.check(found)
         report["levels"] = _report(model, measured, transformed)
+        report["made_from_source"] = made_from
     if not as_json and not quiet:
         _show(file, model, report.get("levels", []))
+    advice = "check that the values that were replaced get the same ones, by --nan" if made_from else (
+        f"give the source it was made from: {against} has other values (their SHA-256 differ)")
     for number, (said, found) in enumerate(zip(model.quality, measured, strict=False), start=1):
-        _compare(file, number, said, found)
+        _compare(file, number, said, found, advice)
+    if made_from is False:
+        raise _other_source(str(against), file, model, measured)
     if as_json:
         emit(report)
+
+
+def _is_source(model: Model, array: NDArray[Any], fingerprint: str | None) -> bool | None:
+    """Whether the model was made from these values, of whatever number type; None: it does not say."""
+    said = model.metadata.source.get("sha256")
+    if said is None or said == fingerprint:
+        return None if said is None else True
+    made_of = np.dtype(model.metadata.source_dtype)
+    return made_of != array.dtype.newbyteorder("=") and fingerprint_of(array, made_of) == said
+
+
+def _other_source(source: str, file: str, model: Model, measured: Sequence[LevelQuality]) -> HmkctaError:
+    """The error for values that differ from those of the source, however near they are."""
+    found, said = measured[-1], model.quality[-1]
+    figures = (f"against it SNR is {decibels(found.snr_db)} dB and the largest error {found.max_abs_error:.4g}, "
+               f"{file} says {decibels(said.snr_db)} dB and {said.max_abs_error:.4g}")
+    return HmkctaError(Kind.OTHER_SOURCE, "source-differs", source,
+                       told=f"not the array {file} was made from (their SHA-256 differ); {figures}",
+                       hint="give the source it was made from, or compress this one")
 
 
 def _report(
@@ -87,7 +120,7 @@ def _show(file: str, model: Model, levels: Sequence[dict[str, Any]]) -> None:
     click.echo(table(header, rows))
 
 
-def _compare(file: str, number: int, said: LevelQuality, found: LevelQuality) -> None:
+def _compare(file: str, number: int, said: LevelQuality, found: LevelQuality, advice: str) -> None:
     """Refuse a file whose quality is another than it says."""
     snr_agrees = said.snr_db == found.snr_db or abs(said.snr_db - found.snr_db) <= SNR_TOLERANCE
     rows = (
@@ -99,8 +132,7 @@ def _compare(file: str, number: int, said: LevelQuality, found: LevelQuality) ->
     for name, agrees, measured, stated in rows:
         if not agrees:
             raise HmkctaError(Kind.CORRUPTION, "quality-differs", f"{name} of level {number} of {file}",
-                              found=measured, allowed=f"{stated}, as the file says",
-                              hint="check that this is the source it was made of, with the same --nan")
+                              found=measured, allowed=f"{stated}, as the file says", hint=advice)
 
 
 def _close(found: float, said: float) -> bool:

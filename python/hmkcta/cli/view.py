@@ -8,7 +8,8 @@ from typing import Any
 import click
 
 from ..hmkfile import is_hmk
-from ..serve import is_opened, serve
+from ..serve import serve
+from ..support.cut_short import whole_map
 from .compared import opened
 from .interrupt import Interrupted
 from .options import Command, file_argument, nan_option, source_options, verbose_option
@@ -30,15 +31,16 @@ def view_command(file: str, original: str | None, nan: float | None, port: int, 
                  **source: Any) -> None:
     """Show FILE in the browser, which needs WebGPU. Ctrl-C ends it.
 
-    The page and FILE are served on this computer only. It streams: level 1 first.
+    FILE is served on this computer only, to whoever has the address that is printed. It streams: level 1 first.
     """
     del verbose
     model = original if original is not None and is_hmk(original) else None
-    array = opened("--original", None if model else original, source)
-    with serve(file, original=model or array, nan=nan, port=port) as server:
+    watched = opened("--original", None if model else original, source)
+    array = None if watched is None else watched.array
+    with whole_map(array), serve(file, original=model or array, nan=nan, port=port) as server:
         try:
             click.echo(f"{server.url}\nCtrl-C ends it.")
-            if not no_browser and not is_opened(server.url):
+            if not no_browser and not server.open_browser():
                 click.echo("hmkcta: no browser could be opened; open the address in one.", err=True)
             server.wait()
         except Interrupted as signal:

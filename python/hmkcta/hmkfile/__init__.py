@@ -10,8 +10,11 @@ from .metadata import coords_info as coords_info
 from .metadata import coords_name as coords_name
 from .publish import check_output as check_output
 from .publish import published as published
+from .publish import remove_stale as remove_stale
 from .read import load as load
+from .read import load_open as load_open
 from .read import loads as loads
+from .read import open_regular as open_regular
 from .read import table_bytes as table_bytes
 from .reasons import REASONS as REASONS
 from .reasons import WRITER_REASONS as WRITER_REASONS
@@ -23,5 +26,6 @@ from .short import narrowest as narrowest
 from .write import encode as encode
 from .write import encoded_size as encoded_size
 from .write import file_size as file_size
+from .write import header_digest as header_digest
 from .write import level_sizes as level_sizes
 from .write import save as save

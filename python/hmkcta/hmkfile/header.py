@@ -66,7 +66,8 @@ def header_length(start: bytes, size: int, limits: Limits) -> int:
     2
     """
     if size < LENGTH_BYTES:
-        raise fault("truncated", "header", f"a file of {size} bytes", "8 bytes and more", "fetch the file again")
+        raise fault("truncated", "header", f"a file of {size} bytes", "8 bytes and more",
+                    "if it was longer where it comes from, fetch it again")
     length = int.from_bytes(start[:LENGTH_BYTES], "little")
     if length > limits.json_bytes:
         raise fault("header-too-large", "header", f"{length} bytes", f"at most {limits.json_bytes}",

@@ -5,47 +5,64 @@ from __future__ import annotations
 import os
 import stat
 
-from ..errors import ForeignFile, HmkctaError
-from .limits import DEFAULT_LIMITS
+from ..errors import ForeignFile, Kind
+from .limits import DEFAULT_LIMITS, Limits
 
 _COMPRESS = "hmkcta compress it, or give the .hmk file that was made of it"
+_SEE = "see in a browser what the server says, and where the file is"
 #: First bytes, lower-cased, what they look like, and what to do.
 _STARTS = (
     (b"\x93numpy", "a NumPy array (.npy)", _COMPRESS),
     (b"pk\x03\x04", "a zip archive (.npz, Zarr)", f"unpack the .hmk file in it, or {_COMPRESS}"),
     (b"\x89hdf\r\n\x1a\n", "HDF5 or netCDF-4", _COMPRESS),
     (b"\x89png\r\n\x1a\n", "a PNG picture", _COMPRESS),
+    (b"\xff\xd8\xff", "a JPEG picture", _COMPRESS),
+    (b"ii*\0", "a TIFF picture", _COMPRESS),
+    (b"mm\0*", "a TIFF picture", _COMPRESS),
+    (b"v/1\x01", "an EXR picture", _COMPRESS),
+    (b"nrrd0", "NRRD", _COMPRESS),
     (b"\x1f\x8b", "a file packed by gzip", "unpack it: gunzip"),
+    (b"bzh", "a file packed by bzip2", "unpack it: bunzip2"),
+    (b"\xfd7zxz\0", "a file packed by xz", "unpack it: unxz"),
+    (b"\x28\xb5\x2f\xfd", "a file packed by zstd", "unpack it: unzstd"),
     (b"version https://git-lfs", "a pointer of Git LFS", "fetch what it points to: git lfs pull"),
-    (b"<!doctype html", "a web page", "see in a browser what the server says, and fetch the file again"),
-    (b"<html", "a web page", "see in a browser what the server says, and fetch the file again"),
+    (b"<!doctype html", "a web page", _SEE),
+    (b"<html", "a web page", _SEE),
 )
 #: Bytes that tell all of them.
 START = 64
 
 
-#: Where the JSON of a header begins, and the reasons of a length before it that can be none.
-_JSON_AT, _NO_LENGTH = 8, ("header-too-large", "truncated")
+#: Where the JSON of a header begins.
+_JSON_AT = 8
 
 
-def recognised(error: HmkctaError, start: bytes) -> HmkctaError:
-    """The error about a file's header; where the file begins as no `.hmk` file does, one that says what it looks like.
+def check_start(start: bytes, size: int, limits: Limits) -> None:
+    """Refuse a file of `size` bytes that begins as no `.hmk` file does, even a damaged or truncated one.
 
-    >>> from .reasons import fault
-    >>> print(recognised(fault("truncated", "header", "a file of 40 bytes", "8 bytes and more"), b"\\x1f\\x8b\\x08"))
-    header: found what begins like a file packed by gzip, allowed an .hmk file. Next: unpack it: gunzip. \
-[InsufficientData/truncated]
+    Args:
+        start: its first `START` bytes, or all there are.
+
+    Raises:
+        ForeignFile: reason ``foreign-file``: behind the length there is no ``{``, and the file begins as another format
+            does, or the length is none that a header can have.
+
+    >>> check_start(b"\\x1f\\x8b\\x08" + bytes(20), 23, DEFAULT_LIMITS)
+    Traceback (most recent call last):
+        ...
+    hmkcta.errors.ForeignFile: header: found what begins like a file packed by gzip, allowed an .hmk file. Next: \
+unpack it: gunzip. [Io/foreign-file]
     """
-    if error.where != "header" or start[_JSON_AT:_JSON_AT + 1] == b"{":
-        return error
-    begins = start.lstrip().lower() if start.lstrip().startswith(b"<") else start.lower()
-    found, advice = next(((what, advice) for first, what, advice in _STARTS if begins.startswith(first)), ("", ""))
-    no_length = error.reason in _NO_LENGTH or not any(start[:_JSON_AT])
-    if not found and (not no_length or len(start) <= _JSON_AT):
-        return error
-    found = f"what begins like {found}" if found else "what begins like no .hmk file"
-    return ForeignFile(error.kind, error.reason, error.where, found=found, allowed="an .hmk file",
-                       hint=advice or "check that it is an .hmk file")
+    if start[_JSON_AT:_JSON_AT + 1] == b"{":
+        return
+    length, found, advice = int.from_bytes(start[:_JSON_AT], "little"), "", ""
+    if size > _JSON_AT:  # fewer bytes might be those of a length
+        begins = start.lstrip().lower() if start.lstrip().startswith(b"<") else start.lower()
+        found, advice = next(((what, advice) for first, what, advice in _STARTS if begins.startswith(first)), ("", ""))
+    is_length = length <= limits.json_bytes and (size <= _JSON_AT or 0 < length <= size - _JSON_AT)
+    if found or not is_length:
+        raise ForeignFile(Kind.IO, "foreign-file", "header", found=f"what begins like {found or 'no .hmk file'}",
+                          allowed="an .hmk file", hint=advice or "check that it is an .hmk file")
 
 
 def is_hmk(path: str | os.PathLike[str]) -> bool:

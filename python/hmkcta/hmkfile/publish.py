@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import secrets
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from ..errors import DISK_FULL
+from ..support.recordlog import Busy, claim
 from ..support.temporaries import temporary
 from .reasons import fault
 
@@ -47,10 +49,11 @@ def published(path: str | os.PathLike[str], overwrite: bool = False) -> Generato
             folder cannot be written to (``unwritable``). The target is then as it was.
     """
     target = check_output(path, overwrite)
-    beside = target.with_name(f".{target.name[:40]}.{secrets.token_hex(8)}.tmp")
     with _as_io(str(path)):
+        remove_stale(target)
+        beside = target.with_name(f"{_before(target)}{secrets.token_hex(8)}.tmp")
         try:
-            with temporary(beside), open(beside, "xb") as file:
+            with temporary(beside), _claimed(beside) as file:
                 yield file
                 file.flush()
                 os.fsync(file.fileno())
@@ -61,6 +64,34 @@ def published(path: str | os.PathLike[str], overwrite: bool = False) -> Generato
                 beside.unlink(missing_ok=True)
             raise
         _sync_folder(target.parent)
+
+
+def remove_stale(path: str | os.PathLike[str]) -> None:
+    """Remove what writers of this output left beside it that were killed; whatever is still written stays."""
+    target = _resolved(path)
+    before = re.compile(re.escape(_before(target)) + r"[0-9a-f]{16}\.tmp")
+    for name in os.listdir(target.parent):
+        if before.fullmatch(name):
+            with suppress(OSError, Busy), open(target.with_name(name), "r+b") as file:
+                if claim(file.fileno()):
+                    target.with_name(name).unlink()
+
+
+def _claimed(path: Path) -> BinaryIO:
+    """A new file, locked, by which others know that somebody writes it."""
+    while True:
+        file = open(path, "xb")  # noqa: SIM115 (the caller closes it)
+        with suppress(Busy):
+            claim(file.fileno())
+            if path.exists():
+                return file
+        file.close()  # somebody has taken it for a stale one before it was locked
+        path.unlink(missing_ok=True)
+
+
+def _before(target: Path) -> str:
+    """How the names of unfinished files of an output begin."""
+    return f".{target.name[:40]}."
 
 
 def _resolved(path: str | os.PathLike[str]) -> Path:

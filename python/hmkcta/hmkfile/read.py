@@ -11,7 +11,9 @@ import os
 import stat
 import zlib
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
+from io import FileIO
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -24,7 +26,7 @@ from .check import check_coords, check_levels
 from .fields import parse_json
 from .header import LENGTH_BYTES, TEXT_KEY, Entry, Header, header_length, parse_header
 from .limits import DEFAULT_LIMITS, Limits
-from .lookalikes import START, recognised
+from .lookalikes import START, check_start
 from .metadata import ArrayRecord, Parsed, from_json
 from .reasons import fault
 from .schema import NUMPY_TYPES, SHORT, ArrayInfo, check_order, check_schema, is_number, level_of
@@ -45,19 +47,27 @@ def load(path: str | os.PathLike[str], *, verify: bool = True, limits: Limits = 
     Raises:
         HmkctaError: the file cannot be read, or violates the format in any way; see `REASONS`.
     """
+    with open_regular(path) as file:
+        return load_open(file, path, verify=verify, limits=limits)
+
+
+def load_open(
+    file: FileIO, path: str | os.PathLike[str], *, verify: bool = True, limits: Limits = DEFAULT_LIMITS
+) -> Loaded:
+    """Read a file that is open, and may be closed then, as `load` does; `path` is what it is called in errors."""
     expect("limits", limits, Limits, "hmkcta.Limits")
-    data = _mapped(path)
+    data = _mapped(file, path)
     try:
         return loads(data, verify=verify, limits=limits)
     except HmkctaError as error:
-        told = recognised(error, bytes(data[:START]))
-        told.args = (f"{path}: {told}",)  # `where` is a place in the file; people have several files
-        raise told from error.__cause__
+        error.args = (f"{path}: {error}",)  # `where` is a place in the file; people have several files
+        raise
 
 
 def table_bytes(path: str | os.PathLike[str]) -> list[int]:
     """Bytes that each level's arrays but core and basis numbers have in a file that `load` accepts."""
-    entries = read_header(memoryview(_mapped(path)), DEFAULT_LIMITS).entries
+    with open_regular(path) as file:
+        entries = read_header(memoryview(_mapped(file, path)), DEFAULT_LIMITS).entries
     counted = Counter[int]()
     for name, entry in entries.items():
         if name.startswith("level/") and not is_number(name):
@@ -65,15 +75,41 @@ def table_bytes(path: str | os.PathLike[str]) -> list[int]:
     return [counted[level] for level in sorted(counted)]
 
 
-def _mapped(path: str | os.PathLike[str]) -> bytes | mmap.mmap:
+def open_regular(path: str | os.PathLike[str]) -> FileIO:
+    """Open a regular file to read it, unbuffered: whatever its path leads to later, it is this file.
+
+    Raises:
+        HmkctaError: reason ``unreadable``: there is none, it may not be read, or it is a folder, a pipe or a device.
+    """
+    with _as_unreadable(path):
+        # A pipe would block on opening, a device may have no end; asked again of what was opened, as links change.
+        if _is_regular(os.stat(path)):
+            file = FileIO(path, opener=_unblocked)
+            if _is_regular(os.fstat(file.fileno())):
+                return file
+            file.close()
+    raise fault("unreadable", str(path), "no regular file", "a file", told="is no regular file")
+
+
+def _is_regular(found: os.stat_result) -> bool:
+    return stat.S_ISREG(found.st_mode)
+
+
+def _unblocked(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+
+
+def _mapped(file: FileIO, path: str | os.PathLike[str]) -> bytes | mmap.mmap:
+    with _as_unreadable(path):
+        size = os.fstat(file.fileno()).st_size
+        # An empty file cannot be mapped.
+        return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) if size else b""
+
+
+@contextmanager
+def _as_unreadable(path: str | os.PathLike[str]) -> Generator[None]:
     try:
-        # A pipe would block on opening, a device may have no end.
-        if not stat.S_ISREG(os.stat(path).st_mode):
-            raise fault("unreadable", str(path), "no regular file", "a file", told="is no regular file")
-        with open(path, "rb") as file:
-            size = os.fstat(file.fileno()).st_size
-            # An empty file cannot be mapped.
-            return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) if size else b""
+        yield
     except (OSError, ValueError) as error:
         where = shown(path) if isinstance(path, bytes) else str(path)  # which may be what somebody read from a file
         said = getattr(error, "strerror", None) or error
@@ -105,6 +141,7 @@ def loads(data: bytes | bytearray | mmap.mmap, *, verify: bool = True, limits: L
 
 def read_header(view: memoryview, limits: Limits) -> Header:
     """Parse the header of a file's bytes and check which bytes it gives to which array."""
+    check_start(bytes(view[:START]), len(view), limits)
     length = header_length(bytes(view[:LENGTH_BYTES]), len(view), limits)
     return parse_header(bytes(view[LENGTH_BYTES:LENGTH_BYTES + length]), len(view), limits)
 

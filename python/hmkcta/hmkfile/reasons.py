@@ -83,6 +83,7 @@ _COMPATIBILITY = {
 #: Why a reader refuses a file.
 REASONS: dict[str, Reason] = {
     "unreadable": Reason(Kind.IO, "The path cannot be opened or read, or is no regular file."),
+    "foreign-file": Reason(Kind.IO, "The file begins as no .hmk file does."),
     "truncated": Reason(Kind.INSUFFICIENT_DATA, "The file ends before the bytes it declares."),
     **{code: Reason(Kind.COMPATIBILITY, sentence) for code, sentence in _COMPATIBILITY.items()},
     **{code: Reason(Kind.CORRUPTION, sentence) for code, sentence in _CORRUPTION.items()},

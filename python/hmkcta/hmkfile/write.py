@@ -69,6 +69,11 @@ def encode(metadata: Metadata, levels: Sequence[PackedLevel]) -> list[Piece]:
     return [header, *pieces]
 
 
+def header_digest(metadata: Metadata, levels: Sequence[PackedLevel]) -> str:
+    """SHA-256 of the header of the model's file, which has the checksums of all that follows it."""
+    return hashlib.sha256(encode(metadata, levels)[0]).hexdigest()
+
+
 def encoded_size(metadata: Metadata, levels: Sequence[PackedLevel]) -> int:
     """Exact number of bytes of the file that `save` writes; neither checksums nor quality change it."""
     with _as_invalid_argument():

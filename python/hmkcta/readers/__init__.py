@@ -7,3 +7,4 @@ believed to be longer than its file.
 from .coordinates import read_coordinates as read_coordinates
 from .open_array import open_array as open_array
 from .open_array import source_files as source_files
+from .watched import WatchedSource as WatchedSource

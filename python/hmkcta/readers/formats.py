@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from ..errors import invalid
 from . import exr, hdf5, nifti, npy, nrrd, picture, tiff, zarr_store
-from .source import io_error, opened
+from .not_read import by_ending, by_start
+from .source import WHOLE, io_error, opened
 from .unpacked import Unpacker
 
 Opener = Callable[[Path, str | None, Unpacker], NDArray[Any]]
-#: Bytes at the start of a file that are looked at: HDF5 may begin behind a block of the user's.
+#: Bytes at the start of a file that are looked at.
 START = 4096
 
 
@@ -30,6 +31,7 @@ class Format:
         opener: makes an array of a file, or of a member of it.
         pages: whether a folder of such files is a stack.
         members: whether a file may hold several arrays.
+        depth: what a file's numbers reach up to, where their type does not say it; in a stack all have the same.
     """
 
     name: str
@@ -38,6 +40,7 @@ class Format:
     opener: Opener
     pages: bool = False
     members: bool = True
+    depth: Callable[[Path], str] = lambda _: ""
 
     def open(self, path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any]:
         """Open a file.
@@ -51,14 +54,15 @@ class Format:
 
 
 def _single(name: str, endings: tuple[str, ...], magics: tuple[tuple[int, bytes], ...],
-            opener: Callable[[Path, Unpacker], NDArray[Any]], pages: bool = False) -> Format:
+            opener: Callable[[Path, Unpacker], NDArray[Any]], pages: bool = False,
+            depth: Callable[[Path], str] = lambda _: "") -> Format:
     """A format of one array a file."""
     return Format(name, endings, magics, lambda path, _, unpacker: opener(path, unpacker), pages,
-                  members=False)
+                  members=False, depth=depth)
 
 
 def _at_once(opener: Callable[[Path], NDArray[Any]]) -> Callable[[Path, Unpacker], NDArray[Any]]:
-    """An opener that maps, or reads a single picture."""
+    """An opener that maps."""
     return lambda path, _: opener(path)
 
 
@@ -68,34 +72,22 @@ def _open_zip(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any
     return (zarr_store.open_zarr if packed else npy.open_npz)(path, member, unpacker)
 
 
-def _older(name: str, magics: tuple[tuple[int, bytes], ...], allowed: str, hint: str) -> Format:
-    """A format that is known, but not read."""
-    def refuse(path: Path, *_: object) -> NDArray[Any]:
-        raise io_error("source-format", str(path), name, allowed, hint)
-
-    return Format(name, (), magics, refuse)
-
-
+HDF5 = Format("HDF5", (".h5", ".hdf5", ".hdf", ".he5", ".nc", ".nc4", ".mat", ".mnc"), ((0, hdf5.MAGIC),),
+              hdf5.open_hdf5)
 FORMATS = (
     _single(".npy", (".npy",), ((0, npy.MAGIC),), _at_once(npy.open_npy), pages=True),
     Format(".npz or zipped Zarr", (".npz", ".zip"), tuple((0, magic) for magic in npy.ZIP_MAGICS), _open_zip),
-    Format("HDF5", (".h5", ".hdf5", ".hdf", ".he5", ".nc", ".nc4", ".mat"),
-           tuple((at, hdf5.MAGIC) for at in (0, 512, 1024, 2048)), hdf5.open_hdf5),
-    _older("netCDF-3", tuple((0, b"CDF" + bytes([version])) for version in (1, 2, 5)), "netCDF-4, which is HDF5",
-           "convert it: nccopy -k netCDF-4 IN.nc OUT.nc"),
-    _older("HDF4", ((0, b"\x0e\x03\x13\x01"),), "HDF5", "convert it: h4toh5 IN.hdf OUT.h5"),
-    _older("DICOM", ((128, b"DICM"),), "NIfTI or NRRD", "convert the whole series: dcm2niix FOLDER"),
-    # SciPy reads it, but a damaged one ends the process.
-    _older("MATLAB before 7.3", ((0, b"MATLAB 5.0"),), "MATLAB 7.3, which is HDF5", "save it with -v7.3"),
-    _older("a compressed file", ((8, b'{"__metadata__":{"hmkcta"'),), "the array that was compressed",
-           "decode it first: hmkcta decompress IN.hmk -o OUT.npy"),
+    HDF5,
     _single("NIfTI", (".nii",), nifti.MAGICS, nifti.open_nifti),
     _single("NIfTI", (".nii.gz",), ((0, nifti.GZIP),), nifti.open_gzip),
+    _single("NIfTI", (".hdr", ".img"), (), nifti.open_pair),
     _single("NRRD", (".nrrd", ".nhdr"), ((0, nrrd.MAGIC),), nrrd.open_nrrd),
-    Format("TIFF", (".tif", ".tiff"), tiff.MAGICS, tiff.open_tiff, pages=True),
-    Format("EXR", (".exr",), ((0, exr.MAGIC),), lambda path, member, _: exr.open_exr(path, member), pages=True),
-    _single("pictures", picture.ENDINGS, picture.MAGICS, _at_once(picture.open_picture), pages=True),
-    _single("pictures", picture.OTHER_ENDINGS, (), _at_once(picture.open_picture), pages=True),
+    Format("TIFF", (".tif", ".tiff"), tiff.MAGICS, tiff.open_tiff, pages=True, depth=tiff.tiff_depth),
+    Format("EXR", (".exr",), ((0, exr.MAGIC),), exr.open_exr, pages=True),
+    _single("pictures", picture.ENDINGS, picture.MAGICS, picture.open_picture, pages=True,
+            depth=picture.picture_depth),
+    _single("pictures", picture.OTHER_ENDINGS, (), picture.open_picture, pages=True,
+            depth=picture.picture_depth),
 )
 #: Endings of the files of which a folder is a stack.
 PAGES = tuple(ending for each in FORMATS if each.pages for ending in each.endings)
@@ -105,19 +97,27 @@ def format_of(path: Path) -> Format:
     """The format of a file: by its first bytes, or by its ending where those tell nothing.
 
     Raises:
-        HmkctaError: it cannot be read, is empty or damaged at its start, or of no format that is known.
+        HmkctaError: it cannot be read, is empty or damaged at its start, or of no format that is read.
     """
     with opened(path) as file:
         start = file.read(START)
+        behind_block = hdf5.begins_behind_block(file)
     for each in FORMATS:
-        if any(start.startswith(magic, at) for at, magic in each.magics):
+        if any(start.startswith(magic, at) for at, magic in each.magics) or (each is HDF5 and behind_block):
             return each
-    for each in FORMATS:
-        if path.name.lower().endswith(each.endings):
-            if not each.magics and start:
-                return each
-            found = "an empty file" if not start else f"{len(start)} bytes that begin another format"
-            raise io_error("source-damaged", str(path), found, f"a complete {path.suffix} file", "fetch it again")
-    known = ", ".join(dict.fromkeys(each.name for each in FORMATS if each.endings))
+    ending = path.name.lower()
+    named = next((each for each in FORMATS if ending.endswith(each.endings)), None)
+    other = by_start(start)
+    if other is None and start and not start.startswith(hdf5.MATLAB) and (named is None or named.magics):
+        other = by_ending(ending)
+    if other is not None:
+        raise other.refusal(path)
+    if named is not None and start and not named.magics:
+        return named
+    if named is not None:
+        found = f"{len(start)} bytes that do not begin as such a file does" if start else "an empty file"
+        raise io_error("source-damaged", str(path), found, f"a complete {path.suffix} file",
+                       WHOLE if start else "fetch it again")
+    known = ", ".join(dict.fromkeys(each.name for each in FORMATS))
     raise io_error("source-format", str(path), "no format that is known", f"{known}; or raw binary that is described",
                    "say shape and dtype of raw binary, e.g. --shape 64,64,3 --dtype float32")

@@ -3,44 +3,88 @@
 from __future__ import annotations
 
 import gzip
+import struct
+import warnings
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..conventions import Packing, scaled_type
+from ..packing import Packing, scaled_type
 from ..support.optional import library
-from .source import Layout, guarded, io_error, map_part
+from .not_read import ANALYZE, by_ending
+from .source import Layout, guarded, io_error, map_part, opened, too_short
 from .unpacked import Unpacker
 
 GZIP = b"\x1f\x8b"
+#: A byte of a gzip file holds no more than so many.
+GZIP_RATIO = 1032
 #: Where the header says what it is, in version 1 (one file, or two) and 2.
 MAGICS = ((344, b"n+1\0"), (344, b"ni1\0"), (4, b"n+2\0"), (4, b"ni2\0"))
+#: Bytes of the header of version 1, and of Analyze before it, as it says itself in either byte order.
+HEADER = 348
+_HEADERS = (struct.pack("<i", HEADER), struct.pack(">i", HEADER))
 
 
 def open_nifti(path: Path, unpacker: Unpacker) -> NDArray[Any]:
     """Open a NIfTI image; axes as in its header (x, y, z, time, ..), numbers scaled by its slope and intercept.
 
     Raises:
-        HmkctaError: nibabel is missing, the file is damaged or shorter than its header says.
+        HmkctaError: nibabel is missing, the file is damaged, shorter or longer than its header says, or Analyze.
     """
     nibabel = library("nibabel", "nibabel", "nifti", "NIfTI")
-    with guarded(path, "NIfTI file"):
+    with guarded(path, "NIfTI file"), _quietly(nibabel):
         image = nibabel.load(str(path))
+        if not isinstance(image, nibabel.Nifti1Pair | nibabel.Nifti2Pair | nibabel.Cifti2Image):
+            raise ANALYZE.refusal(path)
         numbers = Path(image.file_map["image"].filename)  # another file than the header's for .hdr with .img
         proxy = image.dataobj
         stored, where = Layout(tuple(map(int, proxy.shape)), np.dtype(proxy.dtype), fortran=True), str(path)
         plain = (float(proxy.slope), float(proxy.inter)) == (1.0, 0.0)
-        with open(numbers, "rb") as file:
-            packed = file.read(len(GZIP)) == GZIP
+        with opened(numbers) as file:
+            packed, held = file.read(len(GZIP)) == GZIP, file.seek(0, 2)
         if not packed and (plain or stored.dtype.kind not in "iuf"):
-            return map_part(numbers, stored, int(proxy.offset), where)
+            return map_part(numbers, stored, int(proxy.offset), where, last=True)
+        if packed and stored.nbytes > GZIP_RATIO * held:
+            raise too_short(where, f"{held} bytes of gzip", stored)
         kind, slope, inter = scaled_type(stored.dtype), float(proxy.slope), float(proxy.inter)
         scaled = Packing(stored.dtype, kind, slope, inter, np.empty(0))
         with (gzip.open if packed else open)(numbers, "rb") as stream:
             stream.seek(int(proxy.offset))
             return unpacker.stream(where, stream.read, stored, None if plain else scaled)
+
+
+@contextmanager
+def _quietly(nibabel: Any) -> Generator[None]:
+    """Without what the library says of headers that it reads all the same."""
+    logger = nibabel.imageglobals.logger
+    before, logger.disabled = logger.disabled, True
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.disabled = before
+
+
+def open_pair(path: Path, unpacker: Unpacker) -> NDArray[Any]:
+    """Open what is called ``.hdr`` or ``.img``: an image of two files by that of its numbers.
+
+    Raises:
+        HmkctaError: it is Analyze, or something else; or what `open_nifti` raises.
+    """
+    header = next((each for each in (path.with_suffix(".hdr"), path.with_suffix(".HDR")) if each.exists()), path)
+    with opened(header) as file:
+        start = file.read(HEADER)
+    if any(start.startswith(magic, at) for at, magic in MAGICS):
+        return open_nifti(header, unpacker)
+    if start.startswith(_HEADERS):
+        raise ANALYZE.refusal(path)
+    raise io_error("source-format", str(path), f"an {path.suffix} file without a NIfTI header", "NIfTI, or raw binary",
+                   "say shape and dtype of raw binary, e.g. --shape 64,64,3 --dtype float32")
 
 
 def open_gzip(path: Path, unpacker: Unpacker) -> NDArray[Any]:
@@ -49,6 +93,9 @@ def open_gzip(path: Path, unpacker: Unpacker) -> NDArray[Any]:
     Raises:
         HmkctaError: it is something else, or what `open_nifti` raises.
     """
+    other = by_ending(path.name)
+    if other is not None:
+        raise other.refusal(path)
     if not path.name.lower().endswith((".nii.gz", ".img.gz", ".hdr.gz")):
         raise io_error("source-format", str(path), "gzip", "a format in itself, or .nii.gz", "unpack it: gunzip")
     return open_nifti(path, unpacker)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import HmkctaError
-from .source import LISTED, Layout, check_layout, choose, io_error, mapped, opened
+from .source import LISTED, Layout, check_layout, choose, io_error, mapped, opened, too_long, too_short
 from .unpacked import Unpacker
 
 MAGIC = b"\x93NUMPY"
@@ -80,11 +80,9 @@ def _read_layout(file: BinaryIO, where: str) -> Layout:
 
 def _check_length(layout: Layout, found: int, where: str) -> None:
     if found < layout.nbytes:
-        raise io_error("source-truncated", where, f"{found} bytes of numbers",
-                       f"{layout.nbytes} bytes for {layout}, as its header says", "fetch it again")
+        raise too_short(where, f"{found} bytes of numbers", layout)
     if found > layout.nbytes:
-        raise io_error("source-too-long", where, f"{found} bytes of numbers",
-                       f"{layout.nbytes} bytes for {layout}, as its header says", "save one array a file")
+        raise too_long(where, f"{found} bytes of numbers", layout)
 
 
 def _member(archive: zipfile.ZipFile, where: str, name: str | None) -> zipfile.ZipInfo:

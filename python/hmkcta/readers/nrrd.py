@@ -2,71 +2,141 @@
 
 from __future__ import annotations
 
-import bz2
-import gzip
+import re
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
+from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..labels import Labels, labelled
 from ..support.optional import library
-from .source import Layout, guarded, io_error, map_part, opened
+from .nrrd_encodings import BINARY, ENCODINGS, Leading, encoded, skip_lines
+from .source import Layout, guarded, io_error, map_part, opened, too_short
 from .unpacked import Unpacker
 
 MAGIC = b"NRRD00"
+#: Bytes that a header may take; those of hundreds of directions take some 100 KiB.
+MOST_HEADER = 1 << 24
+#: Versions that pynrrd knows.
+VERSIONS = range(1, 6)
 _BYTES = {"char": 1, "int8": 1, "short": 2, "int16": 2, "int": 4, "int32": 4, "longlong": 8, "long long": 8, "int64": 8}
+_QUANTISED = ("oldmin", "oldmax")
 
 
 def open_nrrd(path: Path, unpacker: Unpacker) -> NDArray[Any]:
     """Open a NRRD file, or the data file that a detached header names; the first axis lies fastest.
 
     Raises:
-        HmkctaError: pynrrd is missing, the file is damaged, shorter than it says, or lists several data files.
+        HmkctaError: pynrrd is missing, the file is damaged, shorter or longer than it says, or its header says what is
+            not read, such as several data files.
     """
     nrrd = library("nrrd", "pynrrd", "nrrd", "NRRD")
     with guarded(path, "NRRD file"), ExitStack() as stack:
         file: BinaryIO = stack.enter_context(opened(path))
-        header = dict(nrrd.read_header(file))
-        layout = Layout(tuple(map(int, header["sizes"])), _number_type(header), fortran=True)
-        detached = header.get("data file", header.get("datafile"))
+        header = _header(nrrd, file, path)
+        layout = Layout(tuple(map(int, header["sizes"])), _number_type(header, path), fortran=True)
+        if int(header["dimension"]) != len(layout.shape):
+            found = f"dimension {header['dimension']} and {len(layout.shape)} sizes"
+            raise io_error("source-damaged", str(path), found, "a size for each dimension", "correct its header")
+        detached = header.get("datafile")
         if detached is not None:
-            numbers = path.parent / detached
-            if detached == "LIST" or (" " in detached and not numbers.exists()):
-                raise io_error("source-format", str(path), f"data file: {detached}", "one data file",
-                               "open the data files by a pattern, as raw binary or pictures")
-            file = stack.enter_context(opened(numbers))
-        for _ in range(int(header.get("line skip", header.get("lineskip", 0)))):
-            file.readline()
-        return _numbers(nrrd, header, layout, path, file, unpacker)
+            file = stack.enter_context(opened(_data_file(path, str(detached))))
+        skip_lines(file, int(header.get("lineskip", 0)), str(path))
+        array = _numbers(header, layout, path, file, unpacker)
+        ends = [f"{header[name]:g}" for name in _QUANTISED if name in header]
+        note = (f"the range {' to '.join(ends)} before quantisation, of which the header of {path} tells, is not put "
+                "back: what is compressed are the numbers as stored. Next: unu unquantize, if it is meant")
+        return labelled(array, Labels(notes=(note,))) if len(ends) == len(_QUANTISED) else array
 
 
-def _numbers(
-    nrrd: Any, header: dict[str, Any], layout: Layout, path: Path, file: BinaryIO, unpacker: Unpacker
-) -> NDArray[Any]:
-    skip, encoding = int(header.get("byte skip", header.get("byteskip", 0))), str(header["encoding"]).lower()
-    if encoding == "raw":
-        start = file.seek(0, 2) - layout.nbytes if skip == -1 else file.tell() + skip
-        return map_part(Path(file.name), layout, start, str(path))
-    if encoding in ("gzip", "gz", "bzip2", "bz2"):
-        packed = gzip.GzipFile(fileobj=file) if encoding[0] == "g" else bz2.BZ2File(file)
-        with packed as stream:
-            stream.seek(max(0, skip))
-            return unpacker.stream(str(path), stream.read, layout)
-    unpacker.check_memory(layout, f"{path}, which is text", "write it with encoding raw: that is mapped")
-    ahead = ("line skip", "lineskip", "data file", "datafile")  # the file is open, and behind those lines
-    return nrrd.read_data({name: field for name, field in header.items() if name not in ahead}, file, str(path))
+def _header(nrrd: Any, file: BinaryIO, path: Path) -> dict[str, Any]:
+    """Fields by name, without spaces, as each may be written with them; the file stands behind the header."""
+    start = BytesIO(file.read(MOST_HEADER))
+    version = re.match(rb"NRRD(\d{4})\s*\n", start.getvalue()[:16])
+    if version is None or int(version[1]) not in VERSIONS:
+        raise io_error("source-format", str(path), f"NRRD version {start.getvalue()[4:8].decode('ascii', 'replace')}",
+                       f"{VERSIONS[0]} to {VERSIONS[-1]}", "write it anew: unu save -f nrrd")
+    seen = set[str]()
+    for name in _names(start):
+        if name in seen:
+            raise io_error("source-format", str(path), f"the field {name} twice in its header", "each field once",
+                           "take one of the two lines out of it; pynrrd reads it with ALLOW_DUPLICATE_FIELD, and then "
+                           "takes the last")
+        seen.add(name)
+    start.seek(0)
+    fields: Mapping[str, Any] = nrrd.read_header(start)
+    file.seek(start.tell())
+    header = {_plain(name): value for name, value in fields.items()}
+    missing = [name for name in ("type", "dimension", "sizes", "encoding") if header.get(name) is None]
+    if missing:
+        raise io_error("source-damaged", str(path), f"a header without {' and '.join(missing)}", "a complete header",
+                       "write what is missing into it")
+    return header
 
 
-def _number_type(header: dict[str, Any]) -> np.dtype[Any]:
+def _names(start: BytesIO) -> Iterator[str]:
+    """Names of the fields as `_plain` writes them."""
+    for line in start:
+        text = line.decode("ascii", "ignore").rstrip()
+        if not text:
+            return
+        if not text.startswith(("#", "NRRD")):
+            yield _plain(text.partition(":")[0])
+
+
+def _plain(name: str) -> str:
+    return name.replace(" ", "")
+
+
+def _data_file(path: Path, said: str) -> Path:
+    """The file beside the header that holds the numbers."""
+    numbers = path.parent / said
+    if not numbers.exists() and (path.resolve().parent / said).exists():  # the header is a link to where both lie
+        return path.resolve().parent / said
+    if said.startswith("LIST") or (" " in said and not numbers.exists()):
+        raise io_error("source-format", str(path), f"data file: {said}", "one data file",
+                       "open the data files by a pattern, as raw binary or pictures")
+    return numbers
+
+
+def _numbers(header: Mapping[str, Any], layout: Layout, path: Path, file: BinaryIO, unpacker: Unpacker) -> NDArray[Any]:
+    skip, encoding = int(header.get("byteskip", 0)), str(header["encoding"]).lower()
+    kind = ENCODINGS.get(encoding)
+    if kind is None:
+        raise io_error("source-format", str(path), f"encoding {encoding}", ", ".join(ENCODINGS),
+                       "write it anew: unu save -f nrrd -e gzip")
+    if skip < -1 or (skip == -1 and kind not in BINARY):
+        allowed = "0 or more bytes, or -1 for the last ones of raw and packed data"
+        raise io_error("source-damaged", str(path), f"byte skip {skip}", allowed, "correct its header")
+    begin = file.tell()
+    if kind != "raw":
+        source = encoded(kind, file, layout, Leading(str(path), begin, skip))
+        return unpacker.stream(str(path), source, layout)
+    held = file.seek(0, 2)
+    start = held - layout.nbytes if skip == -1 else begin + skip
+    if start < begin:
+        raise too_short(str(path), f"{held - begin} bytes of numbers", layout)
+    return map_part(Path(file.name), layout, start, str(path), last=True)
+
+
+def _number_type(header: Mapping[str, Any], path: Path) -> np.dtype[Any]:
     """NumPy's type for one of the many names that NRRD has for each."""
     name = str(header["type"]).lower().removesuffix("_t").removesuffix(" int")
     if name in ("float", "double"):
         kind, size = "f", 4 if name == "float" else 8
     else:
         kind = "u" if name.startswith("u") else "i"
-        size = _BYTES[name.removeprefix("unsigned").removeprefix("signed").removeprefix("u").strip() or "int"]
-    if size > 1 and header["encoding"] in ("raw", "gzip", "gz", "bzip2", "bz2"):
-        return np.dtype({"big": ">", "little": "<"}[header["endian"]] + f"{kind}{size}")
+        size = _BYTES.get(name.removeprefix("unsigned").removeprefix("signed").removeprefix("u").strip() or "int", 0)
+    if not size:
+        raise io_error("source-format", str(path), f"numbers of type {header['type']}", "integers, float or double",
+                       "write them as one of these: unu convert -t float")
+    if size > 1 and ENCODINGS.get(str(header["encoding"]).lower()) != "text":
+        endian = str(header.get("endian"))
+        if endian not in ("big", "little"):
+            raise io_error("source-damaged", str(path), f"endian {endian}", "big or little", "write it into its header")
+        return np.dtype({"big": ">", "little": "<"}[endian] + f"{kind}{size}")
     return np.dtype(f"{kind}{size}")

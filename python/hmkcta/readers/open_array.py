@@ -12,10 +12,12 @@ from numpy.typing import DTypeLike, NDArray
 
 from ..errors import expect, invalid
 from ..goals import memory_given
+from ..support.memory import memory_for
+from ..support.natural import natural
 from ..support.progress import Progress
 from .formats import FORMATS, PAGES, format_of
 from .raw import open_raw
-from .series import natural, open_series, pictures_of
+from .series import open_series, pictures_of
 from .source import io_error
 from .unpacked import Unpacker
 from .zarr_store import is_zarr, open_zarr
@@ -56,15 +58,30 @@ def open_array(
     if shape is not None or dtype is not None or order != "C" or offset:
         if member is not None:
             raise invalid("source-member", f"member of {uri}", repr(member), "none: raw binary is one array")
+        _check_input(uri)
         return open_raw(Path(uri), shape, dtype, order, offset)
     if str(uri) == "":  # which would be the folder at hand
         raise invalid("argument-type", "uri", "''", "the path of a file or a folder, or a pattern",
                       "give one; '.' is the folder at hand")
-    place, inner = _split(str(uri))
-    member, unpacker = member if member is not None else inner, Unpacker(memory_given(max_memory), progress)
+    _check_input(uri)
+    with memory_for(str(uri), "take a machine that has more, or write it as .npy or uncompressed: that is mapped"):
+        return _opened(str(uri), member, memory_given(max_memory), progress)
+
+
+def _opened(uri: str, member: str | None, limit: int | None, progress: Progress | None) -> NDArray[Any]:
+    place, inner = _split(uri)
+    member, unpacker = member if member is not None else inner, Unpacker(limit, progress)
     if _is_pattern(place):
-        return open_series(_matches(place), place, lambda path, unpacker: _open(path, member, unpacker), unpacker)
+        return open_series(_matches(place), place, lambda path, unpacker: _open(path, member, unpacker), unpacker,
+                           _depth)
     return _open(Path(place), member, unpacker)
+
+
+def _check_input(uri: str | Path) -> None:
+    """Refuse what other commands take for their input, unless there is a file of that name."""
+    if str(uri) == "-" and not os.path.exists("-"):
+        raise invalid("argument-type", "uri", "standard input (-)", "the path of a file or a folder, or a pattern",
+                      "write what comes from it to a file first, COMMAND > FILE, as a source is read more than once")
 
 
 def _open(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any]:
@@ -74,7 +91,11 @@ def _open(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any]:
     if is_zarr(path):
         return open_zarr(path, member, unpacker)
     return open_series(pictures_of(path, PAGES), str(path), lambda page, unpacker: _open(page, member, unpacker),
-                       unpacker)
+                       unpacker, _depth)
+
+
+def _depth(path: Path) -> str:
+    return "" if os.path.isdir(path) else format_of(path).depth(path)
 
 
 def source_files(uri: str) -> list[Path]:

@@ -1,7 +1,11 @@
-"""Pictures by Pillow: y, x, and a channel axis where there are several; numbers as they are, gamma-coded mostly."""
+"""Pictures: y, x, and a channel axis where there are several; numbers as they are in the file, gamma-coded mostly.
+
+Pillow decodes 8 bits a channel, imagecodecs all other depths; what both would change is refused by name.
+"""
 
 from __future__ import annotations
 
+import io
 import warnings
 from pathlib import Path
 from typing import Any
@@ -9,52 +13,105 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..labels import named
 from ..support.optional import library
-from .source import Layout, check_layout, guarded, io_error
+from . import netpbm
+from .heard import heard
+from .picture_header import FILMED, J2K, JP2, JPEG, JXL, JXL_BOX, PNG, Header, alpha_of, header_of
+from .source import Layout, check_layout, guarded, io_error, opened
+from .unpacked import Unpacker
 
-PNG = b"\x89PNG\r\n\x1a\n"
 #: Told by their first bytes; others of Pillow's formats by their ending.
-MAGICS = ((0, PNG), (0, b"\xff\xd8\xff"), (0, b"GIF8"), (8, b"WEBP"))
-ENDINGS = (".png", ".jpg", ".jpeg", ".gif", ".webp")
-OTHER_ENDINGS = (".bmp", ".ppm", ".pgm", ".pnm", ".pfm", ".tga", ".jp2", ".avif", ".dds")
+MAGICS = ((0, PNG), (0, JPEG), (0, b"GIF8"), (8, b"WEBP"), (0, JP2), (0, J2K), (0, JXL), (0, JXL_BOX), (0, b"DDS "),
+          *FILMED, *netpbm.MAGICS)
+ENDINGS = (".png", ".jpg", ".jpeg", ".gif", ".webp", ".jp2", ".j2k", ".jxl", ".avif", ".heic", ".dds",
+           ".ppm", ".pgm", ".pbm", ".pnm", ".pam", ".pfm")
+OTHER_ENDINGS = (".bmp", ".tga")
+#: Pillow's names of the formats that it is let to take a file for.
+_FORMATS = ("PNG", "JPEG", "GIF", "WEBP", "DDS", "BMP", "TGA")
+#: Its modes whose numbers are those of the file.
+_MODES = ("1", "L", "LA", "RGB", "RGBA", "I;16", "I;16B")
+_WHOLE = "if nothing of it is missing, save it as PNG or TIFF"
 
 
-def open_picture(path: Path) -> NDArray[Any]:
-    """Open a picture: uint8 or whatever it holds; palettes are looked up, black and white is boolean.
+def open_picture(path: Path, unpacker: Unpacker) -> NDArray[Any]:
+    """Open a picture: numbers as the file has them; palettes are looked up, black and white is boolean.
 
     Raises:
-        HmkctaError: Pillow or imagecodecs is missing, the file is damaged, or is an animation.
+        HmkctaError: Pillow or imagecodecs is missing, the file is damaged, an animation, or of a depth or in colours
+            that neither library gives as they are.
     """
     pillow = library("PIL.Image", "pillow", "images", "pictures")
-    with guarded(path, "picture"):
-        if _is_deep_colour(path):
-            codecs = library("imagecodecs", "imagecodecs", "images", "PNG of 16 bits and several channels")
-            picture = np.asarray(codecs.png_decode(path.read_bytes()))
+    with guarded(path, "picture", _WHOLE):
+        data = _bytes(path)
+        header = header_of(data, path.suffix.lower())
+        if header.unread:
+            raise _unread(path, header.unread)
+        unpacker.check_widened(path, header.nbytes)
+        if header.decoder == "netpbm":
+            picture = netpbm.read_netpbm(path, data)
+        elif header.decoder == "pillow":
+            picture = _pixels(pillow, data, header, path, unpacker)
         else:
-            picture = _pixels(pillow, path)
+            codecs = library("imagecodecs", "imagecodecs", "images", f"{header.decoder.upper()} of {header.depth}")
+            with heard() as said:
+                picture = np.asarray(getattr(codecs, f"{header.decoder}_decode")(data))
+                if "IDAT" in said() and "xtra" not in said():  # a checksum; other words are of tags
+                    raise ValueError(said())
         check_layout(Layout(picture.shape, picture.dtype), str(path))
-        return picture
+        if picture.ndim not in (2, 3):
+            raise _unread(path, f"{len(picture)} pictures in one file")
+        return named(picture, ("y", "x", "rgb" if picture.shape[-1] in (3, 4) else "channel")[:picture.ndim])
 
 
-def _pixels(pillow: Any, path: Path) -> NDArray[Any]:
+def picture_depth(path: Path) -> str:
+    """The depth of a picture's numbers, of which a stack has one: ``12 bits``, ``0 to 1023``.
+
+    Raises:
+        HmkctaError: the file is damaged.
+    """
+    with guarded(path, "picture", _WHOLE):
+        return header_of(_bytes(path), path.suffix.lower()).depth
+
+
+def _bytes(path: Path) -> bytes:
+    with opened(path) as file:
+        return file.read()
+
+
+def _unread(path: Path, what: str) -> Exception:
+    advice = ("write each as a file, and open their folder" if "animation" in what or "pictures" in what
+              else "save it as PNG or TIFF, in gray or RGB, of 8 or 16 bits a channel")
+    return io_error("source-format", str(path), f"{what}, which is not read",
+                    "a single picture in black and white, gray or RGB, with or without alpha", advice)
+
+
+def _pixels(pillow: Any, data: bytes, header: Header, path: Path, unpacker: Unpacker) -> NDArray[Any]:
+    pillow.init()  # else it does not know all of these formats
     try:
         with warnings.catch_warnings():
-            # Of pictures above 90 megapixels, which are what somebody may have; twice as large ones are refused.
-            warnings.simplefilter("ignore", pillow.DecompressionBombWarning)
-            with pillow.open(path) as image:
+            # Of tags that are not understood, and of pictures above 90 megapixels, which are what somebody may have.
+            warnings.simplefilter("ignore")
+            with pillow.open(io.BytesIO(data), formats=_FORMATS) as image:
                 if getattr(image, "is_animated", False) and image.format in ("GIF", "WEBP", "PNG"):
-                    raise io_error("source-format", str(path), f"an animation of {image.n_frames} pictures",
-                                   "a single picture", "write each as a file, and open their folder")
+                    raise _unread(path, f"an animation of {image.n_frames} pictures")
+                unpacker.check_widened(path, image.width * image.height * len(image.getbands()))
                 if image.mode in ("P", "PA"):
                     clear = "transparency" in image.info or image.mode == "PA"
                     image = image.convert("RGBA" if clear else "RGB")
-                return np.asarray(image)
+                    image.info.pop("transparency", None)
+                if image.mode not in _MODES:
+                    raise _unread(path, f"a picture in {image.mode}")
+                return _numbers(np.asarray(image), header, image.info.get("transparency"))
     except pillow.DecompressionBombError as error:
         raise io_error("source-too-large", str(path), error, "pictures that Pillow opens", "save it as TIFF") from error
 
 
-def _is_deep_colour(path: Path) -> bool:
-    """Whether it is a PNG of 16 bits and several channels, of which Pillow would drop the lower 8."""
-    with open(path, "rb") as file:
-        start = file.read(26)
-    return start.startswith(PNG) and len(start) == 26 and start[24] == 16 and start[25] in (2, 4, 6)
+def _numbers(values: NDArray[Any], header: Header, clear: Any) -> NDArray[Any]:
+    """The numbers of the file: Pillow spreads gray of 2 and 4 bits over 8; and alpha, where one of them is clear."""
+    scale = {"2 bits": 85, "4 bits": 17}.get(header.depth, 1)
+    values = values // np.uint8(scale) if scale > 1 else values
+    if clear is None:
+        return values
+    alpha = alpha_of(values, bool(clear) if values.dtype == bool else clear, 255 // scale)
+    return np.concatenate([values if values.ndim == 3 else values[..., None], alpha[..., None]], axis=2)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,19 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..axes import name_axes
 from ..errors import invalid
+from ..labels import Labels, labelled, labels_of
+from ..support.cut_short import whole_map
 from ..support.memory import drop_pages
-from .source import Layout, io_error
+from ..support.natural import natural
+from .source import Layout, io_error, reading
 from .unpacked import Part, Unpacker, block_parts
-
-
-def natural(path: Path) -> list[str | int]:
-    """Key to sort by as people count.
-
-    >>> sorted(map(Path, ["img10.png", "img2.png"]), key=natural)[0].name
-    'img2.png'
-    """
-    return [int(word) if word.isdecimal() else word for word in re.split(r"([0-9]+)", str(path))]
 
 
 def pictures_of(folder: Path, endings: Sequence[str]) -> list[Path]:
@@ -32,6 +26,7 @@ def pictures_of(folder: Path, endings: Sequence[str]) -> list[Path]:
     Raises:
         HmkctaError: there is none, or they are of several formats.
     """
+    reading(folder)
     try:
         files = [path for path in folder.iterdir() if path.suffix.lower() in endings and path.is_file()
                  and not path.name.startswith(".")]
@@ -50,15 +45,16 @@ def pictures_of(folder: Path, endings: Sequence[str]) -> list[Path]:
 
 
 def open_series(
-    paths: Sequence[Path], where: str, opener: Callable[[Path, Unpacker], NDArray[Any]], unpacker: Unpacker
+    paths: Sequence[Path], where: str, opener: Callable[[Path, Unpacker], NDArray[Any]], unpacker: Unpacker,
+    depth: Callable[[Path], str] = lambda _: "",
 ) -> NDArray[Any]:
-    """Stack files of one shape and type.
+    """Stack files of one shape and type, and of one depth, as `depth` says it of each.
 
     Raises:
         HmkctaError: the first file that differs is named; or what opening one raises.
     """
     silent = replace(unpacker, progress=None)  # it is files that are counted
-    first = opener(paths[0], silent)
+    first, deep = opener(paths[0], silent), depth(paths[0])
     layout = Layout((len(paths), *first.shape), first.dtype.newbyteorder("="))
 
     def read(part: Part) -> NDArray[Any]:
@@ -69,8 +65,24 @@ def open_series(
             raise invalid("series-mixed", str(path), str(Layout(array.shape, array.dtype)),
                           f"{Layout(first.shape, first.dtype)}, as {paths[0].name} is",
                           "choose files of one shape and type by a pattern")
-        values = np.asarray(array, layout.dtype)[np.newaxis]
+        if (own := depth(path)) != deep:
+            raise invalid("series-mixed", str(path), f"numbers of {own}", f"{deep}, as {paths[0].name} has",
+                          "choose files of one depth by a pattern")
+        with whole_map(array):
+            values = np.array(array, layout.dtype)[np.newaxis]
         drop_pages(array)
         return values
 
-    return unpacker.array(where, layout, block_parts(layout.shape, (1, *first.shape), 1), read)
+    stack = unpacker.array(where, layout, block_parts(layout.shape, (1, *first.shape), 1), read)
+    return labelled(stack, _stacked(labels_of(first), layout.shape))
+
+
+def _stacked(labels: Labels, shape: tuple[int, ...]) -> Labels:
+    """Labels of a stack by those of its first file: other files may have other coordinates."""
+    if labels.axes is None:
+        return labels
+    kept = [axis.name for axis in labels.axes if axis.coords is not None]
+    said = f"coordinates {', '.join(kept)} of single files are not kept. Next: give those of the stack by --coords"
+    names = ["file", *(axis.name for axis in labels.axes)]
+    axes = name_axes(shape, names) if len(set(names)) == len(names) else None
+    return Labels(axes, (*labels.notes, *([said] if kept else [])))

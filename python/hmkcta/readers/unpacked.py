@@ -5,24 +5,28 @@ Everything after a reader takes an array or a map of a file, and reads it more t
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from math import prod
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..conventions import Packing
+from ..packing import Packing
 from ..streaming.scratch import scratch_folder, unnamed_file
 from ..support.memory import check_memory, memory_budget
 from ..support.progress import Progress
-from .source import Layout, check_layout, check_numbers, io_error
+from .source import Layout, check_layout, check_numbers, io_error, too_long, too_short
 
 Part = tuple[slice, ...]
 #: Elements that are unpacked at once, and the share of the memory for fitting that they, and the whole, may take.
 BLOCK, BLOCK_SHARE, WHOLE_SHARE = 1 << 24, 8, 2
+#: Bytes that any file may be unpacked to, and how many times its own; deflate reaches that.
+NARROW, WIDENED = 1 << 26, 1 << 10
 
 
 @dataclass(frozen=True)
@@ -64,20 +68,18 @@ class Unpacker:
                 np.memmap(file, layout.dtype, "r+", 0, layout.shape)[part] = read(part)
             return np.memmap(file, layout.dtype, "r", 0, layout.shape)
 
-    def chunks(
-        self, where: str, array: Any, chunks: Sequence[int] | None, convert: Packing | None = None
-    ) -> NDArray[Any]:
+    def chunks(self, where: str, array: Any, chunks: Sequence[int] | None) -> NDArray[Any]:
         """An array that a library reads when it is indexed, and keeps in chunks of this shape; None: row by row.
 
         Raises:
             HmkctaError: what `array` raises; not even a chunk fits into memory.
         """
-        layout = Layout(tuple(array.shape), np.dtype(array.dtype) if convert is None else convert.dtype)
+        layout = Layout(tuple(array.shape), np.dtype(array.dtype))
         chunks = chunks or [1] * len(layout.shape)
         self.check_memory(Layout(tuple(map(min, chunks, layout.shape)), layout.dtype), f"a chunk of {where}",
                           "write it with smaller chunks, or as .npy: that is mapped, not read")
         return self.array(where, layout, block_parts(layout.shape, chunks, self._elements(layout.dtype)),
-                          lambda part: array[part] if convert is None else convert(array[part]))
+                          lambda part: array[part])
 
     def stream(
         self, where: str, source: Callable[[int], bytes], stored: Layout, convert: Packing | None = None
@@ -91,7 +93,7 @@ class Unpacker:
             convert: makes of the numbers what is meant.
 
         Raises:
-            HmkctaError: what `array` raises; the bytes end before.
+            HmkctaError: what `array` raises; the bytes end before, or go on.
         """
         check_numbers(stored.dtype, where)
         shape = stored.shape[::-1] if stored.fortran else stored.shape
@@ -102,13 +104,13 @@ class Unpacker:
             count = prod(lengths) * stored.dtype.itemsize
             data = source(count)
             if len(data) < count:
-                found = "the end of the file within it"
-                raise io_error("source-truncated", where, found, str(stored), "fetch it again")
+                raise too_short(where, "the end of the file within it", stored)
             numbers = np.frombuffer(data, stored.dtype).reshape(lengths)
             return numbers if convert is None else convert(numbers)
 
         array = self.array(where, layout, block_parts(shape, [1] * len(shape), self._elements(layout.dtype)), read)
-        source(1)  # behind the last number is the checksum, which is compared when it is read
+        if source(1):  # reading on also compares the checksum that is behind the last number
+            raise too_long(where, "bytes behind the last number", stored)
         return array.T if stored.fortran else array
 
     def check_memory(self, layout: Layout, what: str, hint: str) -> None:
@@ -118,6 +120,18 @@ class Unpacker:
             HmkctaError: that is more memory than there is.
         """
         check_memory(2 * layout.nbytes, what, hint, self.limit)
+
+    def check_widened(self, path: Path, nbytes: int) -> None:
+        """Refuse what would take far more than its file, as damaged sizes do, unless so much memory is given.
+
+        Raises:
+            HmkctaError: reason ``source-too-large``.
+        """
+        most = max(NARROW, WIDENED * os.stat(path).st_size, self.limit or 0)
+        if nbytes > most:
+            raise io_error("source-too-large", str(path), f"{nbytes / 2**20:.0f} MiB of numbers, by its header",
+                           f"up to {most / 2**20:.0f} MiB for a file of its length",
+                           f"where that is meant, allow it: --max-memory {-(-nbytes >> 20)}MiB")
 
     def _elements(self, dtype: np.dtype[Any]) -> int:
         """How many are unpacked at once."""

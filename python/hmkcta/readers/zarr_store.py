@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import json
 import os
+import warnings
 import zipfile
+from collections import defaultdict
+from collections.abc import Callable, Generator, Iterator, Sequence, Set
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..conventions import packing, zarr_attributes
+from ..conventions import conversion
+from ..errors import sentence
+from ..labels import labelled, labels_of
+from ..packing import text_of
 from ..support.optional import library
 from .source import Layout, choose, guarded
 from .unpacked import Unpacker
@@ -35,15 +43,73 @@ def open_zarr(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any
         HmkctaError: zarr is missing, the store is damaged, or has no or several such arrays.
     """
     zarr = library("zarr", "zarr", "zarr", "Zarr")
-    with guarded(path, "Zarr store"):
+    with guarded(path, "Zarr store"), warnings.catch_warnings(), ExitStack() as stack:
+        warnings.simplefilter("ignore")  # on what other libraries might make of it
         if path.is_dir():
-            return _array(_chosen(zarr, zarr.open(str(path), mode="r"), str(path), member), str(path), unpacker)
-        store = zarr.storage.ZipStore(str(path), mode="r")
+            store, root, names = zarr.storage.LocalStore(str(path), read_only=True), "", list(_in_folder(path))
+        else:
+            store, root = stack.enter_context(_opened_zip(zarr, path)), _root(path) or ""
+            names = list(_in_archive(path, root))
+
+        def opened_array(name: str) -> Any:
+            return zarr.open_array(store, path="/".join(word for word in (root, name) if word), mode="r")
+
+        name = _chosen(opened_array, names, str(path), member)
+        return _array(opened_array(name), f"{path}:{name}" if name else str(path), unpacker)
+
+
+@contextmanager
+def _opened_zip(zarr: Any, path: Path) -> Generator[Any]:
+    store = zarr.storage.ZipStore(str(path), mode="r")
+    try:
+        yield store
+    finally:
+        store.close()
+
+
+def _in_folder(folder: Path) -> Iterator[str]:
+    """Paths of the arrays in a folder, whose links are followed; what is in an array are its chunks."""
+    waiting, seen = [""], set[tuple[int, int]]()
+    while waiting:
+        name = waiting.pop()
+        status = os.stat(folder / name)
+        if (status.st_dev, status.st_ino) in seen:
+            continue
+        seen.add((status.st_dev, status.st_ino))
         try:
-            found = zarr.open(store, path=_root(path) or "", mode="r")
-            return _array(_chosen(zarr, found, str(path), member), str(path), unpacker)
-        finally:
-            store.close()
+            with os.scandir(folder / name) as entries:
+                is_folder = {entry.name: entry.is_dir() for entry in entries}
+        except PermissionError:
+            yield name  # opening it says so, and the others are still found
+            continue
+        files = {each for each, folders in is_folder.items() if not folders}
+        if _is_array(files, (folder / name / "zarr.json").read_bytes):
+            yield name
+        else:
+            waiting += [f"{name}/{each}".lstrip("/") for each in sorted(is_folder.keys() - files)]
+
+
+def _in_archive(path: Path, root: str) -> Iterator[str]:
+    """The same of a zip archive, in whose folder `root` the store begins."""
+    with zipfile.ZipFile(path) as archive:
+        files = defaultdict[str, set[str]](set)
+        for place in archive.namelist():
+            folder, _, name = place.rpartition("/")
+            if name in MARKS and (not root or folder == root or folder.startswith(f"{root}/")):
+                files[folder].add(name)
+        for folder, names in files.items():
+            if _is_array(names, lambda folder=folder: archive.read(f"{folder}/zarr.json".lstrip("/"))):
+                yield folder.removeprefix(root).lstrip("/")
+
+
+def _is_array(files: Set[str], metadata: Callable[[], bytes]) -> bool:
+    """Whether there are metadata of an array among the files of a folder, or some of version 3 that nobody can read."""
+    if "zarr.json" not in files:
+        return ".zarray" in files
+    try:
+        return json.loads(metadata())["node_type"] != "group"
+    except Exception:  # of the archive, or of what is no JSON object; opening it will say which
+        return True
 
 
 def _root(path: Path) -> str | None:
@@ -58,15 +124,26 @@ def _root(path: Path) -> str | None:
     return min(places, key=len) if places else None
 
 
-def _chosen(zarr: Any, found: Any, where: str, member: str | None) -> Any:
-    if isinstance(found, zarr.Array) and member is None:
-        return found
-    held = dict(found.members(max_depth=None)) if isinstance(found, zarr.Group) else {}
-    arrays = {name: item for name, item in held.items() if isinstance(item, zarr.Array)}
-    if member is None:
-        arrays = {name: item for name, item in arrays.items() if not _is_coordinate(name, item)} or arrays
-    shapes = {name: str(Layout(item.shape, np.dtype(item.dtype))) for name, item in arrays.items()}
-    return arrays[choose(where, shapes, None if member is None else member.strip("/"))]
+def _chosen(opened_array: Callable[[str], Any], names: Sequence[str], where: str, member: str | None) -> str:
+    """The path of an array in the store; each is looked at by itself, as one that is damaged may stand beside it."""
+    wanted = None if member is None else member.strip("/")
+    if wanted and wanted in names:
+        return wanted
+    found, aside, unread = dict[str, str](), set[str](), dict[str, str]()
+    for name in names:
+        try:
+            item = opened_array(name)
+            found[name] = str(Layout(item.shape, np.dtype(item.dtype)))
+            folder = name.rpartition("/")[0]
+            aside |= {f"{folder}/{word}".lstrip("/") for attribute in ("coordinates", "bounds")
+                      for word in text_of(item.attrs.get(attribute)).split()}
+            aside |= {name} if _is_coordinate(name, item) else set()
+        except Exception as error:  # of a codec or a type that is not known here, or of damaged metadata
+            unread[name or "/"] = sentence(error)
+    if wanted is None:
+        return choose(where, {name: text for name, text in found.items() if name not in aside} or found, None, unread)
+    named = {name: text for name, text in found.items() if name}  # not a store that is one array
+    return choose(where, named, wanted, unread)
 
 
 def _is_coordinate(name: str, array: Any) -> bool:
@@ -75,7 +152,6 @@ def _is_coordinate(name: str, array: Any) -> bool:
     return list(along or ()) == [name.rpartition("/")[2]]
 
 
-def _array(array: Any, path: str, unpacker: Unpacker) -> NDArray[Any]:
-    where = f"{path}:{array.path}" if array.path else path
-    convert = packing(zarr_attributes(array), np.dtype(array.dtype))
-    return unpacker.chunks(where, array, array.shards or array.chunks, convert)
+def _array(array: Any, where: str, unpacker: Unpacker) -> NDArray[Any]:
+    numbers = unpacker.chunks(where, conversion(array) or array, array.shards or array.chunks)
+    return labelled(numbers, labels_of(array))

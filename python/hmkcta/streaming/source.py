@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import re
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -20,18 +18,19 @@ from ..axes import (
     checked_coords,
     listed_axes,
     mode_rows,
-    name_axes,
     organise,
     parse_organisation,
     separate,
 )
 from ..conventions import meant
 from ..errors import invalid, shown
+from ..labels import Labels, labels_of
 from ..support.executors import thread_count
 from ..support.memory import LOOKED_AT, drop_pages, looked_at
 from ..support.slabs import moments, slabs
 from ..transform import Transform, parse
 from .collecting import collected
+from .steady import Steady, fingerprint_start
 
 #: Elements of slabs that are checked one after another.
 SLAB = 1 << 22
@@ -57,7 +56,9 @@ class Source:
         value_transform: applied before fitting.
         fingerprint: identifies the values, stored in the file.
         unit: power of two near the largest transformed value; fitting works in multiples of it.
+        notes: sentences on what came with the array and is not kept.
         tiny: whether there are values below 2^-60 of the unit, which are taken for zero: their squares would underflow.
+        steady: looks whether the array is still what it was; None: its values were not looked at.
     """
 
     array: NDArray[Any]
@@ -68,6 +69,8 @@ class Source:
     fingerprint: dict[str, Any]
     unit: float = 1.0
     tiny: bool = True
+    notes: tuple[str, ...] = ()
+    steady: Steady | None = None
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -196,14 +199,14 @@ def described(array: Any, axes: Sequence[Axis | str] | None = None, transform: s
         HmkctaError: not an array of 1 to 8 axes of real numbers, empty, masked, names or coordinates that do not
             fit, or no such transform.
     """
-    axes = axes if axes is not None else _dimensions(array)
+    own = labels_of(array)
     array = as_array(array, "array")
     if not 1 <= array.ndim <= 8 or array.size == 0:
         raise invalid("array-shape", "array", f"shape {array.shape}", "1 to 8 axes, none of them empty",
                       "make axes that belong together one, array.reshape(..)" if array.ndim > 8 else "")
-    named, dtype = _named(array.shape, axes), array.dtype.newbyteorder("=").name
+    named, dtype = _named(array.shape, axes, own), array.dtype.newbyteorder("=").name
     change = parse("identity" if transform is None else transform)
-    return Source(array, named, dtype, None, change, {"sha256": "0" * 64})
+    return Source(array, named, dtype, None, change, {"sha256": "0" * 64}, notes=own.notes)
 
 
 def prepare(
@@ -222,8 +225,10 @@ def prepare(
     source = described(array, axes, transform)
     if nan is not None and not abs(nan) <= _LARGEST:
         raise invalid("nan-fill", "nan", nan, f"a number, its magnitude up to {_LARGEST:.0e}")
+    steady = Steady(source.array)
     digest, bad, extents = _scan(source.array, nan)
-    source = replace(source, nan=nan if bad else None, fingerprint={"sha256": digest})
+    steady.fingerprint = digest
+    source = replace(source, nan=nan if bad else None, fingerprint={"sha256": digest}, steady=steady)
     if bad or not source.value_transform.is_identity or not extents:
         workers = thread_count(threads)
         with ThreadPoolExecutor(workers) as pool:  # which hold one slab's memory together
@@ -236,29 +241,14 @@ def prepare(
     return replace(source, unit=unit, tiny=least < TINY * unit)
 
 
-def _dimensions(array: Any) -> Sequence[Axis | str] | None:
-    """Axes that the array has of its own: those of a model, or names, as xarray's have, made words of.
-
-    None: it has none, or two alike.
-    """
-    axes: Any = getattr(getattr(array, "metadata", None), "axes", None)
-    if isinstance(axes, tuple) and all(isinstance(axis, Axis) for axis in cast("tuple[Any, ...]", axes)):
-        return cast("tuple[Axis, ...]", axes)
-    names: Any = getattr(array, "dims", None)
-    if not isinstance(names, tuple):
-        return None
-    words = ["_".join(re.findall(r"[^+, /=:]+", str(name))) for name in cast("tuple[Any, ...]", names)]
-    return words if all(words) and len(set(words)) == len(words) and "".join(words).isprintable() else None
-
-
-def _named(shape: tuple[int, ...], axes: Sequence[Axis | str] | None) -> tuple[Axis, ...]:
+def _named(shape: tuple[int, ...], axes: Sequence[Axis | str] | None, own: Labels) -> tuple[Axis, ...]:
     given: Sequence[Axis | str] = [] if axes is None else listed_axes(axes)
-    named = name_axes(shape, [axis.name if isinstance(axis, Axis) else axis for axis in given] or None)
-    if not given:
-        return named
-    for axis, size in zip(given, shape, strict=True):
+    named = own.named(shape, given)
+    for axis, size in zip(given, shape, strict=False):
         if isinstance(axis, Axis) and axis.size != size:
             raise invalid("axis-size", f"size of axis {axis.name!r}", axis.size, f"{size}, as the array has")
+    if not given:
+        return named
     return tuple(checked_coords(axis) if isinstance(axis, Axis) else by_name
                  for axis, by_name in zip(given, named, strict=True))
 
@@ -266,7 +256,7 @@ def _named(shape: tuple[int, ...], axes: Sequence[Axis | str] | None) -> tuple[A
 def _scan(array: NDArray[Any], nan: float | None) -> tuple[str, bool, list[tuple[float, float]]]:
     """SHA-256 of the values in C order, whether any is not finite, and, if they are float32, the largest magnitude of
     each slab and the smallest but zero."""
-    digest = hashlib.sha256(f"{array.dtype.newbyteorder('=').name} {array.shape}".encode())
+    digest = fingerprint_start(array.dtype, array.shape)
     count, first, start, extents = 0, 0, 0, list[tuple[float, float]]()
     with ThreadPoolExecutor(1) as hashing:
         hashed = None

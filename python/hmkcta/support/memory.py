@@ -7,8 +7,8 @@ import ctypes
 import mmap
 import os
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -201,6 +201,26 @@ ask for less. [ResourceLimit/memory]
         found, most = (f"{needed} B", f"{allowed} B") if alike else (format_bytes(needed), _as_given(allowed))
         raise HmkctaError(Kind.RESOURCE_LIMIT, "memory", f"memory for {what}", found=found, allowed=most, hint=hint,
                           told=f"{found} are needed, {most} are {'free' if limit is None else 'allowed'}")
+
+
+@contextmanager
+def memory_for(what: str, hint: str) -> Generator[None]:
+    """Make of a plain `MemoryError` in the block one that says what there was no memory for, and what to do.
+
+    Raises:
+        HmkctaError: `ResourceLimit`, reason ``memory``.
+
+    >>> with memory_for("a row", "ask for less"):
+    ...     raise MemoryError
+    Traceback (most recent call last):
+        ...
+    hmkcta.errors.HmkctaError: memory for a row: there is none left. Next: ask for less. [ResourceLimit/memory]
+    """
+    try:
+        yield
+    except MemoryError as error:
+        raise HmkctaError(Kind.RESOURCE_LIMIT, "memory", f"memory for {what}", hint=hint,
+                          told="there is none left") from error
 
 
 def _as_given(count: int) -> str:

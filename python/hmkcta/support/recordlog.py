@@ -1,7 +1,8 @@
-"""A file of checked records that only grows: after a crash at any moment what it holds is a prefix of what was written.
+"""A file of checked records: after a crash at any moment what it holds is a prefix of what was written.
 
 A record is a header (key, length, CRC-32) and its bytes. Reading stops at the first one that is torn or damaged, and
-what follows is cut off, so a record that was read is whole and all before it are.
+what follows is cut off, so a record that was read is whole and all before it are. Where the file would outgrow a bound
+it is written anew without the records of the smallest keys.
 """
 
 from __future__ import annotations
@@ -36,6 +37,9 @@ class RecordLog:
     Args:
         path: created if it is not there.
 
+    Attributes:
+        most: bytes that the file may have; None: as many as there are.
+
     Raises:
         Busy: another process works on it.
         OSError: it cannot be read or written.
@@ -52,10 +56,11 @@ class RecordLog:
     """
 
     def __init__(self, path: Path) -> None:
-        self._lock = threading.Lock()
-        self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666)
+        self._lock, self._path = threading.Lock(), path
+        self.most: int | None = None
+        self._descriptor = _opened(path)
         try:
-            _claim(self._descriptor)
+            claim(self._descriptor)
             self._places = dict(self._scan(os.fstat(self._descriptor).st_size))
             self._end = max((start + length for start, length in self._places.values()), default=0)
             os.ftruncate(self._descriptor, self._end)
@@ -83,16 +88,20 @@ class RecordLog:
     def append(self, key: Key, content: bytes) -> None:
         """Write a record. If that fails (a full disk) the file is as it was.
 
+        Beyond `most` the smallest keys are forgotten, be they others or this one: keys ascend, so that these are of
+        what was finished first, and asking for it once more does not drive out what comes next.
+
         Raises:
             OSError: as the operating system has it.
         """
         record = _HEADER.pack(*key, _checksum(key, content), len(content)) + content
         with self._lock:
+            if self.most is not None and self._end + len(record) > self.most:
+                self._shorten(self.most // 2)
+                if self._end + len(record) > self.most or (self._places and key < min(self._places)):
+                    return
             try:
-                os.lseek(self._descriptor, self._end, os.SEEK_SET)
-                left = memoryview(record)
-                while left:
-                    left = left[os.write(self._descriptor, left):]
+                _write(self._descriptor, self._end, record)
             except OSError:
                 with suppress(OSError):
                     os.ftruncate(self._descriptor, self._end)
@@ -114,12 +123,40 @@ class RecordLog:
 
     def sync(self) -> None:
         """Force what was written to the disk."""
-        os.fsync(self._descriptor)
+        with self._lock:  # under which it may be another file
+            os.fsync(self._descriptor)
 
     def close(self) -> None:
         """Let go of the file."""
         with self._lock:
             os.close(self._descriptor)
+
+    def _shorten(self, most: int) -> None:
+        """Write the file anew with the records of the largest keys, up to so many bytes."""
+        kept, held = set[Key](), 0
+        for key in sorted(self._places, reverse=True):
+            held += _HEADER.size + self._places[key][1]
+            if held > most:
+                break
+            kept.add(key)
+        beside = self._path.with_name(f".{self._path.name}.tmp")
+        descriptor = _opened(beside)
+        try:
+            claim(descriptor)
+            os.ftruncate(descriptor, 0)
+            places, end = dict[Key, tuple[int, int]](), 0
+            for key in (key for key in self._places if key in kept):
+                start, length = self._places[key]
+                _write(descriptor, end, self._at(start - _HEADER.size, _HEADER.size + length))
+                places[key] = (end + _HEADER.size, length)
+                end += _HEADER.size + length
+            os.fsync(descriptor)
+            os.replace(beside, self._path)
+        except BaseException:
+            os.close(descriptor)
+            raise
+        os.close(self._descriptor)
+        self._descriptor, self._places, self._end = descriptor, places, end
 
     def _scan(self, size: int) -> Iterator[tuple[Key, tuple[int, int]]]:
         start = 0
@@ -142,6 +179,17 @@ class RecordLog:
         return bytes(found)
 
 
+def _opened(path: Path) -> int:
+    return os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666)
+
+
+def _write(descriptor: int, start: int, content: bytes) -> None:
+    os.lseek(descriptor, start, os.SEEK_SET)
+    left = memoryview(content)
+    while left:
+        left = left[os.write(descriptor, left):]
+
+
 def _checksum(key: Key, content: bytes) -> int:
     return zlib.crc32(content, zlib.crc32(_KEY.pack(*key)))
 
@@ -153,7 +201,7 @@ def in_use(path: Path) -> bool:
     except OSError:
         return False
     try:
-        _claim(descriptor)
+        claim(descriptor)
     except Busy:
         return True
     finally:
@@ -161,8 +209,12 @@ def in_use(path: Path) -> bool:
     return False
 
 
-def _claim(descriptor: int) -> None:
-    """Lock the file for as long as this process has it open."""
+def claim(descriptor: int) -> bool:
+    """Lock the file for as long as this process has it open; False: there are no locks where it lies.
+
+    Raises:
+        Busy: another process has locked it.
+    """
     try:
         if sys.platform == "win32":
             import msvcrt
@@ -177,3 +229,5 @@ def _claim(descriptor: int) -> None:
             raise Busy from error
         if error.errno not in (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP):  # a network drive without locks
             raise
+        return False
+    return True

@@ -34,7 +34,8 @@ export interface Header {
 /** Bytes of the JSON of a file of `size` bytes, from the file's first eight. */
 export function headerLength(start: Uint8Array, size: number, limits: Limits): number {
   if (size < LENGTH_BYTES) {
-    throw fault("truncated", "header", `a file of ${size} bytes`, "8 bytes and more", REFETCH);
+    throw fault("truncated", "header", `a file of ${size} bytes`, "8 bytes and more",
+      "if it was longer where it comes from, fetch it again");
   }
   const exact = new DataView(start.buffer, start.byteOffset, LENGTH_BYTES).getBigUint64(0, true);
   const length = Number(exact);

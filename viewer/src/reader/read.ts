@@ -11,6 +11,7 @@ import { crc32 } from "./digests";
 import { type Header, LENGTH_BYTES, headerLength, parseHeader } from "./header";
 import { parseJson } from "./json";
 import { DEFAULT_LIMITS, type Limits } from "./limits";
+import { START, checkStart } from "./lookalikes";
 import { type Coords, type Metadata, type Parsed, isShort, parseMetadata } from "./metadata";
 import type { PackedLevel } from "./packed";
 import { fault } from "./reasons";
@@ -27,6 +28,7 @@ export interface Model {
 
 /** Read a whole file that is in memory; its arrays become views of `bytes`, but for numbers that are widened. */
 export function loads(bytes: Uint8Array<ArrayBuffer>, limits: Limits = DEFAULT_LIMITS): Model {
+  checkStart(bytes.subarray(0, START), bytes.length, limits);
   const length = headerLength(bytes, bytes.length, limits);
   const reading = new Reading(bytes.subarray(LENGTH_BYTES, LENGTH_BYTES + length), bytes.length, limits);
   const aligned = bytes.byteOffset % 8 === 0 ? bytes : bytes.slice();

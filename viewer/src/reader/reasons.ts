@@ -65,7 +65,10 @@ const COMPATIBILITY = {
   "transform-unknown": "The file has a value transform that this reader does not know.",
 };
 
-const IO = { unreadable: "The path cannot be opened or read, or is no regular file." };
+const IO = {
+  unreadable: "The path cannot be opened or read, or is no regular file.",
+  "foreign-file": "The file begins as no .hmk file does.",
+};
 
 const INSUFFICIENT = { truncated: "The file ends before the bytes it declares." };
 
