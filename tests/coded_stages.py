@@ -95,7 +95,7 @@ def _add_cut(rng: np.random.Generator, stage: Ragged, rows: Array, extents: list
     while True:
         clusters, part = [], []
         for n, m in enumerate(rows):
-            grid = [int(rng.choice([1, 1, 2, 3])) for _ in extents[n]]
+            grid = [min(int(rng.choice([1, 1, 2, 3])), extent) for extent in extents[n]]
             if rng.random() < 0.3:
                 clusters.append(int(rng.integers(1, 4)))
                 part.append(_runs(rng, m, clusters[-1]))

@@ -203,6 +203,19 @@ impl Magnitudes {
     }
 }
 
+/// Sign of a number, as 0, 1 or 2.
+#[inline(always)]
+pub fn sign_of(number: i32) -> usize {
+    (number.signum() + 1) as usize
+}
+
+/// A magnitude with its sign, without a branch.
+#[inline(always)]
+pub fn signed(magnitude: i32, negative: bool) -> i32 {
+    let ones = -i32::from(negative);
+    (magnitude ^ ones) - ones
+}
+
 /// Models of rows that repeat the one before, and of the labels of those that do not.
 #[derive(Clone, Default)]
 pub struct Memberships {

@@ -43,6 +43,8 @@ mod range_coder;
 mod real;
 mod reconstruct;
 mod run_code;
+mod run_columns;
+mod run_cores;
 mod run_node;
 mod run_numbers;
 mod scattered;

@@ -23,31 +23,38 @@ const fn rates() -> [u16; 256] {
     rates
 }
 
-/// The probability of a 0, adapted to the decisions seen.
+/// The probability of a 0, adapted to the decisions seen: its upper half, and how many these were, its lower one.
 #[derive(Clone, Copy)]
-pub struct Model {
-    zero: u16,
-    seen: u8,
-}
+pub struct Model(u32);
 
 impl Default for Model {
     fn default() -> Self {
-        Model { zero: 1 << 15, seen: 0 }
+        Model(1 << 31)
     }
 }
 
 impl Model {
     #[inline(always)]
     fn bound(self, range: u32) -> u32 {
-        (range >> 16) * u32::from(self.zero)
+        (range >> 16) * (self.0 >> 16)
     }
 
     #[inline(always)]
     fn learn(&mut self, bit: bool) {
-        let (zero, rate) = (u32::from(self.zero), u32::from(RATES[usize::from(self.seen)]));
+        let (zero, seen) = (self.0 >> 16, self.0 as u8);
+        let rate = u32::from(RATES[usize::from(seen)]);
         let moved = if bit { zero - (zero * rate >> 16) } else { zero + ((65536 - zero) * rate >> 16) };
-        self.zero = moved.clamp(LEAST, MOST) as u16;
-        self.seen += u8::from(self.seen < MOST_SEEN);
+        self.0 = moved.clamp(LEAST, MOST) << 16 | u32::from(seen + u8::from(seen < MOST_SEEN));
+    }
+
+    /// The same without a branch.
+    #[inline(always)]
+    fn learn_evenly(&mut self, bit: bool) {
+        let (zero, seen) = (self.0 >> 16, self.0 as u8);
+        let rate = u32::from(RATES[usize::from(seen)]);
+        let ones = 0_u32.wrapping_sub(u32::from(bit));
+        let step = ((zero & ones | (65536 - zero) & !ones) * rate >> 16 ^ ones).wrapping_sub(ones);
+        self.0 = zero.wrapping_add(step).clamp(LEAST, MOST) << 16 | u32::from(seen + u8::from(seen < MOST_SEEN));
     }
 }
 
@@ -58,6 +65,12 @@ pub trait Coder {
 
     /// A decision with the probability of its model.
     fn bit(&mut self, model: &mut Model, bit: bool) -> bool;
+
+    /// The same of a decision that cannot be foreseen, without a branch.
+    #[inline(always)]
+    fn even_bit(&mut self, model: &mut Model, bit: bool) -> bool {
+        self.bit(model, bit)
+    }
 
     /// The lowest bits of a value, up to 32, the highest one first, all equally likely.
     fn raw(&mut self, bits: u32, value: u32) -> u32;
@@ -252,6 +265,18 @@ impl Coder for Decoder<'_> {
     }
 
     #[inline(always)]
+    fn even_bit(&mut self, model: &mut Model, _: bool) -> bool {
+        let bound = model.bound(self.range);
+        let bit = self.code >= bound;
+        let ones = 0_u32.wrapping_sub(u32::from(bit));
+        self.code -= bound & ones;
+        self.range = bound.wrapping_add(self.range.wrapping_sub(bound << 1) & ones);
+        model.learn_evenly(bit);
+        self.renormalise();
+        bit
+    }
+
+    #[inline(always)]
     fn raw(&mut self, bits: u32, _: u32) -> u32 {
         let mut value = 0;
         for _ in 0..bits {
@@ -273,32 +298,29 @@ impl Coder for Decoder<'_> {
 mod tests {
     use super::*;
 
+    fn code<C: Coder>(coder: &mut C, decisions: &[bool]) -> Vec<bool> {
+        let mut models = [Model::default(); 3];
+        let mut each = |(i, &bit): (usize, &bool)| match i % 4 {
+            0 => coder.bit(&mut models[0], bit),
+            1 => coder.even_bit(&mut models[1], bit),
+            2 => coder.bit(&mut models[2], bit),
+            _ => coder.raw(5, u32::from(bit) * 31) == 31,
+        };
+        decisions.iter().enumerate().map(&mut each).collect()
+    }
+
     #[test]
     fn decisions_come_back_and_bytes_are_counted() {
-        let bits: Vec<bool> = crate::testing::numbers(50_000, 3).into_iter().map(|x| x > 0.45).collect();
-        let code = |coder: &mut dyn FnMut(&mut Model, bool, u32)| {
-            let mut models = [Model::default(); 2];
-            bits.iter().enumerate().for_each(|(i, &bit)| coder(&mut models[i & 1], bit, i as u32 & 31));
-        };
-        let (mut encoder, mut counter) = (Encoder::new(), Counter::new());
-        code(&mut |model, bit, raw| {
-            encoder.bit(&mut model.clone(), bit);
-            encoder.raw(5, raw);
-            counter.bit(model, bit);
-            counter.raw(5, raw);
-        });
-        let bytes = encoder.finish();
-        assert!(bytes.len() > 4);
-        let mut models = [Model::default(); 2];
-        let mut counter_again = Counter::new();
-        let mut encoder = Encoder::new();
-        for (i, &bit) in bits.iter().enumerate() {
-            counter_again.bit(&mut models[i & 1].clone(), bit);
-            encoder.bit(&mut models[i & 1], bit);
+        for rare in [-0.6, 0.0, 0.45, 0.6] {
+            let decisions: Vec<bool> = crate::testing::numbers(50_000, 3).into_iter().map(|x| x > rare).collect();
+            let (mut encoder, mut counter) = (Encoder::new(), Counter::new());
+            code(&mut encoder, &decisions);
+            code(&mut counter, &decisions);
+            let bytes = encoder.finish();
+            assert_eq!(bytes.len() as u64, counter.bytes());
+            let mut decoder = Decoder::new(&bytes);
+            assert_eq!(code(&mut decoder, &decisions.iter().map(|_| false).collect::<Vec<_>>()), decisions);
+            assert!(decoder.is_at_end());
         }
-        let bytes = encoder.finish();
-        let (mut decoder, mut models) = (Decoder::new(&bytes), [Model::default(); 2]);
-        bits.iter().enumerate().for_each(|(i, &bit)| assert_eq!(decoder.bit(&mut models[i & 1], false), bit));
-        assert!(decoder.is_at_end());
     }
 }

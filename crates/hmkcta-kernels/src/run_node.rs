@@ -236,8 +236,11 @@ impl Walk {
             }
             grid.resize(place.extents(n).len(), 0);
             let mut product = 1_u32;
-            for segments in grid.iter_mut() {
+            for (segments, &extent) in grid.iter_mut().zip(place.extents(n)) {
                 *segments = models.parts.code(coder, segments.saturating_sub(1))? + 1;
+                if *segments > extent {
+                    return Err(Fault::NodeShape);
+                }
                 product = product.saturating_mul(*segments);
             }
             node.clusters[n] = product;
@@ -296,7 +299,7 @@ pub fn segment_start(extent: u32, segments: u32, segment: u32) -> u32 {
     (u64::from(extent) * u64::from(segment) / u64::from(segments)) as u32
 }
 
-/// The part of each row by a rule of a grid.
+/// The part of each row by a rule of a grid, of no more segments than indices along any extent.
 pub fn grid_parts(grid: &[u32], extents: &[u32], parts: &mut [u16]) {
     let [segments, inner_grid @ ..] = grid else { return parts.fill(0) };
     let [extent, inner_extents @ ..] = extents else { return };
@@ -312,12 +315,6 @@ pub fn grid_parts(grid: &[u32], extents: &[u32], parts: &mut [u16]) {
         }
         part.iter_mut().zip(&*first).for_each(|(to, from)| *to = from + (segment * step) as u16);
     }
-    // Segments before that of index 0 are empty.
-    let mut lead = 0;
-    while lead + 1 < *segments && segment_start(*extent, *segments, lead + 1) == 0 {
-        lead += 1;
-    }
-    first.iter_mut().for_each(|to| *to += (lead * step) as u16);
 }
 
 /// The rule of a grid that rows go to these parts by, if there is one.
@@ -330,6 +327,9 @@ pub fn grid_of(parts: &[u16], clusters: u32, extents: &[u32], buffer: &mut Vec<u
     for (segments, &extent) in grid.iter_mut().zip(extents).rev() {
         // The last index of an extent is in its last segment.
         *segments = u32::from(parts[(extent as usize - 1) * step]) / product + 1;
+        if *segments > extent {
+            return None;
+        }
         product = product.checked_mul(*segments)?;
         step *= extent as usize;
     }
