@@ -29,7 +29,7 @@ class Shapes:
     max_cells: int = 12  # PC of a node, which bounds the number of its children
     zero: float = 0.15  # chance that a node below level 1 has shape zero
     leaf: float = 0.15  # chance that a node above the last stage has no children
-    cut: float = 0.0  # chance that a node above the last stage is a cut
+    cut: float = 0.0  # chance that a node between the root and the last stage is a cut
     own: float = 0.0  # chance that a mode is undecomposed in a node, whatever it is in others
     tidy: bool = False  # rows go where their first cluster is
 
@@ -138,7 +138,7 @@ def _random_node(rng: np.random.Generator, rows: Sizes, undecomposed: Sequence[i
                  last: bool) -> Node:
     order = len(rows)
     zero = 0 in rows or (not root and rng.random() < shapes.zero)
-    if not zero and not last and rng.random() < shapes.cut:
+    if not zero and not last and rng.random() < shapes.cut * (shapes.cut == 1 or not root):
         return _random_cut(rng, rows, shapes)
     own = {n for n in range(order) if n in undecomposed or (shapes.own and rng.random() < shapes.own)}
     clusters, mixture, ranks = _random_shape(rng, rows, own, shapes) if not zero else ((0,) * order,) * 3
