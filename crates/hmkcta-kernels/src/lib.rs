@@ -50,6 +50,7 @@ mod run_numbers;
 mod scattered;
 mod shared;
 mod shuffle;
+mod small;
 mod sorting;
 mod stage;
 mod stage_code;

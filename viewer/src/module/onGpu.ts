@@ -11,8 +11,8 @@ import type { Reading } from "../reader/read";
 
 export class OnGpu {
   /**
-   * WGSL to put before a shader of one's own: `decode_element(index: array<u32, AXES>, levels: u32) -> f32`, whose indices
-   * must be in range, and `decoder.levels`, how many the bindings say.
+   * WGSL to put before a shader of one's own: `decode_element(index: array<u32, AXES>, stages: u32) -> f32`, whose indices
+   * must be in range, and `decoder.stages`, how many the bindings say.
    */
   readonly code: string;
   /** Of group 0. */
@@ -26,7 +26,7 @@ export class OnGpu {
     }
     this.decoder = new Decoder(device, metadata, levels);
     this.layout = this.decoder.layout;
-    this.code = [prelude(metadata, this.decoder.pages, { uniform: this.decoder.uniform }), image, decode].join("\n");
+    this.code = [prelude(this.decoder.tree, this.decoder.pages), image, decode].join("\n");
   }
 
   /** Bytes on the GPU. */

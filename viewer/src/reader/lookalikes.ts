@@ -1,6 +1,6 @@
 /** What a file that is no `.hmk` file looks like: the twin of `hmkcta.hmkfile.lookalikes`. */
 
-import { HmkError } from "./reasons";
+import { type HmkError, fault } from "./reasons";
 
 const COMPRESS = "hmkcta compress it, or give the .hmk file that was made of it";
 const SEE = "see in a browser what the server says, and fetch the file again";
@@ -17,23 +17,11 @@ const STARTS: [start: string, what: string, advice: string][] = [
 ];
 /** Bytes that tell all of them. */
 export const START = 64;
-const JSON_AT = 8; // where the JSON of a header begins
 
-/** A file that does not begin as an `.hmk` file does: kind and reason are the format's, the sentence says so. */
-export class ForeignFile extends HmkError {}
-
-/** The error about a file's header; where the file begins as no `.hmk` file does, one that says what it looks like. */
-export function recognised(error: HmkError, start: Uint8Array): HmkError {
-  const text = String.fromCharCode(...start);
-  if (error.where !== "header" || text[JSON_AT] === "{") {
-    return error;
-  }
+/** The error of a file that does not begin as an `.hmk` file does, which says what it looks like. */
+export function foreign(start: Uint8Array): HmkError {
+  const text = String.fromCharCode(...start.subarray(0, START));
   const begins = (text.trimStart().startsWith("<") ? text.trimStart() : text).toLowerCase();
-  const known = STARTS.find(([first]) => begins.startsWith(first));
-  const noLength = ["header-too-large", "truncated"].includes(error.reason) || !/[^\0]/.test(text.slice(0, JSON_AT));
-  if (known === undefined && (!noLength || start.length <= JSON_AT)) {
-    return error;
-  }
-  const [, what, advice] = known ?? ["", "no .hmk file", "check that it is an .hmk file"];
-  return new ForeignFile(error.kind, error.reason, error.where, `what begins like ${what}`, "an .hmk file", advice);
+  const [, what, advice] = STARTS.find(([first]) => begins.startsWith(first)) ?? ["", "no .hmk file", "check that it is an .hmk file"];
+  return fault("not-hmk", "header", `what begins like ${what}`, "an .hmk file", advice);
 }
