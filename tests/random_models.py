@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, replace
 from math import prod
 from typing import Any, TypeVar
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hmkcta.axes import Axis, Organisation, name_axes, separate
 from hmkcta.narrow import BASIS_NUMBERS, CORE_NUMBERS, U8, widened
-from hmkcta.packed import F16, U16, U32, LevelBounds, LevelQuality, Metadata, PackedLevel
+from hmkcta.packed import F16, U16, U32, LevelQuality, Metadata, PackedLevel, bounds_of
 
 Sizes = tuple[int, ...]
 Ints = NDArray[np.int64]
@@ -21,20 +21,22 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 @dataclass(frozen=True)
 class Shapes:
-    """How large the nodes of a random model get, and how often a node adds nothing or has no children."""
+    """How large the nodes of a random model get, and how often a node is of a certain kind."""
 
     max_clusters: int = 3
     max_mixture: int = 2
     max_rank: int = 3
     max_cells: int = 12  # PC of a node, which bounds the number of its children
     zero: float = 0.15  # chance that a node below level 1 has shape zero
-    leaf: float = 0.15  # chance that a node above the last level has no children
-    tidy: bool = False  # rows go where their first cluster is, and keep their order
+    leaf: float = 0.15  # chance that a node above the last stage has no children
+    cut: float = 0.0  # chance that a node between the root and the last stage is a cut
+    own: float = 0.0  # chance that a mode is undecomposed in a node, whatever it is in others
+    tidy: bool = False  # rows go where their first cluster is
 
 
 @dataclass(frozen=True, eq=False)
 class Node:
-    """One node before packing: rows, C, K and R a mode, and the arrays of its rows."""
+    """One node before packing: rows, C, K and R a mode, and the arrays of its rows; no entries where undecomposed."""
 
     rows: Sizes
     clusters: Sizes
@@ -42,38 +44,42 @@ class Node:
     ranks: Sizes
     core: F16  # [PC, R_1, .., R_N]
     scale: NDArray[np.float32]  # [PC]
-    cluster: tuple[U16 | None, ...]  # [m, K_n]
-    basis: tuple[F16 | None, ...]  # [m, K_n, PC_-n, R_n]
-    part: tuple[U16 | None, ...]  # [m]
-    local: tuple[U32 | None, ...]  # [m]
+    cluster: tuple[U16, ...]  # [m, K_n]
+    basis: tuple[F16, ...]  # [m, K_n, PC_-n, R_n]
+    part: tuple[U16, ...]  # [m]
+    local: tuple[U32, ...]  # [m]
     children: tuple[Sizes, ...]  # rows of each child
 
 
 def random_model(rng: np.random.Generator, sizes: Sequence[int], levels: int = 2, undecomposed: Sequence[int] = (), *,
                  shapes: Shapes = Shapes(), axes: tuple[Axis, ...] | None = None,
-                 organisation: Organisation | None = None, eight_from: int | None = None, packed_share: float = 0.0
-                 ) -> tuple[Metadata, tuple[PackedLevel, ...]]:
-    """A random model of a tensor with these mode sizes; every choice the format leaves open is drawn from `rng`.
+                 organisation: Organisation | None = None, eight_from: int | None = None, packed_share: float = 0.0,
+                 cuts: Sequence[int] = ()) -> tuple[Metadata, tuple[PackedLevel, ...]]:
+    """A random model of a tensor with these mode sizes; every choice that is open is drawn from `rng`.
 
     The quality in the metadata is made up. With `axes` and `organisation` modes can be merged axes, of these sizes.
-    Core and basis numbers of the levels from `eight_from` on are stored in eight bits, but that share of these levels
+    Of `levels` stages, those numbered in `cuts` (from 1) have no numbers, but cut their nodes; `undecomposed` modes are
+    so in all nodes.
+    Core and basis numbers of the stages from `eight_from` on are stored in eight bits, but that share of these stages
     is packed, as far as they have decomposed modes.
     """
     axes = axes if axes is not None else name_axes(sizes)
     packed: list[PackedLevel] = []
     rows = [tuple(sizes)]
     for level in range(1, levels + 1):
-        nodes = [_random_node(rng, owned, undecomposed, shapes, root=level == 1, last=level == levels)
+        own = replace(shapes, cut=1.0) if level in cuts else shapes
+        nodes = [_random_node(rng, owned, undecomposed, own, root=level == 1, last=level == levels)
                  for owned in rows]
-        packed.append(_pack(nodes, len(sizes), undecomposed, last=level == levels))
+        packed.append(_pack(nodes, len(sizes), last=level == levels))
         rows = [child for node in nodes for child in node.children]
     if eight_from is not None:
         packed[eight_from - 1:] = [_in_bytes(rng, level) for level in packed[eight_from - 1:]]
-        packed[eight_from - 1:] = [_in_columns(rng, level) if rng.random() < packed_share else level
+        packed[eight_from - 1:] = [_in_columns(rng, level, undecomposed) if rng.random() < packed_share else level
                                    for level in packed[eight_from - 1:]]
-    quality = tuple(LevelQuality(float(snr), float(1 / snr), float(2 / snr)) for snr in 10.0 + 8.0 * np.arange(levels))
+    figures = 10.0 + 8.0 * np.arange(sum(not level.is_cut for level in packed))
+    quality = tuple(LevelQuality(float(snr), float(1 / snr), float(2 / snr)) for snr in figures)
     metadata = Metadata("float32", axes, organisation or separate(axes), tuple(map(bounds_of, packed)),
-                        tuple(undecomposed), quality=quality, source={"sha256": "0" * 64}, writer="random_models")
+                        quality=quality, source={"sha256": "0" * 64}, writer="random_models")
     return metadata, tuple(packed)
 
 
@@ -82,13 +88,13 @@ def _in_bytes(rng: np.random.Generator, level: PackedLevel) -> PackedLevel:
     def drawn(array: F16, numbers: F16) -> F16:
         return widened(rng.integers(-128, 128, array.size, np.int8), numbers)
 
-    basis = tuple(None if array is None else drawn(array, BASIS_NUMBERS) for array in level.basis)
+    basis = tuple(drawn(array, BASIS_NUMBERS) for array in level.basis)
     return replace(level, core=drawn(level.core, CORE_NUMBERS), basis=basis, bits=8)
 
 
-def _in_columns(rng: np.random.Generator, level: PackedLevel) -> PackedLevel:
+def _in_columns(rng: np.random.Generator, level: PackedLevel, undecomposed: Sequence[int]) -> PackedLevel:
     """The level packed, node after node, with columns of any parameters and numbers of their sizes."""
-    stored = [n for n, basis in enumerate(level.basis) if basis is not None]
+    stored = [n for n in range(level.order) if n not in undecomposed]
     if not stored:
         return level
     rice: list[list[U8]] = [[] for _ in level.basis]
@@ -106,8 +112,7 @@ def _in_columns(rng: np.random.Generator, level: PackedLevel) -> PackedLevel:
     return replace(
         level,
         core=np.concatenate([np.zeros(0, np.float16), *cores]),
-        basis=tuple(np.concatenate([np.zeros(0, np.float16), *own]) if n in stored else None
-                    for n, own in enumerate(bases)),
+        basis=tuple(np.concatenate([np.zeros(0, np.float16), *own]) for own in bases),
         rice=tuple(np.concatenate([np.zeros(0, np.uint8), *own]) if n in stored else None
                    for n, own in enumerate(rice)),
     )
@@ -117,8 +122,7 @@ def _parameters(rng: np.random.Generator, columns: int) -> Ints:
     return rng.integers(16, size=columns)
 
 
-def _lengths(starts: U32 | None) -> list[int]:
-    assert starts is not None
+def _lengths(starts: U32) -> list[int]:
     return np.diff(starts.astype(np.int64)).tolist()
 
 
@@ -130,21 +134,15 @@ def _drawn(rng: np.random.Generator, parameters: Ints, steps: Ints) -> F16:
     return (whole / 2.0 ** (steps + 2)).astype(np.float16)
 
 
-def bounds_of(level: PackedLevel) -> LevelBounds:
-    """The largest C, K and R of a level's nodes."""
-    clusters, mixture, ranks = (tuple(map(int, row)) for row in level.shape.max(axis=0, initial=0))
-    return LevelBounds(clusters, mixture, ranks, "most")
-
-
 def _random_node(rng: np.random.Generator, rows: Sizes, undecomposed: Sequence[int], shapes: Shapes, *, root: bool,
                  last: bool) -> Node:
     order = len(rows)
     zero = 0 in rows or (not root and rng.random() < shapes.zero)
-    clusters, mixture, ranks = _random_shape(rng, rows, undecomposed, shapes) if not zero else ((0,) * order,) * 3
+    if not zero and not last and rng.random() < shapes.cut * (shapes.cut == 1 or not root):
+        return _random_cut(rng, rows, shapes)
+    own = {n for n in range(order) if n in undecomposed or (shapes.own and rng.random() < shapes.own)}
+    clusters, mixture, ranks = _random_shape(rng, rows, own, shapes) if not zero else ((0,) * order,) * 3
     inner = not zero and not last and rng.random() >= shapes.leaf
-
-    def decomposed(make: Callable[[int], NDArray[Scalar]]) -> tuple[NDArray[Scalar] | None, ...]:
-        return tuple(None if n in undecomposed else make(n) for n in range(order))
 
     def subsets(n: int) -> U16:
         chosen = [np.sort(rng.permutation(clusters[n])[:mixture[n]]) for _ in range(rows[n])]
@@ -155,60 +153,80 @@ def _random_node(rng: np.random.Generator, rows: Sizes, undecomposed: Sequence[i
         return rng.uniform(-1, 1, (rows[n], mixture[n], others, ranks[n])).astype(np.float16)
 
     def parts(n: int) -> U16:
-        return rng.integers(clusters[n], size=rows[n]).astype(np.uint16) if inner else np.zeros(rows[n], np.uint16)
+        drawn = inner and n not in own
+        return (rng.integers(clusters[n], size=rows[n]) if drawn else np.zeros(rows[n])).astype(np.uint16)
 
-    part = decomposed(parts)
-    keep = shapes.tidy or not inner or prod(clusters) == 1
-    cluster = decomposed(subsets) if shapes.tidy else ()
+    part = tuple(map(parts, range(order)))
+    cluster = tuple(map(subsets, range(order)))
     if shapes.tidy and inner:
-        part = tuple(None if c is None else c[:, 0] for c in cluster)
-    local = tuple(None if p is None else _random_places(rng, p, keep, inner) for p in part)
+        part = tuple(p if n in own else c[:, 0] for n, (p, c) in enumerate(zip(part, cluster, strict=True)))
     core = rng.normal(size=(prod(clusters), *ranks)).astype(np.float16)
     scale = rng.uniform(0.25, 2.0, prod(clusters)).astype(np.float32)
     children = _child_rows(rows, clusters, part) if inner else ()
-    return Node(rows, clusters, mixture, ranks, core, scale, cluster or decomposed(subsets), decomposed(basis), part,
-                local, children)
+    return Node(rows, clusters, mixture, ranks, core, scale, cluster, tuple(map(basis, range(order))), part,
+                tuple(_places(p) if inner else np.zeros(p.size, np.uint32) for p in part), children)
 
 
-def _random_shape(rng: np.random.Generator, rows: Sizes, undecomposed: Sequence[int], shapes: Shapes
-                  ) -> tuple[Sizes, Sizes, Sizes]:
+def _random_cut(rng: np.random.Generator, rows: Sizes, shapes: Shapes) -> Node:
+    """A node without numbers: its rows go to parts along a grid, one of two axes, say, or to any."""
+    order = len(rows)
+    clusters = [min(rows[n], int(rng.integers(1, shapes.max_clusters + 2))) for n in range(order)]
+    while prod(clusters) > max(2, shapes.max_cells):
+        clusters[int(np.argmax(clusters))] = 1
+    if prod(clusters) < 2:
+        clusters[int(rng.integers(order))] = 2
+
+    def parts(n: int) -> U16:
+        i, c = np.arange(rows[n]), clusters[n]
+        if rng.random() < 1 / 3:
+            return rng.integers(c, size=rows[n]).astype(np.uint16)
+        inside = next(size for size in (3, 2, 1) if rows[n] % size == 0)  # of a merged axis that is not cut
+        return (i // inside * c * inside // rows[n]).astype(np.uint16)
+
+    part = tuple(map(parts, range(order)))
+    zeros = (0,) * order
+    none = tuple(np.zeros(0, np.uint16) for _ in rows)
+    return Node(rows, tuple(clusters), zeros, zeros, np.zeros(0, np.float16), np.zeros(0, np.float32), none,
+                tuple(np.zeros(0, np.float16) for _ in rows), part, tuple(map(_places, part)),
+                _child_rows(rows, tuple(clusters), part))
+
+
+def _random_shape(rng: np.random.Generator, rows: Sizes, own: Set[int], shapes: Shapes) -> tuple[Sizes, Sizes, Sizes]:
     """C, K and R of a node; where there would be too many cells, the most clustered modes lose their clusters."""
-    clusters = [1 if n in undecomposed else int(rng.integers(1, shapes.max_clusters + 1)) for n in range(len(rows))]
+    clusters = [1 if n in own else int(rng.integers(1, shapes.max_clusters + 1)) for n in range(len(rows))]
     while prod(clusters) > shapes.max_cells:
         clusters[int(np.argmax(clusters))] = 1
-    mixture = tuple(int(rng.integers(1, min(c, shapes.max_mixture) + 1)) for c in clusters)
-    ranks = tuple(m if n in undecomposed else int(rng.integers(1, shapes.max_rank + 1)) for n, m in enumerate(rows))
+    mixture = tuple(0 if n in own else int(rng.integers(1, min(c, shapes.max_mixture) + 1))
+                    for n, c in enumerate(clusters))
+    ranks = tuple(m if n in own else int(rng.integers(1, shapes.max_rank + 1)) for n, m in enumerate(rows))
     return tuple(clusters), mixture, ranks
 
 
-def _random_places(rng: np.random.Generator, part: U16, keep: bool, inner: bool) -> U32:
-    """Positions in the children: any order within a part, unless an only child has to keep it; 0 in a leaf."""
+def _places(part: U16) -> U32:
+    """Positions in the children: rows of one part keep their order."""
     local = np.zeros(part.size, np.uint32)
-    if inner:
-        for p in np.unique(part):
-            count = int((part == p).sum())
-            local[part == p] = np.arange(count) if keep else rng.permutation(count)
+    for p in np.unique(part):
+        local[part == p] = np.arange(int((part == p).sum()))
     return local
 
 
-def _child_rows(rows: Sizes, clusters: Sizes, part: tuple[U16 | None, ...]) -> tuple[Sizes, ...]:
+def _child_rows(rows: Sizes, clusters: Sizes, part: tuple[U16, ...]) -> tuple[Sizes, ...]:
     """Rows of the PC children, in the order of their flattened part numbers."""
-    counts = [np.array([m]) if p is None else np.bincount(p, minlength=c)
-              for m, c, p in zip(rows, clusters, part, strict=True)]
+    counts = [np.bincount(p, minlength=c) for c, p in zip(clusters, part, strict=True)]
     return tuple(tuple(int(count[i]) for count, i in zip(counts, index, strict=True))
                  for index in np.ndindex(*clusters))
 
 
-def _pack(nodes: Sequence[Node], order: int, undecomposed: Sequence[int], *, last: bool) -> PackedLevel:
-    def ragged(get: Callable[[Node], NDArray[Any] | None], dtype: type[Scalar]) -> tuple[NDArray[Scalar], U32]:
-        parts = [part.reshape(-1) for node in nodes if (part := get(node)) is not None]
+def _pack(nodes: Sequence[Node], order: int, *, last: bool) -> PackedLevel:
+    def ragged(get: Callable[[Node], NDArray[Any]], dtype: type[Scalar]) -> tuple[NDArray[Scalar], U32]:
+        parts = [get(node).reshape(-1) for node in nodes]
         joined = np.concatenate([np.empty(0, dtype), *parts]).astype(dtype)
         return joined, offsets([part.size for part in parts])
 
-    def modes(get: Callable[[Node], Sequence[NDArray[Any] | None]], dtype: type[Scalar]
-              ) -> tuple[tuple[NDArray[Scalar] | None, ...], tuple[U32 | None, ...]]:
-        packed = [None if n in undecomposed else ragged(lambda node, n=n: get(node)[n], dtype) for n in range(order)]
-        return tuple(p and p[0] for p in packed), tuple(p and p[1] for p in packed)
+    def modes(get: Callable[[Node], Sequence[NDArray[Any]]], dtype: type[Scalar]
+              ) -> tuple[tuple[NDArray[Scalar], ...], tuple[U32, ...]]:
+        packed = [ragged(lambda node, n=n: get(node)[n], dtype) for n in range(order)]
+        return tuple(p[0] for p in packed), tuple(p[1] for p in packed)
 
     core, core_offset = ragged(lambda node: node.core, np.float16)
     scale, cell_offset = ragged(lambda node: node.scale, np.float32)

@@ -10,6 +10,7 @@ from ._version import __version__
 from .axes import Axis, Organisation, mode_sizes
 from .fitting.memberships import block_sizes
 from .hmkfile import ArrayInfo, coords_info, coords_name, file_size, level_schema, narrowest, prefix
+from .hmkfile.stored import stored
 from .packed import LevelBounds, LevelQuality, Metadata
 from .plan import LevelSpec, Plan
 from .streaming.source import Source
@@ -39,8 +40,7 @@ def metadata_of(
         source_dtype=source.dtype,
         axes=source.axes,
         organisation=plan.organisation,
-        levels=tuple(levels),
-        undecomposed=undecomposed_in(plan),
+        stages=tuple(levels),
         kind=kind,
         transform=source.transform,
         quality=tuple(map(_rounded, quality or [UNKNOWN] * len(levels))),
@@ -97,7 +97,8 @@ def planned_bytes(plan: Plan, source: Source, kind: str | None = None, seed: int
             [part for size, (clusters, _, _) in zip(sizes, mode, strict=True) for part in block_sizes(size, clusters)]
             for sizes, mode in zip(parts, shapes, strict=True)
         ]
-    return file_size(metadata_of(source, plan, bounds, kind or source.kind, seed), arrays)
+    metadata = metadata_of(source, plan, bounds, kind or source.kind, seed)
+    return file_size(stored(metadata, undecomposed_in(plan)), arrays)
 
 
 def _shape(level: LevelSpec, n: int, size: int) -> tuple[int, int, int]:

@@ -13,7 +13,7 @@ from .cells import round_cores
 from .core_parameters import core_parameters
 from .fitting.hierarchy import Node
 from .narrow import U8
-from .packed import F16, LevelBounds, PackedLevel
+from .packed import F16, PackedLevel
 from .parameters import BELOW_ONE, bytes_of, from_whole, most_of_core, of_columns, whole_of_core
 from .streaming.pieces import places_of
 
@@ -35,13 +35,6 @@ def pack_levels(
     )
 
 
-def bounds(level: PackedLevel, scheme: str) -> LevelBounds:
-    """The largest C, K, R of any node of the level."""
-    top = level.shape.max(axis=0) if level.nodes else np.zeros((3, level.order), np.uint32)
-    clusters, mixture, ranks = (tuple(int(v) for v in row) for row in top)
-    return LevelBounds(clusters, mixture, ranks, scheme)
-
-
 def _pack(nodes: Sequence[Node], undecomposed: Sequence[int], unit: float, bits: int, *, last: bool) -> PackedLevel:
     order = len(nodes[0].rows) if nodes else 0
     stored = [n not in undecomposed for n in range(order)]
@@ -49,18 +42,14 @@ def _pack(nodes: Sequence[Node], undecomposed: Sequence[int], unit: float, bits:
     for s, node in enumerate(nodes):
         if node.cells is not None:
             shape[s] = node.cells.spec.clusters, node.cells.spec.mixture, node.cells.ranks
+            shape[s, 1, [not kept for kept in stored]] = 0
     fewer = any(node.cells is not None and node.cells.spec.packed for node in nodes)
     rounded = [_coded(node, stored) if fewer else _plain(node, bits) for node in nodes]
     core, core_offset = _ragged([numbers for _, numbers, _ in rounded], np.float16)
     scale, cell_offset = _ragged([factors for *_, factors in rounded], np.float32)
     scale = (scale * unit).astype(np.float32)
-    cluster = [
-        _ragged([_members(node, n) for node in nodes], np.uint16) if stored[n] else (None, None) for n in range(order)
-    ]
-    basis = [
-        _ragged([_basis(node, n) for node in nodes], np.float16) if stored[n] else (None, None) for n in range(order)
-    ]
-    inner = [stored[n] and not last for n in range(order)]
+    cluster = [_ragged([_members(node, n) for node in nodes if stored[n]] or _none(nodes), np.uint16) for n in range(order)]
+    basis = [_ragged([_basis(node, n) for node in nodes if stored[n]] or _none(nodes), np.float16) for n in range(order)]
     return PackedLevel(
         shape=shape,
         child=None if last else _offsets([len(node.children) for node in nodes]),
@@ -73,10 +62,8 @@ def _pack(nodes: Sequence[Node], undecomposed: Sequence[int], unit: float, bits:
         cluster_offset=tuple(o for _, o in cluster),
         basis=tuple(b for b, _ in basis),
         basis_offset=tuple(o for _, o in basis),
-        part=tuple(_joined([_part(node, n) for node in nodes], np.uint16) if inner[n] else None for n in range(order)),
-        local=tuple(
-            _joined([_local(node, n) for node in nodes], np.uint32) if inner[n] else None for n in range(order)
-        ),
+        part=tuple(None if last else _joined([_part(node, n) for node in nodes], np.uint16) for n in range(order)),
+        local=tuple(None if last else _joined([_local(node, n) for node in nodes], np.uint32) for n in range(order)),
         bits=bits,
         rice=_entries([columns for columns, *_ in rounded], stored) if fewer else (),
     )
@@ -104,6 +91,11 @@ def _entries(columns: Sequence[Sequence[U8 | None]], stored: Sequence[bool]) -> 
     """Entries of the columns of all nodes, mode by mode."""
     each = [[own for node in columns if (own := node[n]) is not None] for n in range(len(stored))]
     return tuple(_joined([*own], np.uint8) if kept else None for own, kept in zip(each, stored, strict=True))
+
+
+def _none(nodes: Sequence[Node]) -> Ragged:
+    """No entries of any node."""
+    return [np.zeros(0)] * len(nodes)
 
 
 def _members(node: Node, n: int) -> NDArray[np.uint16]:

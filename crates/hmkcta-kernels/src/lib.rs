@@ -42,6 +42,7 @@ mod reconstruct;
 mod scattered;
 mod shared;
 mod shuffle;
+mod small;
 mod sorting;
 mod steps;
 mod subspace;

@@ -1,4 +1,4 @@
-//! The arrays of one level of a model as the file stores them (`docs/format.md`, section 3).
+//! The arrays of one stage of a model: `hmkcta.packed.PackedLevel`.
 
 /// Modes a tensor has at most.
 pub const MOST_MODES: usize = 8;
@@ -6,7 +6,7 @@ pub const MOST_MODES: usize = 8;
 /// The row of an element in each mode.
 pub type Position = [u32; MOST_MODES];
 
-/// One level; slices indexed by mode are None where the format leaves an array out.
+/// One stage.
 pub struct Level<'a> {
     /// `[S, 3, N]`: C, K, R of each node.
     pub shape: &'a [u32],
@@ -14,8 +14,9 @@ pub struct Level<'a> {
     pub row_offset: Vec<&'a [u32]>,
     pub core: Ragged<'a, u16>,
     pub core_scale: Ragged<'a, f32>,
-    pub cluster: Vec<Option<Ragged<'a, u16>>>,
-    pub basis: Vec<Option<Ragged<'a, u16>>>,
+    pub cluster: Vec<Ragged<'a, u16>>,
+    pub basis: Vec<Ragged<'a, u16>>,
+    /// Part and position there of each row; None at the last stage.
     pub part: Vec<Option<&'a [u16]>>,
     pub local: Vec<Option<&'a [u32]>>,
 }
@@ -35,11 +36,21 @@ impl<'a, T> Ragged<'a, T> {
     }
 }
 
+/// What there is of a node.
+pub enum Node<'a> {
+    /// Nothing: it has no children either.
+    Empty,
+    /// A cut: C of each mode. It adds nothing, and has children.
+    Cut([usize; MOST_MODES]),
+    Cells(NodeView<'a>),
+}
+
 /// One node that adds something: what an element's value is computed from.
 #[derive(Clone, Copy)]
 pub struct NodeView<'a> {
     pub order: usize,
     pub clusters: [usize; MOST_MODES],
+    /// K; 1 of an undecomposed mode.
     pub mixture: [usize; MOST_MODES],
     pub ranks: [usize; MOST_MODES],
     /// Rows m(s, n).
@@ -92,17 +103,23 @@ impl<'a> Level<'a> {
         self.row_offset.len()
     }
 
-    /// Node `s`, None if it adds nothing; the message of an error names what is broken.
-    pub fn node(&self, s: usize) -> Result<Option<NodeView<'a>>, String> {
+    /// Node `s`; the message of an error names what is broken.
+    pub fn node(&self, s: usize) -> Result<Node<'a>, String> {
         let order = self.order();
         let broken = |what: &str| format!("{what} of node {s} does not have the length its shape says");
         let shape =
             self.shape.get(3 * order * s..3 * order * (s + 1)).ok_or_else(|| format!("there is no node {s}"))?;
-        if shape[..order].iter().all(|&c| c == 0) {
-            return Ok(None);
+        let (clusters, rest) = shape.split_at(order);
+        let (mixture, ranks) = rest.split_at(order);
+        if shape.iter().all(|&number| number == 0) {
+            return Ok(Node::Empty);
         }
-        if shape.contains(&0) {
-            return Err(format!("the shape of node {s} has a zero among C, K and R"));
+        if rest.iter().all(|&number| number == 0) && !clusters.contains(&0) {
+            return Ok(Node::Cut(std::array::from_fn(|n| clusters.get(n).map_or(1, |&c| c as usize))));
+        }
+        let whole = (0..order).any(|n| mixture[n] == 0 && clusters[n] != 1);
+        if clusters.contains(&0) || ranks.contains(&0) || whole {
+            return Err(format!("C, K and R of node {s} are neither those of cells nor of a cut: {shape:?}"));
         }
         let mut node = NodeView {
             order,
@@ -117,9 +134,10 @@ impl<'a> Level<'a> {
             decomposed: [false; MOST_MODES],
         };
         for n in 0..order {
-            node.clusters[n] = shape[n] as usize;
-            node.mixture[n] = shape[order + n] as usize;
-            node.ranks[n] = shape[2 * order + n] as usize;
+            node.clusters[n] = clusters[n] as usize;
+            node.mixture[n] = mixture[n].max(1) as usize;
+            node.ranks[n] = ranks[n] as usize;
+            node.decomposed[n] = mixture[n] > 0;
             let offset = self.row_offset[n].get(s..s + 2).ok_or_else(|| broken("row_offset"))?;
             node.rows[n] = offset[1].wrapping_sub(offset[0]) as usize;
         }
@@ -127,18 +145,17 @@ impl<'a> Level<'a> {
         node.core = self.core.part(s, node.cells() * node.core_size()).ok_or_else(|| broken("core"))?;
         for n in 0..order {
             let (rows, mixture) = (node.rows[n], node.mixture[n]);
-            let Some((cluster, basis)) = self.cluster[n].zip(self.basis[n]) else {
-                if node.clusters[n] != 1 || mixture != 1 || node.ranks[n] != rows {
-                    return Err(format!("mode {} of node {s} has no basis and needs C = K = 1, R = rows", n + 1));
+            if !node.decomposed[n] {
+                if node.ranks[n] != rows {
+                    return Err(format!("mode {} of node {s} has no basis and needs R = rows", n + 1));
                 }
                 continue;
-            };
-            node.decomposed[n] = true;
-            node.cluster[n] = cluster.part(s, rows * mixture).ok_or_else(|| broken("cluster"))?;
+            }
+            node.cluster[n] = self.cluster[n].part(s, rows * mixture).ok_or_else(|| broken("cluster"))?;
             let length = rows * mixture * node.others(n) * node.ranks[n];
-            node.basis[n] = basis.part(s, length).ok_or_else(|| broken("basis"))?;
+            node.basis[n] = self.basis[n].part(s, length).ok_or_else(|| broken("basis"))?;
         }
-        Ok(Some(node))
+        Ok(Node::Cells(node))
     }
 
     /// The first child of node `s`; None for a leaf.
@@ -148,23 +165,22 @@ impl<'a> Level<'a> {
     }
 
     /// Where the rows of mode `n` of node `s` go.
-    pub fn way_down(&self, s: usize, n: usize) -> WayDown<'a> {
-        let Some((part, local)) = self.part[n].zip(self.local[n]) else { return WayDown(None) };
-        let rows = self.row_offset[n][s] as usize..self.row_offset[n][s + 1] as usize;
-        WayDown(Some((&part[rows.clone()], &local[rows])))
+    pub fn way_down(&self, s: usize, n: usize) -> Result<WayDown<'a>, String> {
+        let rows = self.row_offset[n].get(s..s + 2).map(|edges| edges[0] as usize..edges[1] as usize);
+        let part = self.part[n].zip(rows.clone()).and_then(|(part, rows)| part.get(rows));
+        let local = self.local[n].zip(rows).and_then(|(local, rows)| local.get(rows));
+        part.zip(local).map(WayDown).ok_or_else(|| format!("mode {} of node {s} has no parts of its rows", n + 1))
     }
 }
 
-/// Parts and positions in them of the rows of one mode of a node; None for an undecomposed mode.
-pub struct WayDown<'a>(Option<(&'a [u16], &'a [u32])>);
+/// Parts and positions in them of the rows of one mode of a node.
+pub struct WayDown<'a>((&'a [u16], &'a [u32]));
 
 impl WayDown<'_> {
-    /// Part and position in it of a row; an undecomposed mode has part 0 and keeps the position.
+    /// Part and position in it of a row.
     #[inline(always)]
     pub fn of(&self, position: u32) -> (usize, u32) {
-        match self.0 {
-            Some((part, local)) => (usize::from(part[position as usize]), local[position as usize]),
-            None => (0, position),
-        }
+        let (part, local) = self.0;
+        (usize::from(part[position as usize]), local[position as usize])
     }
 }

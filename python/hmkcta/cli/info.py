@@ -13,7 +13,7 @@ from ..axes import format_organisation
 from ..hmkfile import table_bytes
 from ..model import Model
 from ..model import open as open_model
-from ..packed import PackedLevel
+from ..packed import PackedLevel, undecomposed_modes
 from ..plan import multiply_adds
 from ..support.memory import format_bytes
 from .options import Command, file_argument, json_option, verbose_option
@@ -48,7 +48,7 @@ def describe(model: Model, size: int, tables: Sequence[int]) -> dict[str, Any]:
         "axes": [{"name": axis.name, "size": axis.size, "role": axis.role, "unit": axis.unit,
                   "coordinates": axis.coords is not None} for axis in metadata.axes],
         "organisation": format_organisation(metadata.organisation),
-        "undecomposed": list(metadata.undecomposed),
+        "undecomposed": list(undecomposed_modes(model.stages)),
         "transform": metadata.transform,
         "levels": [_level(model, number, own, size - sum(sizes[number:])) for number, own in enumerate(sizes, 1)],
         "decode_cost": model.decode_cost,
@@ -82,7 +82,7 @@ def cells_of(level: PackedLevel) -> tuple[int, int]:
     (1, 0)
     """
     shape = level.shape.astype(np.int64)
-    alive = shape.any(axis=(1, 2))
+    alive = level.has_cells
     cells = np.where(alive, shape[:, 0].prod(axis=1), 0)
     lengths = np.repeat(shape[:, 2].prod(axis=1), cells)  # numbers in each cell's core
     if not lengths.size:

@@ -24,6 +24,7 @@ from .header import ITEM_SIZES, parse_shape
 from .limits import Limits, check_limit
 from .reasons import fault
 from .schema import NUMBER_TYPES, SHORT, TYPE_NAMES, ArrayInfo, version_of
+from .stored import Stored
 
 #: The newest version that is read and written.
 VERSION = list(NUMBER_TYPES)[-1]
@@ -102,8 +103,8 @@ def to_json(metadata: Metadata, arrays: Mapping[str, ArrayRecord]) -> dict[str, 
         "axes": [axis_to_json(axis) for axis in metadata.axes],
         "organisation": [list(mode) for mode in metadata.organisation],
         "levels": [{"C": _integers(level.clusters), "K": _integers(level.mixture), "R": _integers(level.ranks),
-                    "scheme": level.scheme} for level in metadata.levels],
-        "undecomposed": _integers(metadata.undecomposed), "kind": metadata.kind, "transform": metadata.transform,
+                    "scheme": level.scheme} for level in metadata.stages],
+        "undecomposed": _integers(getattr(metadata, "undecomposed", ())), "kind": metadata.kind, "transform": metadata.transform,
         "quality": [_quality_to_json(quality) for quality in metadata.quality],
         "source": metadata.source, "writer": metadata.writer, "seed": int(metadata.seed),
         "arrays": {name: _record_to_json(record, version) for name, record in arrays.items()},
@@ -157,13 +158,13 @@ def from_json(value: Json, limits: Limits) -> Parsed:
     sizes = mode_sizes(axes, organisation)
     undecomposed = _parse_undecomposed(fields["undecomposed"], f"{root}.undecomposed", len(sizes))
     levels = _parse_levels(fields["levels"], f"{root}.levels", sizes, undecomposed, limits)
-    metadata = Metadata(
+    metadata = Stored(
         as_text(fields["source_dtype"], f"{root}.source_dtype", SOURCE_DTYPES), axes, organisation, levels,
-        undecomposed, as_text(fields["kind"], f"{root}.kind", KINDS),
+        as_text(fields["kind"], f"{root}.kind", KINDS),
         _parse_transform(fields["transform"], f"{root}.transform"),
         _parse_quality(fields["quality"], f"{root}.quality", len(levels)),
         as_map(fields["source"], f"{root}.source"), as_text(fields["writer"], f"{root}.writer"),
-        as_integer(fields["seed"], f"{root}.seed"),
+        as_integer(fields["seed"], f"{root}.seed"), undecomposed,
     )
     return Parsed(metadata, version, _parse_arrays(fields["arrays"], f"{root}.arrays", version), coords)
 

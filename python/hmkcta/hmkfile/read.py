@@ -29,6 +29,7 @@ from .metadata import ArrayRecord, Parsed, from_json
 from .reasons import fault
 from .schema import NUMPY_TYPES, SHORT, ArrayInfo, check_order, check_schema, is_number, level_of
 from .short import completed
+from .stored import from_stored
 
 Loaded: TypeAlias = tuple[Metadata, tuple[PackedLevel, ...]]
 
@@ -100,7 +101,7 @@ def loads(data: bytes | bytearray | mmap.mmap, *, verify: bool = True, limits: L
     levels = tuple(level_of(arrays, level, len(metadata.organisation))
                    for level in range(1, len(metadata.levels) + 1))
     check_levels(metadata, levels)
-    return metadata, levels
+    return from_stored(metadata, levels)
 
 
 def read_header(view: memoryview, limits: Limits) -> Header:

@@ -37,6 +37,7 @@ from .schema import (
     prefix,
 )
 from .short import shortened
+from .stored import level_parts, to_stored
 from .tables import check_entries
 
 Piece: TypeAlias = bytes | memoryview
@@ -52,6 +53,7 @@ def encode(metadata: Metadata, levels: Sequence[PackedLevel]) -> list[Piece]:
         HmkctaError: `InvalidArgument` where the model holds something that has no place in a file at all.
     """
     with _as_invalid_argument():
+        metadata, levels = to_stored(metadata, levels)
         coords = _coords(metadata)
         _check_types(levels)
         if _is_short(levels):
@@ -72,12 +74,14 @@ def encode(metadata: Metadata, levels: Sequence[PackedLevel]) -> list[Piece]:
 def encoded_size(metadata: Metadata, levels: Sequence[PackedLevel]) -> int:
     """Exact number of bytes of the file that `save` writes; neither checksums nor quality change it."""
     with _as_invalid_argument():
+        metadata, levels = to_stored(metadata, levels)
         _check_types(levels)
         return file_size(metadata, _infos(levels, _coords(metadata), short=_is_short(levels)))
 
 
 def level_sizes(levels: Sequence[PackedLevel]) -> list[int]:
     """Bytes of each level's arrays in the file of all of them."""
+    levels = level_parts(levels)
     sizes = [0] * len(levels)
     for name, (dtype, shape) in _infos(levels, {}, short=_is_short(levels)).items():
         sizes[int(name.split("/")[1]) - 1] += prod(shape) * ITEM_SIZES[dtype]

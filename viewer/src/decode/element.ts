@@ -1,5 +1,5 @@
 /**
- * One element by `docs/format.md`, section 4, line by line: for the read-out under the pointer and for tests.
+ * One element, line by line: for the read-out under the pointer and for tests.
  *
  * The shader `decode.wgsl` does the same for all pixels at once.
  */

@@ -59,9 +59,9 @@ export class Model {
     return { shape, values: this.decode(ranges, level) };
   }
 
-  /** The numbers on a GPU, and the WGSL that decodes them there. */
+  /** The numbers of the levels that have arrived on a GPU, and the WGSL that decodes them there. */
   onGpu(device: GPUDevice): OnGpu {
-    return new OnGpu(device, this.reading, () => this.arrived);
+    return new OnGpu(device, this.reading);
   }
 
   /** Elements of some ranges, the last axis fastest. */
