@@ -1,7 +1,8 @@
 /** A file from its first byte to its last level, checked on the way, announced level by level. */
 
-import { PREFIX_BYTES, headerEnd } from "./reader/container";
+import { headerEnd } from "./reader/container";
 import { DEFAULT_LIMITS, type Limits, ON_GPU } from "./reader/limits";
+import { START } from "./reader/lookalikes";
 import { Reading } from "./reader/read";
 import type { ByteSource } from "./stream";
 
@@ -45,7 +46,7 @@ export async function load(source: ByteSource, listener: Listener, limits = VIEW
 }
 
 async function begin(source: ByteSource, limits: Limits): Promise<Reading> {
-  await source.upTo(PREFIX_BYTES);
+  await source.upTo(START); // or less, if the file has less
   await source.upTo(headerEnd(source.bytes, source.size, limits));
   return new Reading(source.bytes, source.size, limits);
 }

@@ -13,7 +13,7 @@ export abstract class ByteSource {
   onBytes: () => void = () => undefined;
   private goal = 0; // up to which bytes are fetched, or wanted next
   private fetching = false;
-  private waiting: { end: number; done: PromiseWithResolvers<void> }[] = [];
+  private waiting: { end: number; resolve: () => void; reject: (error: unknown) => void }[] = [];
 
   protected constructor(readonly name: string, readonly bytes: Uint8Array<ArrayBuffer>) {}
 
@@ -23,14 +23,15 @@ export abstract class ByteSource {
 
   /** Have the first `end` bytes fetched, no more than the size; kept when they are there, whatever else is on its way. */
   upTo(end: number): Promise<void> {
-    const done = Promise.withResolvers<void>();
-    this.waiting.push({ end: Math.min(end, this.size), done });
-    this.goal = Math.max(this.goal, Math.min(end, this.size));
-    this.tell();
-    if (this.have < this.goal && !this.fetching) {
-      void this.fetch();
-    }
-    return done.promise;
+    const goal = Math.min(end, this.size);
+    return new Promise((resolve, reject) => {
+      this.waiting.push({ end: goal, resolve, reject });
+      this.goal = Math.max(this.goal, goal);
+      this.tell();
+      if (this.have < this.goal && !this.fetching) {
+        void this.fetch();
+      }
+    });
   }
 
   /** Fetch nothing more; what is on its way is given up. */
@@ -59,13 +60,13 @@ export abstract class ByteSource {
     } catch (error) {
       this.fetching = false;
       this.goal = this.have;
-      this.waiting.splice(0).forEach(({ done }) => done.reject(error));
+      this.waiting.splice(0).forEach(({ reject }) => reject(error));
     }
   }
 
   private tell(): void {
     const { have } = this;
-    this.waiting.filter(({ end }) => end <= have).forEach(({ done }) => done.resolve());
+    this.waiting.filter(({ end }) => end <= have).forEach(({ resolve }) => resolve());
     this.waiting = this.waiting.filter(({ end }) => end > have);
   }
 }
