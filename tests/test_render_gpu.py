@@ -67,6 +67,12 @@ def test_svbrdfs_of_every_organisation(material: synthetic.Dataset, organisation
     same(compressed(material, organisation, plan), SMALL)
 
 
+def test_a_material_of_8_bits_is_decoded_to_light(material: synthetic.Dataset) -> None:
+    coded = np.rint(255 * (material.values / material.values.max()) ** (1 / 2.4)).astype(np.uint8)
+    two = (Light(), Light(200, 70, colour=(0.2, 0.5, 1.0)))
+    same(compressed(replace(material, values=coded), "light+rgb, view, y, x"), replace(SMALL, lights=two))
+
+
 @pytest.mark.parametrize("level", [1, 2, 3])
 def test_svbrdfs_of_every_level(material: synthetic.Dataset, level: int) -> None:
     same(compressed(material, "light+rgb, view, y, x"), replace(SMALL, level=level))

@@ -1,96 +1,101 @@
 /** One model on the page: its levels as they arrive, the renderer of what it is shown as, and the drawing of frames. */
 
-import { SAMPLES, type ValueRange, valueRange } from "./decode/element";
+import { SAMPLES, valueRange } from "./decode/element";
+import { current } from "./figures";
+import { EMPTY, type FrameEvent, type Frames, busy, next } from "./frames";
 import { Decoder } from "./gpu/decoder";
 import { type Gpu, guarded } from "./gpu/device";
 import { asOriginal } from "./original";
 import { Pace } from "./pace";
-import { carryPlaces, startPlaces } from "./places";
-import { type Problem, asProblem } from "./problem";
-import type { FileKind, Metadata } from "./reader/metadata";
+import { resetView } from "./places";
+import { Problem, asProblem } from "./problem";
+import { type FileKind, type Metadata, upto } from "./reader/metadata";
 import type { Reading } from "./reader/read";
-import { LightfieldRenderer, findCameras } from "./render/lightfield";
+import { LightfieldRenderer } from "./render/lightfield";
 import { layOut } from "./render/layout";
 import type { MeshMaker } from "./render/mesh";
 import type { Progress, Renderer, Side } from "./render/renderer";
-import { Screen } from "./render/screen";
+import type { Screen, Tone } from "./render/screen";
 import { SliceRenderer } from "./render/slices";
 import { SvbrdfRenderer } from "./render/svbrdf";
 import { VolumeRenderer } from "./render/volume";
-import { startWindows } from "./render/window";
-import { type State, newState, restore } from "./state";
+import { span } from "./render/window";
+import type { State } from "./state";
+import { type Action, type Drawn, type Shown, firstShown, reduced } from "./store";
 
 const SETTLED = 250; // milliseconds after the last change
-const CAMERAS = { svbrdf: [20, 20, 3.4], volume: [30, 25, 5.4], plane: [0, 0, 3.6], cloth: [20, 38, 5.3] } as const;
-
-export interface Statistics {
-  milliseconds: number;
-  width: number;
-  height: number;
-  decoding: boolean;
-  level: number;
-}
+const LONG = 200; // milliseconds after which a picture that does not come is said to be decoded
 
 /** What the page around is told. */
 export interface Watcher {
-  onFrame(statistics: Statistics): void;
+  /** The state is another one: all that is shown is to be shown anew. */
+  onShown(shown: Shown): void;
   onProblem(problem: Problem): void;
   /** What was chosen last cannot be drawn; what was shown before is shown again. */
   onRefused(problem: Problem): void;
   onNotes(notes: string[]): void;
 }
 
+/** A picture that is to be saved, of what was chosen then. */
+interface Save {
+  shown: Shown;
+  done: PromiseWithResolvers<ImageData>;
+}
+
 export class App {
   readonly metadata: Metadata;
-  state: State;
-  kind: FileKind = "generic";
+  shown: Shown; // changed by `dispatch` only
   private wanted: FileKind = "generic"; // the kind it shall become, once its renderer is ready
-  original: Reading | null = null;
   mesh: MeshMaker | null = null; // the user's
-  private readonly decoder: Decoder;
+  private decoder: Decoder; // that of the renderer
+  private newest: Decoder; // of more levels, perhaps, once there is a renderer of it
   private originalDecoder: Decoder | null = null;
   private compared: Decoder | null = null; // the original, once the renderer has it
   private screen!: Screen; // there before anything is drawn
   private renderer: Renderer | null = null;
-  private white = 1;
-  private unmeasured = false;
-  private dirty = false;
-  private drawing = false;
-  closed = false;
+  private frames: Frames = EMPTY;
   private choices = 0; // of renderers, of which the last counts
-  private changed = 0; // when something last did, and how often
-  private changes = 0;
-  private pending = false; // something is still to be decoded
+  private readonly saves: Save[] = [];
   private readonly first = Promise.withResolvers<void>();
-  private whole = false; // a picture with nothing missing has been shown
   private readonly pace: Pace;
   private proven: { kind: FileKind; state: State } | null = null; // what was drawn last
 
   private constructor(
-    private readonly gpu: Gpu, private readonly canvas: HTMLCanvasElement, readonly reading: Reading,
+    private readonly gpu: Gpu, private readonly canvas: HTMLCanvasElement, readonly reading: Reading, name: string,
     private readonly watcher: Watcher, fixedSize: [number, number] | null,
   ) {
     this.pace = new Pace(canvas, gpu.device.limits.maxTextureDimension2D, fixedSize);
     this.metadata = reading.metadata;
-    this.decoder = new Decoder(gpu.device, reading.metadata, reading.levels);
-    this.state = newState(reading.metadata.axes.length);
-    startPlaces(this.state, reading.metadata.axes);
+    this.decoder = this.newest = decoderOf(gpu.device, reading.metadata, reading);
+    this.shown = firstShown(name, reading.metadata);
   }
 
-  /** Prepare to show a model whose tables are there; frames have the given size, or the page's. */
+  /** Prepare to show a model of which level 1 is read; frames have the given size, or the page's. */
   static make(
-    gpu: Gpu, canvas: HTMLCanvasElement, screen: Promise<Screen>, reading: Reading, watcher: Watcher, size: [number, number] | null,
+    gpu: Gpu, canvas: HTMLCanvasElement, screen: Promise<Screen>, reading: Reading, name: string, watcher: Watcher, size: [number, number] | null,
   ): Promise<App> {
     return guarded(gpu.device, "preparing the model", async () => {
-      const app = new App(gpu, canvas, reading, watcher, size);
+      const app = new App(gpu, canvas, reading, name, watcher, size);
       [app.screen] = await Promise.all([screen, app.showAs(reading.metadata.kind)]);
       return app;
     });
   }
 
+  get state(): State {
+    return this.shown.state;
+  }
+
+  get kind(): FileKind {
+    return this.shown.kind;
+  }
+
   /** Levels that can be shown. */
   get arrived(): number {
-    return this.decoder.arrived;
+    return this.shown.arrived;
+  }
+
+  get closed(): boolean {
+    return this.frames.name === "closed";
   }
 
   /** Kept when a first frame has been drawn. */
@@ -98,36 +103,59 @@ export class App {
     return this.first.promise;
   }
 
-  /** Whether the picture still lacks elements. */
-  get decoding(): boolean {
-    return this.pending;
+  /** The only way to another state: draws what changed of the picture, and has all that is said of it said anew. */
+  dispatch(action: Action): void {
+    const before = this.shown;
+    this.shown = reduced(before, action);
+    if (this.shown.state !== before.state || this.shown.kind !== before.kind) {
+      this.redraw();
+    }
+    this.watcher.onShown(this.shown);
   }
 
-  /** The next level has arrived; it is shown unless another one was chosen. */
-  addLevel(): void {
-    const follow = this.decoder.arrived === 0 || this.state.level === this.decoder.arrived;
-    this.decoder.addLevel();
-    const arrived = this.decoder.arrived;
-    if (follow) {
-      this.state.level = arrived;
+  /** Choose something, as controls, keys and pointers do. */
+  choose(choose: (state: State) => void): void {
+    this.dispatch({ type: "choose", choose });
+  }
+
+  /** The camera, view point and zoom that suit what is shown. */
+  resetView(): void {
+    this.choose((state) => resetView(state, this.metadata.axes, this.kind));
+  }
+
+  /** The next level is read. */
+  async addLevel(): Promise<void> {
+    if (this.newest.arrived === this.newest.metadata.levels.length) {
+      await this.grow();
     }
+    this.newest.addLevel();
+    this.dispatch({ type: "arrive" });
+    const { kind, arrived, metadata } = this.shown;
     // What needs no more than a white has it measured while the first frame is decoded.
-    this.unmeasured = arrived === 1 && (this.kind === "svbrdf" || this.kind === "lightfield");
-    if (!this.unmeasured && (arrived === 1 || arrived === this.metadata.levels.length)) {
-      this.measure(arrived === 1);
+    if ((arrived === 1 && kind !== "svbrdf" && kind !== "lightfield") || (arrived > 1 && arrived === metadata.levels.length)) {
+      this.measure();
     }
     this.redraw();
+  }
+
+  /** Have a decoder of all that is read by now, and a renderer of it; what there is shows the first levels until then. */
+  private async grow(): Promise<void> {
+    const { device } = this.gpu;
+    const { arrived } = this.newest;
+    const made = await guarded(device, "preparing further levels", () => decoderOf(device, this.metadata, this.reading, arrived));
+    this.newest = made;
+    await this.showAs(this.wanted);
+    if (this.closed) {
+      made.destroy();
+    }
   }
 
   /** A model to compare with, all of whose levels are there; where that fails, all stays as it was. */
   async setOriginal(original: Reading): Promise<void> {
     const { device } = this.gpu;
     const metadata = asOriginal(original.metadata, this.metadata.axes);
-    const decoder = await guarded(device, "preparing the original", () => {
-      const made = new Decoder(device, metadata, original.levels);
-      original.levels.forEach(() => made.addLevel());
-      return made;
-    });
+    const { arrived } = original;
+    const decoder = await guarded(device, "preparing the original", () => decoderOf(device, metadata, original, arrived));
     this.originalDecoder = decoder;
     const choice = ++this.choices;
     try {
@@ -143,8 +171,7 @@ export class App {
     if (this.closed) {
       decoder.destroy();
     }
-    this.original = original;
-    this.state.compare.level = null;
+    this.dispatch({ type: "original" });
   }
 
   /** What the file can be shown as: its kind, if its axes make it, and slices. */
@@ -166,26 +193,29 @@ export class App {
 
   /** Have another renderer, of the model and the original that there is by now. */
   private async use(kind: FileKind, choice: number, notes: string[] = []): Promise<void> {
-    const decoders = [this.decoder, ...(this.originalDecoder === null ? [] : [this.originalDecoder])];
+    const decoders = [this.newest, ...(this.originalDecoder === null ? [] : [this.originalDecoder])];
     const renderer = await this.made(kind, decoders);
+    await Promise.allSettled(this.saves.map(({ done }) => done.promise)); // which are drawn by the one that there is
     if (this.closed || choice !== this.choices) { // another choice came before this one was ready
       renderer.destroy();
       return;
     }
     const before = this.renderer === null ? null : this.kind;
-    this.kind = this.wanted = kind;
+    this.wanted = kind;
     this.renderer?.destroy();
     this.renderer = renderer;
+    if (this.decoder !== decoders[0]) {
+      this.decoder.destroy();
+      this.decoder = decoders[0]!;
+    }
     if (renderer instanceof SvbrdfRenderer && this.mesh !== null) {
       renderer.setMesh(this.mesh);
     }
     this.compared = decoders[1] ?? null;
     this.pace.reset();
-    this.whole = false;
     this.watcher.onNotes([...notes, ...renderer.notes]);
     if (kind !== before) { // else an original came, and the view stays
-      this.resetView();
-      carryPlaces(this.state, this.metadata.axes, before ?? kind, kind);
+      this.dispatch({ type: "show-as", kind });
     }
     this.redraw();
   }
@@ -207,175 +237,219 @@ export class App {
     }
   }
 
-  /** The camera, view point and zoom that suit what is shown. */
-  resetView(): void {
-    const { shape } = this.state.surface;
-    const key = this.kind === "volume" ? "volume" : shape === "plane" || shape === "cloth" ? shape : "svbrdf";
-    const [azimuth, elevation, distance] = CAMERAS[key];
-    this.state.camera = { azimuth, elevation, distance, fov: 38, target: [0, 0, 0] };
-    this.state.zoom = 1;
-    this.state.pan = [0, 0];
-    if (this.kind === "lightfield") {
-      const { last } = findCameras(this.metadata.axes, layOut(this.metadata.axes, "lightfield"));
-      Object.assign(this.state.view, { row: last[0] / 2, column: last[1] / 2 });
-    }
-  }
-
   /** Show a mesh of the user's. */
   setMesh(make: MeshMaker): void {
     if (this.renderer instanceof SvbrdfRenderer) {
       this.mesh = make;
       this.renderer.setMesh(make);
-      this.state.surface.shape = "mesh";
+      this.dispatch({ type: "mesh" });
       this.redraw();
     }
   }
 
-  /** Draw soon, for something has changed. */
+  /** Draw soon, for something has changed: what is chosen, or the page. */
   redraw(): void {
-    this.changed = performance.now();
-    this.changes += 1;
-    this.dirty = true;
-    if (!this.drawing && !this.closed && this.decoder.arrived > 0) {
-      this.drawing = true;
-      this.canvas.setAttribute("aria-busy", "true");
-      if (this.whole) {
-        requestAnimationFrame(() => void this.drawFrames());
-      } else { // nothing is shown yet that could be drawn too often
-        void this.drawFrames();
-      }
+    if (this.decoder.arrived > 0) {
+      this.send({ type: "change", now: performance.now() });
     }
+  }
+
+  /** The chosen picture at its full size, once nothing of it is missing. */
+  picture(): Promise<ImageData> {
+    const save = { shown: this.shown, done: Promise.withResolvers<ImageData>() };
+    this.saves.push(save);
+    this.send({ type: "save" });
+    return save.done.promise;
   }
 
   /** Free what the model takes on the GPU. */
   close(): void {
-    this.closed = true;
+    this.send({ type: "close" });
+    this.saves.splice(0).forEach(({ done }) => done.reject(new Problem("Another file was opened before the picture was saved.")));
     this.renderer?.destroy();
     this.decoder.destroy();
+    this.newest.destroy();
     this.originalDecoder?.destroy();
   }
 
-  /** White and windows from a sample of the values. */
-  private measure(first: boolean): void {
-    this.unmeasured = false;
+  /** What shows as white, and windows, from a sample of the values; not all of it is taken until all levels are there. */
+  private measure(): void {
     const { arrived } = this.decoder;
-    const provisional = arrived < this.metadata.levels.length; // measured again with all levels
-    this.range = valueRange(this.metadata, this.reading.levels, arrived, provisional ? SAMPLES / 8 : SAMPLES);
-    this.white = this.range.high > 0 ? this.range.high : 1;
-    if (first || !this.windowTouched) {
-      startWindows(this.state, this.range);
+    const samples = arrived < this.metadata.levels.length ? SAMPLES / 8 : SAMPLES;
+    const range = valueRange(this.metadata, this.reading.stages, arrived, samples);
+    this.shown = reduced(this.shown, { type: "range", range }); // whoever measures draws
+    this.watcher.onShown(this.shown);
+  }
+
+  private send(event: FrameEvent): void {
+    const before = this.frames;
+    this.frames = next(before, event);
+    if (this.frames.name !== before.name) {
+      this.canvas.setAttribute("aria-busy", String(busy(this.frames)));
+      this.enter();
     }
   }
 
-  /** The values' range, for sliders; and whether the window was changed by hand. */
-  range: ValueRange = { low: 0, high: 1, least: 0, most: 1 };
-  windowTouched = false;
-
-  private async drawFrames(): Promise<void> {
-    while (this.dirty && !this.closed) {
-      this.dirty = false;
-      try {
-        await this.drawFrame();
-      } catch (error) {
-        if (!this.closed) { // else a frame was under way when another file took its place
-          await this.takeBack(asProblem(error));
-        }
+  /** Do what a state of the frames is for. */
+  private enter(): void {
+    const { name, since } = this.frames;
+    if (name === "waiting") {
+      const begin = (): void => this.send({ type: "begin", saving: this.saves.length > 0 });
+      if (this.shown.drawn?.whole === true) {
+        requestAnimationFrame(begin);
+      } else { // nothing is shown yet that could be drawn too often
+        queueMicrotask(begin);
       }
+    } else if (name === "drawing") {
+      void this.frame();
+    } else if (name === "saving") {
+      void this.save(this.saves[0]!);
+    } else if (name === "resting") {
+      setTimeout(() => this.send({ type: "rested", since }), Math.max(0, SETTLED - (performance.now() - since)));
     }
-    this.drawing = false;
-    this.canvas.setAttribute("aria-busy", "false");
   }
 
-  /** What cannot be drawn is not shown: what was drawn last is shown again, once; else nothing, until something changes. */
+  /** Draw one frame. What cannot be drawn is not shown: what was drawn last is shown again, once; else nothing, until something changes. */
+  private async frame(): Promise<void> {
+    const long = setTimeout(() => current(this.shown, this.shown.drawn) || this.dispatch({ type: "share", share: 0 }), LONG);
+    try {
+      this.send({ type: "drawn", ...await this.drawFrame() });
+    } catch (error) {
+      if (!this.closed) { // else a frame was under way when another file took its place
+        await this.takeBack(asProblem(error));
+      }
+      this.send({ type: "failed" });
+    } finally {
+      clearTimeout(long);
+    }
+  }
+
   private async takeBack(problem: Problem): Promise<void> {
     const { proven } = this;
     this.proven = null;
     if (proven === null) {
+      this.dispatch({ type: "share", share: 1 });
       this.watcher.onProblem(problem);
       return;
     }
     if (proven.kind !== this.kind) {
       await this.showAs(proven.kind).catch(() => undefined); // the problem that there was says more
     }
-    restore(this.state, proven.state);
-    this.dirty = true;
+    this.dispatch({ type: "restore", state: proven.state });
+    this.redraw();
     this.watcher.onRefused(problem);
   }
 
-  private sides(): Side[] {
-    const level = Math.min(this.state.level, this.decoder.arrived);
-    const { mode, level: other } = this.state.compare;
-    const first: Side = { decoder: this.decoder, level };
+  private sides({ level, compare: { mode, level: other } }: State): Side[] {
+    const { decoder } = this;
+    const side = (wanted: number): Side => ({ decoder, level: Math.min(wanted, decoder.arrived) }); // others may wait for a renderer
     if (mode === "none") {
-      return [first];
+      return [side(level)];
     }
     return other === null && this.compared !== null
-      ? [first, { decoder: this.compared, level: this.compared.arrived }]
-      : [first, { decoder: this.decoder, level: Math.min(other ?? 1, this.decoder.arrived) }];
+      ? [side(level), { decoder: this.compared, level: this.compared.arrived }]
+      : [side(level), side(other ?? 1)];
   }
 
-  /** The sides once all is compiled that they need; levels may arrive meanwhile, and anything be changed. */
-  private async preparedSides(): Promise<Side[]> {
-    for (let before = -1; before !== this.changes;) {
-      before = this.changes;
-      await this.renderer!.prepare?.(this.state, this.sides());
+  /** What is chosen once all is compiled that it needs; levels may arrive meanwhile, and anything be changed. */
+  private async prepared(): Promise<State> {
+    for (;;) {
+      const [{ state }, { renderer }] = [this.shown, this];
+      await renderer!.prepare?.(state, this.sides(state));
+      if (state === this.shown.state && renderer === this.renderer) {
+        return state;
+      }
     }
-    return this.sides();
   }
 
-  private async drawFrame(): Promise<void> {
-    const sides = await this.preparedSides();
-    const moving = performance.now() - this.changed < SETTLED || this.pending;
+  private async drawFrame(): Promise<{ again: boolean; coarse: boolean }> {
+    const state = await this.prepared();
+    const moving = performance.now() - this.frames.since < SETTLED || this.shown.share < 1;
     const [width, height] = this.pace.size(moving);
     const start = performance.now();
-    const drawn = { kind: this.kind, state: structuredClone(this.state) };
-    const { complete, decoded } = await guarded(this.gpu.device, "drawing", () => this.drawSides(sides, width, height));
-    this.proven = drawn;
+    const { share, decoded, drawn } = await guarded(this.gpu.device, "drawing", async () => {
+      const progress = this.drawSides(state, width, height);
+      const presented = this.present(progress.share);
+      await this.gpu.device.queue.onSubmittedWorkDone();
+      this.renderer!.ahead?.(); // behind the picture, not beside it: they would share the processor
+      return { ...progress, drawn: presented };
+    });
+    this.proven = { kind: this.kind, state };
     this.first.resolve();
     const milliseconds = performance.now() - start;
-    this.pending = !complete;
     const again = this.pace.learn(width * height, milliseconds, decoded);
-    this.dirty ||= again; // a change during the frame stays to be drawn
-    this.watcher.onFrame({ milliseconds, width, height, decoding: !complete, level: sides[0]!.level });
-    if (!this.dirty) {
-      await this.refine(width);
+    if (drawn !== null) {
+      this.dispatch({ type: "drawn", drawn: { ...drawn, width, height, milliseconds } });
     }
-    await new Promise((resolve) => requestAnimationFrame(resolve));
+    return { again: again || share < 1, coarse: this.pace.size(false)[0] > width };
   }
 
-  private async drawSides(sides: Side[], width: number, height: number): Promise<Progress> {
+  /** Put on the canvas what was just drawn. What is half decoded is shown only while there is nothing else, as such, and never compared with. */
+  private present(share: number): Pick<Drawn, "kind" | "state" | "whole"> | null {
+    if (this.shown.range === null) {
+      this.measure();
+    }
+    const { state, kind, drawn } = this.shown;
+    const whole = share === 1;
+    if (!whole) {
+      this.dispatch({ type: "share", share });
+    }
+    if (!whole && (drawn?.whole === true || state.compare.mode !== "none")) {
+      return null;
+    }
+    this.screen.present(state, tone(this.shown));
+    return { kind, state, whole };
+  }
+
+  /** Draw a picture in full, however long that takes. */
+  private async save({ shown, done }: Save): Promise<void> {
+    const { state } = shown;
+    const { device } = this.gpu;
+    try {
+      for (let share = 0; share < 1;) {
+        this.dispatch({ type: "saving", saving: share });
+        await this.renderer!.prepare?.(state, this.sides(state));
+        const drawing = async (): Promise<void> => {
+          ({ share } = this.drawSides(state, ...this.pace.full));
+          await device.queue.onSubmittedWorkDone();
+        };
+        await guarded(device, "drawing the picture to save", drawing);
+      }
+      done.resolve(await guarded(device, "saving the picture", () => this.screen.read(state, tone(shown))));
+    } catch (error) {
+      done.reject(error);
+    }
+    this.saves.shift();
+    if (!this.closed) {
+      this.dispatch({ type: "saving", saving: null });
+    }
+    this.send({ type: "saved" });
+  }
+
+  private drawSides(state: State, width: number, height: number): Progress {
     this.screen.resize(width, height);
+    const sides = this.sides(state);
     const parts = sides.map((side, n) =>
-      this.renderer!.draw(side, n as 0 | 1, this.state, this.screen.pictures[n]!, this.pace.budget / sides.length));
-    if (this.unmeasured) {
-      this.measure(true);
-    }
-    const complete = parts.every((part) => part.complete);
-    // What is half decoded is shown only while there is nothing else, and never compared with.
-    if (complete || (sides.length === 1 && !this.whole)) {
-      this.present();
-    }
-    this.whole ||= complete;
-    await this.gpu.device.queue.onSubmittedWorkDone();
-    this.renderer!.ahead?.(); // behind the picture, not beside it: they would share the processor
-    return { complete, decoded: parts.reduce((sum, part) => sum + part.decoded, 0) };
+      this.renderer!.draw(side, n as 0 | 1, state, this.screen.pictures[n]!, this.pace.budget / sides.length));
+    const share = parts.reduce((sum, part) => sum + part.share, 0) / parts.length;
+    return { share, decoded: parts.reduce((sum, part) => sum + part.decoded, 0) };
   }
+}
 
-  private present(): void {
-    this.screen.present(this.state, {
-      white: this.kind === "svbrdf" || this.kind === "lightfield" ? this.white : 1, srgb: this.kind === "svbrdf",
-      premultiplied: this.kind === "volume",
-    });
+/** A decoder of the levels that are read; the numbers of some of them are there. */
+function decoderOf(device: GPUDevice, metadata: Metadata, { stages, arrived }: Reading, filled = 0): Decoder {
+  const read = upto(metadata, arrived);
+  const made = new Decoder(device, read, stages.slice(0, read.stages.length));
+  while (made.arrived < filled) {
+    made.addLevel();
   }
+  return made;
+}
 
-  /** Once nothing has moved for a while, draw again in full. */
-  private async refine(width: number): Promise<void> {
-    if (this.pace.size(false)[0] <= width) {
-      return;
-    }
-    const wait = SETTLED - (performance.now() - this.changed);
-    const change = this.changed;
-    await new Promise((resolve) => setTimeout(resolve, Math.max(0, wait)));
-    this.dirty ||= change === this.changed && this.pace.size(false)[0] > width;
-  }
+/** How radiance is shown; errors by what their colours span. */
+function tone(shown: Shown): Tone {
+  const { kind, state } = shown;
+  const light = kind === "svbrdf" || kind === "lightfield";
+  const white = state.compare.mode === "heat" ? span(shown) : light ? state.tone.white : 1;
+  return { white, srgb: kind === "svbrdf", premultiplied: kind === "volume" };
 }

@@ -1,16 +1,19 @@
 /** The page: finds the file, shows how far it has come, and everything that goes wrong as a sentence. */
 
-import { App, type Statistics } from "./app";
+import { App } from "./app";
+import { pageTitle, pictureLabel } from "./figures";
 import { type Gpu, openGpu } from "./gpu/device";
 import { checkStart, load } from "./load";
 import { originalProblem } from "./original";
 import { Problem, asProblem, refusal } from "./problem";
 import type { Reading } from "./reader/read";
 import { Screen } from "./render/screen";
+import type { Shown } from "./store";
 import { BlobSource, type ByteSource, fileUrl, openUrl } from "./stream";
 import { fixedSize, given } from "./ui/address";
-import { byId } from "./ui/controls";
+import { byId, tell } from "./ui/controls";
 import { listenToDivider, placeDivider } from "./ui/divider";
+import { placeErrorBar } from "./ui/errorBar";
 import { facts } from "./ui/facts";
 import { isMesh, listenForFiles, meshIn } from "./ui/files";
 import type { Services } from "./ui/groups";
@@ -26,6 +29,8 @@ import { Status } from "./ui/status";
 
 const DEFAULT_FILE = "model.hmk";
 const FIRST_FRAME = 600; // milliseconds that reading waits for it
+/** What of the state controls show. */
+const CONTROLLED = ["state", "kind", "arrived", "original", "mesh", "playing", "range"] as const;
 const PARAMETERS = new URLSearchParams(location.search);
 
 /** For tests and for programs that embed the page: what has happened so far. */
@@ -41,7 +46,8 @@ class Page {
   private screen: Promise<Screen> | null = null;
   private session = new AbortController();
   private pointed: [number, number] | null = null; // where the pointer rests on the picture
-  private shown = 0; // the deepest level that was on screen
+  private deepest = 0; // level that was on screen
+  private told: Shown | null = null; // what was said last
   private source: ByteSource | null = null;
   private state = ""; // what has become of it
   private trial: ByteSource | null = null; // another file, which is looked at before it takes its place
@@ -123,7 +129,7 @@ class Page {
         return;
       }
       signal.addEventListener("abort", () => source.close());
-      await app.setOriginal(await load(source, { onTables: () => undefined, onLevel: () => undefined }));
+      await app.setOriginal(await load(source, { onStart: () => undefined, onLevel: () => undefined }));
     } catch (error) {
       if (!signal.aborted && (this.state !== "failed" || byId("message").hidden)) { // what is said of the model matters more
         this.tell(originalProblem(error));
@@ -131,7 +137,6 @@ class Page {
     }
     if (!signal.aborted && !app.closed) {
       byId("loading").textContent = this.notes;
-      this.panel?.build();
       if (this.state !== "failed") { // else levels are missing that could not be read
         this.mark("ready");
       }
@@ -153,11 +158,11 @@ class Page {
     this.status.progress(source.have, source.size);
     try {
       await load(source, {
-        onTables: (reading) => this.begin(reading, signal),
+        onStart: (reading) => this.begin(reading, signal),
         onLevel: async (_, level) => {
           signal.throwIfAborted();
-          this.app!.addLevel();
-          this.panel?.refresh();
+          await this.app!.addLevel();
+          signal.throwIfAborted();
           this.mark(`level-${level}`);
           // Let it be drawn before the next one is checked; a page that nobody sees is not drawn.
           await Promise.race([this.app!.drawn, new Promise((resolve) => setTimeout(resolve, FIRST_FRAME))]);
@@ -193,10 +198,10 @@ class Page {
 
   /** Compile what the file needs; nothing of it is seen once another file was opened. */
   private async begin(reading: Reading, signal: AbortSignal): Promise<void> {
-    performance.mark("tables");
+    performance.mark("read");
     await this.opening;
     signal.throwIfAborted();
-    this.shown = 0;
+    this.deepest = 0;
     const size = fixedSize(given(PARAMETERS, "pixels"), this.gpu!.device.limits.maxTextureDimension2D);
     keepShape(this.canvas, size !== null);
     const unlessAborted = <T>(tell: (told: T) => void) => (told: T): void => {
@@ -204,13 +209,10 @@ class Page {
         tell(told);
       }
     };
-    const app = await App.make(this.gpu!, this.canvas, this.screen!, reading, {
-      onFrame: unlessAborted((statistics) => this.frame(statistics)),
+    const app = await App.make(this.gpu!, this.canvas, this.screen!, reading, this.source!.name, {
+      onShown: unlessAborted((shown) => this.say(shown)),
       onProblem: unlessAborted((problem) => this.fail(problem)),
-      onRefused: unlessAborted((problem) => {
-        this.panel?.refresh();
-        this.tell(problem);
-      }),
+      onRefused: unlessAborted((problem) => this.tell(problem)),
       onNotes: unlessAborted((notes) => {
         this.notes = notes.join(" ");
         byId("loading").textContent = this.notes;
@@ -231,12 +233,10 @@ class Page {
       return;
     }
     this.speak();
-    const { name } = this.source!;
-    const player = new Player(app, () => this.panel?.refresh(), this.session.signal);
-    const services: Services = { player, save: () => savePicture(this.canvas, name) };
-    const panel = new Panel(app, byId("controls"), services);
-    this.panel = panel;
-    new Pointer(app, this.canvas, services, () => panel.refresh(), (place) => this.point(place), this.session.signal);
+    const save = (): void => void savePicture(app).catch((error: unknown) => app.closed || this.tell(asProblem(error)));
+    const services: Services = { player: new Player(app, this.session.signal), save };
+    this.panel = new Panel(app, byId("controls"), services);
+    new Pointer(app, this.canvas, services, (place) => this.point(place), this.session.signal);
     let drawn = true; // an observer begins with the size that is there
     const observer = new ResizeObserver(() => {
       if (!drawn) {
@@ -255,7 +255,7 @@ class Page {
       return;
     }
     byId("file").textContent = source.name;
-    document.title = `${source.name}: hmkcta`;
+    document.title = pageTitle(source);
     byId("facts").textContent = app === null ? "" : facts(app.metadata, app.reading.size);
     this.status.speak();
   }
@@ -269,7 +269,7 @@ class Page {
     this.panel = null;
     this.trial = null;
     this.pointed = null;
-    for (const id of ["message", "welcome", "readout", "divider"]) {
+    for (const id of ["message", "welcome", "readout", "divider", "error-bar"]) {
       byId(id).hidden = true;
     }
     byId("controls").replaceChildren();
@@ -283,24 +283,35 @@ class Page {
     return this.app !== null && !this.app.closed && this.app.arrived > 0;
   }
 
-  private frame(statistics: Statistics): void {
-    if (!statistics.decoding && this.shown < statistics.level) {
-      this.shown = statistics.level;
-      performance.mark(`shown-level-${statistics.level}`);
+  /** Say anew all that is a function of what is shown. */
+  private say(shown: Shown): void {
+    const { app, canvas } = this;
+    if (app === null) { // which is being made
+      return;
     }
-    this.canvas.classList.toggle("crisp", this.app?.kind === "generic");
-    if (this.app !== null) {
-      placeDivider(this.app, this.canvas);
+    const { drawn } = shown;
+    if (drawn?.whole === true && this.deepest < drawn.state.level) {
+      this.deepest = drawn.state.level;
+      performance.mark(`shown-level-${this.deepest}`);
     }
-    this.status.frame(statistics);
+    canvas.classList.toggle("crisp", shown.kind === "generic");
+    canvas.ariaLabel = pictureLabel(shown);
+    placeDivider(app, canvas);
+    placeErrorBar(shown);
+    this.status.show(shown);
     this.point(this.pointed); // what is there may have changed
+    const { told } = this;
+    this.told = shown;
+    if (told === null || CONTROLLED.some((key) => told[key] !== shown[key])) {
+      this.panel?.refresh();
+    }
   }
 
   /** Tell the value under the pointer. */
   private point(place: [number, number] | null): void {
     this.pointed = place;
     const text = this.app === null || place === null ? null : readout(this.app, place, this.canvas);
-    byId("readout").textContent = text ?? "";
+    tell(byId("readout"), text ?? "");
     byId("readout").hidden = text === null;
   }
 
@@ -329,9 +340,9 @@ class Page {
     listenToToggle();
     listenToDivider(this.canvas, (position) => {
       if (this.app !== null) {
-        this.app.state.compare.position = position;
-        this.panel?.refresh();
-        this.app.redraw();
+        this.app.choose((state) => {
+          state.compare.position = position;
+        });
       }
     });
   }
@@ -383,7 +394,6 @@ class Page {
     const make = await meshIn(file);
     make(1);
     this.app.setMesh(make);
-    this.panel?.refresh();
   }
 }
 

@@ -38,18 +38,23 @@ export class Pace {
     return true;
   }
 
-  /** Pixels of a frame: those of the page, fewer where they would take too long. */
+  /** Pixels of the page. */
+  get full(): [number, number] {
+    const density = Math.min(window.devicePixelRatio, 2);
+    const side = (length: number): number => Math.max(8, Math.min(this.most, Math.round(length * density)));
+    return this.fixedSize ?? [side(this.canvas.clientWidth), side(this.canvas.clientHeight)];
+  }
+
+  /** Pixels of a frame: all of them, fewer where they would take too long. */
   size(moving: boolean): [number, number] {
     if (this.fixedSize !== null) {
       return this.fixedSize;
     }
-    const density = Math.min(window.devicePixelRatio, 2);
-    const full = [this.canvas.clientWidth, this.canvas.clientHeight].map((side) =>
-      Math.max(8, Math.min(this.most, Math.round(side * density))));
+    const { full } = this;
     const allowed = moving ? MOVING : STILL;
     const { cost } = this;
-    const scale = SCALES.find((each) => cost !== null && predicted(cost, each * each * full[0]! * full[1]!) <= allowed)
+    const scale = SCALES.find((each) => cost !== null && predicted(cost, each * each * full[0] * full[1]) <= allowed)
       ?? SCALES.at(-1)!;
-    return [Math.max(8, Math.round(full[0]! * scale)), Math.max(8, Math.round(full[1]! * scale))];
+    return [Math.max(8, Math.round(full[0] * scale)), Math.max(8, Math.round(full[1] * scale))];
   }
 }

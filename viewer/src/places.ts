@@ -5,6 +5,21 @@ import { findCameras } from "./render/lightfield";
 import { asDrawn, layOut } from "./render/layout";
 import type { State } from "./state";
 
+const CAMERAS = { svbrdf: [20, 20, 3.4], volume: [30, 25, 5.4], plane: [0, 0, 3.6], cloth: [20, 38, 5.3] } as const;
+
+/** The camera, view point and zoom that suit what is shown. */
+export function resetView(state: State, axes: Axis[], kind: FileKind): void {
+  const { shape } = state.surface;
+  const [azimuth, elevation, distance] = CAMERAS[kind === "volume" ? "volume" : shape === "plane" || shape === "cloth" ? shape : "svbrdf"];
+  state.camera = { azimuth, elevation, distance, fov: 38, target: [0, 0, 0] };
+  state.zoom = 1;
+  state.pan = [0, 0];
+  if (kind === "lightfield") {
+    const { last } = findCameras(axes, layOut(axes, "lightfield"));
+    Object.assign(state.view, { row: last[0] / 2, column: last[1] / 2 });
+  }
+}
+
 /** Begin in the middle of all axes, with two of them as a picture. */
 export function startPlaces(state: State, axes: Axis[]): void {
   const { slice } = state;

@@ -1,4 +1,4 @@
-/** What the page shows: everything that mouse, touch, keyboard and panel change. */
+/** What is chosen on the page: everything that mouse, touch, keyboard and panel change. `store.ts` changes it. */
 
 import type { Point } from "./render/colours";
 import type { Shape } from "./render/mesh";
@@ -20,14 +20,17 @@ export type Curve = "linear" | "reinhard" | "filmic";
 type VolumeMode = "emission" | "shaded" | "iso" | "maximum";
 
 export const CURVES: Curve[] = ["linear", "reinhard", "filmic"];
+export const MOST_LIGHTS = 8;
+export const MOST_STOPS = 6;
 export const VOLUME_MODES: VolumeMode[] = ["emission", "shaded", "iso", "maximum"];
 
 export interface State {
   level: number;
   compare: { mode: CompareMode; level: number | null; position: number; gain: number }; // level null: the original
+  own: { gain: boolean; white: boolean; slice: boolean; volume: boolean }; // which of them, and windows, are the file's own
   time: number;
   position: number[]; // index of every source axis that nothing else moves along
-  tone: { stops: number; curve: Curve };
+  tone: { stops: number; curve: Curve; white: number };
   camera: Camera;
   lights: Light[];
   light: number; // which of them pointer, keys and panel change
@@ -46,14 +49,15 @@ export function newLight(azimuth = 60, elevation = 45): Light {
   return { azimuth, elevation, point: false, distance: 3, colour: [1, 1, 1], intensity: 1 };
 }
 
-/** The state in which a model is first shown; axes and windows are set by whoever knows the model. */
+/** The state in which a model is first shown, before anything of the model is known. */
 export function newState(axes: number): State {
   return {
     level: 1,
-    compare: { mode: "none", level: null, position: 0.5, gain: 8 },
+    compare: { mode: "none", level: null, position: 0.5, gain: 1 },
+    own: { gain: true, white: true, slice: true, volume: true },
     time: 0,
     position: new Array<number>(axes).fill(0),
-    tone: { stops: 0, curve: "linear" },
+    tone: { stops: 0, curve: "linear", white: 1 },
     camera: { azimuth: 20, elevation: 20, distance: 3.4, fov: 38, target: [0, 0, 0] },
     lights: [newLight()],
     light: 0,
@@ -67,21 +71,4 @@ export function newState(axes: number): State {
       clipLow: [0, 0, 0], clipHigh: [1, 1, 1], step: 0.5,
     },
   };
-}
-
-/** Bring a state back to what a copy of it says, in place: controls hold on to its parts. */
-export function restore(state: State, copy: State): void {
-  const put = (to: Record<string, unknown>, from: Record<string, unknown>): void => {
-    for (const [key, value] of Object.entries(from)) {
-      const part = to[key];
-      if (Array.isArray(part) && Array.isArray(value)) {
-        part.splice(0, part.length, ...(value as unknown[]));
-      } else if (typeof part === "object" && part !== null && typeof value === "object" && value !== null) {
-        put(part as Record<string, unknown>, value as Record<string, unknown>);
-      } else {
-        to[key] = value;
-      }
-    }
-  };
-  put(state as unknown as Record<string, unknown>, structuredClone(copy) as unknown as Record<string, unknown>);
 }

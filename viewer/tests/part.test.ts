@@ -2,7 +2,7 @@
 
 import { expect, it } from "vitest";
 import { MOST, type Part, fitted, partSeen, wholeSpan, zoomAbout } from "../src/render/part";
-import { type State, newState, restore } from "../src/state";
+import { type State, newState } from "../src/state";
 
 const FRAME = { width: 700, height: 500 };
 
@@ -70,24 +70,6 @@ it("has the elements beside what is seen, too, where views are shifted", () => {
 it("takes every k-th element of a long side of a volume", () => {
   expect(wholeSpan(MOST)).toEqual({ start: 0, first: 0, step: 1, count: MOST });
   expect(wholeSpan(5000)).toEqual({ start: 0, first: 1, step: 3, count: 1667 });
-});
-
-it("brings a state back in place, without a tie to its copy", () => {
-  const state = newState(3);
-  const [copy, { slice, lights, volume }] = [structuredClone(state), state];
-  const kept = structuredClone(copy);
-  Object.assign(slice, { x: 2, colours: "ice" });
-  lights.push(structuredClone(lights[0]!));
-  lights[0]!.azimuth = 7;
-  volume.opacity = [[0, 1], [1, 1]];
-  state.compare.level = 2;
-  restore(state, copy);
-  expect(state).toEqual(kept);
-  expect([state.slice, state.lights]).toEqual([slice, lights]);
-  expect(state.slice).toBe(slice);
-  expect(state.lights).toBe(lights);
-  state.lights[0]!.azimuth = 8;
-  expect(copy).toEqual(kept);
 });
 
 it("zooms about a place, which stays where it is", () => {

@@ -11,8 +11,8 @@ import { readGltf } from "../src/render/gltf";
 import { VERTEX_NUMBERS, makeMesh, meshOf, parseObj } from "../src/render/mesh";
 import { type Vector, cameraRays, clipFromWorld, cross, dot } from "../src/render/vector";
 import { spacing } from "../src/render/volume";
-import { startWindows, windowBounds, windowEnd } from "../src/render/window";
-import { newState } from "../src/state";
+import { startWindow, windowBounds, windowEnd } from "../src/render/window";
+import { shown } from "./made";
 
 function axis(name: string, size: number, role: Axis["role"], values?: number[], width = 0): Axis {
   const coords = values === undefined ? null : { values: Float64Array.from(values), width };
@@ -278,10 +278,10 @@ describe("pictures", () => {
 describe("windows", () => {
   it.each([[0, 0, 0, 0, 0, 1], [5, 5, 5, 5, 0, 5], [-3, -3, -3, -3, -3, 0], [1e9, 1e9, 1e9, 1e9, 0, 1e9], [2, 4, 1, 9, 2, 4]])(
     "of values %d to %d, of %d to %d, are from %d to %d", (low, high, least, most, from, to) => {
-      const state = newState(2);
-      startWindows(state, { low, high, least, most });
-      expect([state.slice.low, state.slice.high]).toEqual([from, to]);
-      expect(Math.fround(state.volume.high)).toBeGreaterThan(Math.fround(state.volume.low));
+      const seen = shown("generic", [axis("a", 3, "other"), axis("b", 3, "other")]);
+      const window = (of: "slice" | "volume"): { low: number; high: number } => startWindow(seen, { low, high, least, most }, of);
+      expect(window("slice")).toEqual({ low: from, high: to });
+      expect(Math.fround(window("volume").high)).toBeGreaterThan(Math.fround(window("volume").low));
     });
 
   it("end above their beginning in float32, too", () => {
@@ -295,5 +295,6 @@ describe("windows", () => {
     expect(windowBounds({ low: 0, high: 2, least: 0, most: 1000 })).toEqual([-1, 1000]);
     expect(windowBounds({ low: 0, high: 2, least: -5, most: 2 })).toEqual([-5, 3]);
     expect(windowBounds({ low: 7, high: 7, least: 7, most: 7 })).toEqual([0, 14]);
+    expect(windowBounds({ low: 0, high: 2, least: 0, most: 2 }, 255), "and the white of the type").toEqual([-1, 255]);
   });
 });

@@ -73,7 +73,7 @@ function stageOf(told: Told["stages"][number]): PackedLevel {
     const given = told[name] as Numbers | Numbers[];
     return [name, Array.isArray(given) && typeof given[0] === "object" ? (given as Numbers[]).map(one) : one(given as Numbers)];
   });
-  return { nodes: told.nodes, order: told.order, step: null, ...Object.fromEntries(made) as object } as PackedLevel;
+  return { nodes: told["nodes"], order: told["order"], step: null, ...Object.fromEntries(made) as object } as PackedLevel;
 }
 
 function model(name: string): { metadata: Metadata; stages: PackedLevel[] } {

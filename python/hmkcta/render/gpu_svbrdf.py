@@ -28,6 +28,7 @@ from .scene import MOST_LIGHTS, Light, Scene, direction
 from .software import loop_turns
 from .svbrdf import FixedLight, Measured, at_time, fixed_lights, prepare
 from .upload import DecoderBuffers
+from .white import coded_white
 
 F32 = NDArray[np.float32]
 U32 = NDArray[np.uint32]
@@ -37,7 +38,7 @@ FRAME = np.dtype([
     ("width", "u4"), ("height", "u4"), ("light_count", "u4"), ("flags", "u4"),
     ("eye", "f4", 4), ("right", "f4", 4), ("up", "f4", 4), ("forward", "f4", 4),
     ("rows", "u4"), ("columns", "u4"), ("y_axis", "u4"), ("x_axis", "u4"),
-    ("channel_axis", "u4"), ("set_numbers", "u4"), ("unused", "u4", 2),
+    ("channel_axis", "u4"), ("set_numbers", "u4"), ("coded_white", "f4"), ("unused", "u4"),
     ("channels", "u4", 4), ("stands", "u4", 8), ("tables", "u4", (2, 4)), ("angles", "u4", (4, 4)),
     ("lights", LIGHT, MOST_LIGHTS),
 ])
@@ -147,6 +148,7 @@ class GpuSvbrdf:
         frame["y_axis"], frame["x_axis"] = layout.space
         frame["rows"], frame["columns"] = (layout.sizes[axis] for axis in layout.space)
         frame["tables"], frame["angles"], frame["set_numbers"] = self._tables, self._angles, stride
+        frame["coded_white"] = coded_white(self._model.metadata.source_dtype, "svbrdf", scene.surface.coded)
         stands = list(layout.stands)
         frame["channel_axis"] = NO_AXIS
         if self._channels == 3:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..axes import Axis
+from ..model import Model
 from ..pictures import slice_image
 from . import lightfield, svbrdf, volume
 from .gbuffer import Rays, camera_rays, trace
@@ -17,6 +18,7 @@ from .grid import decode_grid, grid_at, volume_slices
 from .layout import Layout, value_range
 from .mesh import make_mesh
 from .scene import Camera, Scene
+from .white import coded_white
 
 F32 = NDArray[np.float32]
 
@@ -44,10 +46,11 @@ class NumpyPath:
         axes: the source axes.
         layout: what they are to the renderer.
         kind: of `hmkcta.render.scene.KINDS`.
-        reference: what the volume's window is taken from: the model, also where the original is shown.
+        reference: what the volume's window, and whether values are sRGB-coded, is taken from: the model, also where the
+            original is shown.
     """
 
-    def __init__(self, source: Any, axes: Sequence[Axis], layout: Layout, kind: str, reference: Any) -> None:
+    def __init__(self, source: Any, axes: Sequence[Axis], layout: Layout, kind: str, reference: Model) -> None:
         self._source = source
         self._axes = axes
         self._layout = layout
@@ -74,7 +77,8 @@ class NumpyPath:
         rays = rays_of(scene, self._kind)
         rows, columns = (self._layout.sizes[axis] for axis in self._layout.space)
         seen = trace(make_mesh(scene.surface, rows, columns), rays, scene.width, scene.height)
-        return svbrdf.shade(source, self._shading, scene, seen, rays)
+        coded = coded_white(self._reference.metadata.source_dtype, self._kind, scene.surface.coded)
+        return svbrdf.shade(source, self._shading, scene, seen, rays, coded)
 
     def _lightfield(self, source: Any, scene: Scene) -> F32:
         aimed = lightfield.aim(lightfield.find_cameras(self._axes, self._layout), scene.viewpoint)

@@ -19,6 +19,7 @@ from .display import Display, display_of, heat_gain, show
 from .layout import lay_out, value_range
 from .numpy_path import NumpyPath
 from .scene import Scene
+from .white import white_of
 
 if TYPE_CHECKING:
     from .device import Device
@@ -145,10 +146,14 @@ class Renderer:
             yield self.picture(moved)
 
     def display(self, scene: Scene) -> Display:
-        """How a scene's radiance is shown; white is taken from all levels, so that levels compare."""
-        black, white = 0.0, self._range[1]
-        if self.kind == "generic":
-            black, white = scene.volume.window or (min(black, self._range[0]), white)
+        """How a scene's radiance is shown; white that the data decide is taken from all levels, so that levels
+        compare."""
+        white, black = white_of(self._model.metadata.source_dtype, self.kind, self._model.metadata.axes), 0.0
+        if self.kind == "generic" and scene.volume.window is not None:
+            black, white = scene.volume.window
+        elif white is None:
+            low, white = self._range
+            black = min(0.0, low) if self.kind == "generic" else 0.0
         return display_of(scene.tone, scene.compare, self.kind, white, black)
 
     def _compared(self, scene: Scene) -> F32:

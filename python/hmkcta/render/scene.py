@@ -107,13 +107,15 @@ class Surface:
 
     `repeat` is how often the texels come along u and v. `y_axis` says whether the directions' y component points along
     growing texel rows (``down``, as in `hmkcta.synthetic`) or against them (``up``, as for photographs). `cosine` says
-    whether the values contain the cosine of the light's angle, as radiance under unit irradiance does.
+    whether the values contain the cosine of the light's angle, as radiance under unit irradiance does. `coded` says
+    whether the values are sRGB-coded, and light only once they are decoded; None: those of 8 bits (uint8) are.
     """
 
     shape: str = "sphere"
     repeat: tuple[float, float] = (1.0, 1.0)
     y_axis: str = "down"
     cosine: bool = True
+    coded: bool | None = None
 
     def __post_init__(self) -> None:
         _check_vector("surface.repeat", self.repeat, 2, 1e-3)
@@ -124,8 +126,8 @@ class Surface:
 class Tone:
     """From radiance to display: ``2**stops / white``, a curve, sRGB encoding.
 
-    `white` None is the 99.5th percentile of the data; `srgb` None encodes an SVBRDF and leaves the rest, which is
-    display-ready. `background` is a display colour, 0..1.
+    `white` None is the largest number of the type of integer pictures (bool, uint8, uint16), else the 99.5th percentile
+    of the data; `srgb` None encodes an SVBRDF and leaves the rest, which is display-ready. `background` is a display colour, 0..1.
     """
 
     stops: float = 0.0

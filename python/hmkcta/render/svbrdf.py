@@ -21,6 +21,7 @@ from .gbuffer import GBuffer, Rays
 from .layout import Layout, time_steps
 from .mesh import make_mesh
 from .scene import Light, Scene, direction
+from .white import as_light
 
 F32 = NDArray[np.float32]
 Index = NDArray[np.intp]
@@ -98,8 +99,11 @@ def at_time(layout: Layout, time: float | None) -> Layout:
     return replace(layout, stands=tuple(stands))
 
 
-def shade(source: Any, shading: Shading, scene: Scene, seen: GBuffer, rays: Rays) -> F32:
-    """Radiance and coverage ``[height, width, 4]`` of what the G-buffer shows, from a model or an array."""
+def shade(source: Any, shading: Shading, scene: Scene, seen: GBuffer, rays: Rays, coded: float = 0.0) -> F32:
+    """Radiance and coverage ``[height, width, 4]`` of what the G-buffer shows, from a model or an array.
+
+    `coded` is the white of values that are sRGB-coded, 0 where they are light.
+    """
     height, width = seen.surface.shape[:2]
     picture = np.zeros((height * width, 4), np.float32)
     covered = np.flatnonzero(seen.surface.reshape(-1, 4)[:, 3] > 0)
@@ -107,13 +111,14 @@ def shade(source: Any, shading: Shading, scene: Scene, seen: GBuffer, rays: Rays
     for start in range(0, len(covered), PIXELS):
         part = covered[start : start + PIXELS]
         surface, normal, tangent = (a.reshape(-1, 4)[part] for a in (seen.surface, seen.normal, seen.tangent))
-        picture[part, :3] = _shade_pixels(source, shading, scene, (surface, normal, tangent), pixel_rays[part], rays)
+        picture[part, :3] = _shade_pixels(source, shading, scene, (surface, normal, tangent), pixel_rays[part], rays,
+                                          coded)
         picture[part, 3] = 1
     return picture.reshape(height, width, 4)
 
 
 def _shade_pixels(source: Any, shading: Shading, scene: Scene, seen: tuple[F32, F32, F32], pixel_rays: F32,
-                  rays: Rays) -> F32:
+                  rays: Rays, coded: float) -> F32:
     """Radiance ``[b, 3]`` of pixels that see the surface."""
     surface, normal, tangent = seen
     layout = at_time(shading.layout, scene.time)
@@ -134,7 +139,7 @@ def _shade_pixels(source: Any, shading: Shading, scene: Scene, seen: tuple[F32, 
         lights, height = shading.light.taps(local[lit].astype(np.float32))
         scale = strength[lit] * horizon(local[lit, 2], height, scene.surface.cosine)
         others = {axis: (index[lit], weight[lit]) for axis, (index, weight) in {**views, **texels}.items()}
-        radiance[lit] += scale * interpolate(source, layout, {**lights, **others})
+        radiance[lit] += scale * as_light(interpolate(source, layout, {**lights, **others}), coded)
     return radiance
 
 

@@ -14,7 +14,8 @@ struct SvbrdfFrame {
   width: u32, height: u32, light_count: u32, flags: u32,  // FLAG_ bits
   eye: vec4f, right: vec4f, up: vec4f, forward: vec4f,    // world; the ray of ndc is forward + x right + y up
   rows: u32, columns: u32, y_axis: u32, x_axis: u32,      // texels
-  channel_axis: u32, set_numbers: u32, unused_0: u32, unused_1: u32,  // of the contracted cores of a light
+  channel_axis: u32, set_numbers: u32,  // the latter of the contracted cores of a light
+  coded_white: f32, unused_0: u32,      // white of values that are sRGB-coded, 0: they are light
   channels: vec4u,     // index shown as red, green, blue
   stands: array<vec4u, 2>,  // where every axis stands that is not named above
   tables: array<vec4u, 2>,  // views, lights: first record, first grid word group, grid side, axis
@@ -126,6 +127,14 @@ fn pick_fixed(number: u32) {
   }
 }
 
+// Light of sRGB-coded values.
+fn as_light(values: vec3f) -> vec3f {
+  if (svbrdf.coded_white == 0.0) { return values; }
+  let share = max(values / svbrdf.coded_white, vec3f(0.0));
+  let curve = pow((share + 0.055) / 1.055, vec3f(2.4));
+  return select(curve, share / 12.92, share <= vec3f(0.04045)) * svbrdf.coded_white;
+}
+
 // Place in texels of a coordinate in repeats, every other repeat mirrored. Directions are not: at the border between two
 // repeats the same texel would then be lit from two sides, and the border would show.
 fn texel_place(coordinate: f32, count: u32) -> f32 {
@@ -213,7 +222,7 @@ fn shade_svbrdf(@builtin(global_invocation_id) pixel: vec3u) {
     if (n == 0u) { continue; }
     var scale = min(1.0, local.z / max(height, 1e-6));
     if ((svbrdf.flags & FLAG_COSINE) != 0u) { scale = local.z; }
-    radiance += scale * strength * vec3f(source_values(decode_picked(decoder.stages)));
+    radiance += scale * strength * as_light(vec3f(source_values(decode_picked(decoder.stages))));
   }
   textureStore(radiance_out, pixel.xy, vec4f(radiance, 1.0));
 }

@@ -6,31 +6,30 @@
 
 import { MAX_F32 } from "../reader/check";
 import { halfValues } from "../reader/half";
-import { hasCells } from "../gpu/tree";
 import { type Metadata, type Transform, levelEnds } from "../reader/metadata";
 import type { PackedLevel } from "../reader/packed";
 
-/** The element with these rows of the modes up to so many `stages`, in the domain of the value transform. */
+/** The element with these rows of the modes up to so many stages, in the domain of the value transform. */
 export function decodeRows(packed: PackedLevel[], rows: number[], stages: number): number {
   const pos = [...rows];
   let s = 0;
   let value = 0;
-  for (let l = 0; l < stages; l += 1) {
-    const level = packed[l]!;
-    if (clustersOf(level, s, 0) === 0) {
-      break;
-    }
-    if (hasCells(level, s)) {
+  for (let t = 0; t < stages; t += 1) {
+    const level = packed[t]!;
+    if (level.cellOffset[s] !== level.cellOffset[s + 1]) { // else it is empty, or a cut
       value += nodeValue(level, s, pos);
     }
-    if (level.child === null || l + 1 === stages || level.child[s] === level.child[s + 1]) {
+    if (level.child === null || t + 1 === stages || level.child[s] === level.child[s + 1]) {
       break;
     }
     let part = 0;
     for (let n = 0; n < level.order; n += 1) {
-      const row = level.rowOffset[n]![s]! + pos[n]!;
-      part = part * clustersOf(level, s, n) + level.part[n]![row]!;
-      pos[n] = level.local[n]![row]!;
+      const clusters = clustersOf(level, s, n);
+      if (clusters > 1) { // else all rows go to part 0, and keep their places
+        const row = level.rowOffset[n]![s]! + pos[n]!;
+        part = part * clusters + level.part[n]![row]!;
+        pos[n] = level.local[n]![row]!;
+      }
     }
     s = level.child[s]! + part;
   }
@@ -62,14 +61,14 @@ function nodeValue(level: PackedLevel, s: number, pos: number[]): number {
     ranks[n] = shape[at + 2 * order]!;
     choice[n] = 0;
     cells *= clusters[n]!;
-    if (node.weights[n]!.length < ranks[n]!) {
+    if (mixture[n]! > 0 && node.weights[n]!.length < ranks[n]!) {
       node.weights[n] = new Float64Array(ranks[n]!);
     }
   }
   let sum = 0;
   for (;;) {
     for (let n = 0; n < order; n += 1) {
-      cell[n] = mixture[n] === 0 ? 0 : level.cluster[n]![level.clusterOffset[n]![s]! + pos[n]! * mixture[n]! + choice[n]!]!;
+      cell[n] = clusters[n] === 1 ? 0 : level.cluster[n]![level.clusterOffset[n]![s]! + pos[n]! * mixture[n]! + choice[n]!]!;
     }
     sum += cellValue(level, s, pos, cells);
     let n = order - 1;
@@ -98,9 +97,9 @@ function cellValue(level: PackedLevel, s: number, pos: number[], cells: number):
   let numbers = 1;
   for (let n = 0; n < order; n += 1) {
     const rank = node.ranks[n]!;
-    const basis = level.basis[n]!;
     numbers *= rank;
     if (node.mixture[n]! > 0) {
+      const basis = level.basis[n]!;
       const row = (pos[n]! * node.mixture[n]! + node.choice[n]!) * (cells / node.clusters[n]!) + flatCell(order, n);
       const first = level.basisOffset[n]![s]! + row * rank;
       for (let r = 0; r < rank; r += 1) {

@@ -1,7 +1,7 @@
 // A slice of any model as a picture: one decoded picture, or three as red, green and blue; pixels stay squares.
 
 struct SliceFrame {
-  width: u32, height: u32, channels: u32, unused_0: u32,
+  width: u32, height: u32, channels: u32, values: u32,     // values 1: no colours, of whose differences errors would be
   rows: u32, columns: u32, scale: f32, unused_1: f32,      // pixels of the slice; of them per pixel of the frame
   offset_y: f32, offset_x: f32, low: f32, high: f32,       // slice pixel at the centre of the frame's first one; window
 }
@@ -11,6 +11,7 @@ struct SliceFrame {
 @group(1) @binding(3) var radiance_out: texture_storage_2d<rgba32float, write>;
 
 fn share_of(value: f32) -> f32 {
+  if (frame_of_slice.values == 1u) { return value; }
   return clamp((value - frame_of_slice.low) / (frame_of_slice.high - frame_of_slice.low), 0.0, 1.0);
 }
 
@@ -26,6 +27,8 @@ fn shade_slice(@builtin(global_invocation_id) pixel: vec3u) {
     if (frame_of_slice.channels == 3u) {
       let second = share_of(textureLoad(decoded, vec3u(at, 1u), 0).x);
       colour = vec4f(first, second, share_of(textureLoad(decoded, vec3u(at, 2u), 0).x), 1.0);
+    } else if (frame_of_slice.values == 1u) {
+      colour = vec4f(vec3f(first), 1.0);
     } else {
       let entry = first * 255.0;
       let low = u32(entry);

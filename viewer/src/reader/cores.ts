@@ -5,6 +5,7 @@ import { CORE_CLASSES, type Contexts, NEIGHBOURS, NEIGHBOUR_CLASSES } from "./co
 import type { NodeShape } from "./run";
 
 const ZERO_CLASS = 40;
+export const LAST_NEIGHBOURS = (NEIGHBOUR_CLASSES - 1) * UNARY;
 export const MOST_SHIFT = 20;
 
 /** An axis of a node's cores: a decomposed mode, or one axis that the rows of an undecomposed mode lie in. */
@@ -96,31 +97,47 @@ export class Cores {
   /** The numbers of the last axis; `columns`, if it is a decomposed mode's, are the k to add. `signs`: their models, if any. */
   private row(numbers: Int32Array, start: number, size: number, outer: number, columns: Uint8Array | null, signs: number): void {
     const { coder, contexts, offsets, active, beside } = this;
-    let [shift, context] = [0, 0];
+    const { coreEscape } = contexts;
+    let shift = shiftOf(outer);
+    let context = contexts.core + contextOf(outer);
+    let before = 0; // the number before
     for (let j = 0; j < size; j += 1) {
       const at = start + j;
-      if (columns !== null || j === 0) {
-        const t = columns === null ? outer : outer + columns[j]!;
-        shift = Math.min(MOST_SHIFT, Math.max(0, (t >> 1) - 3));
-        context = contexts.core + Math.min(CORE_CLASSES - 1, Math.max(0, t + ZERO_CLASS)) * (NEIGHBOUR_CLASSES * UNARY);
+      if (columns !== null) {
+        const t = outer + columns[j]!;
+        shift = shiftOf(t);
+        context = contexts.core + contextOf(t);
       }
-      let sum = j > 0 ? Math.abs(numbers[at - 1]!) : 0;
+      let sum = Math.abs(before);
       for (let i = 0; i < active; i += 1) {
         sum += Math.abs(numbers[at - offsets[i]!]!);
       }
-      const neighbours = NEIGHBOURS[Math.min(sum >> shift, 11)]!;
-      const magnitude = coder.magnitude(context + neighbours * UNARY, contexts.coreEscape, shift);
-      if (magnitude !== 0) {
+      let sign = -1;
+      if (signs >= 0) {
         const pair = j > 0 ? 2 : 0;
-        const negative = signs < 0 ? coder.raw(1)
-          : coder.bit(signs + 3 * (1 + signAt(numbers, at, beside[pair]!)) + 1 + signAt(numbers, at, beside[pair + 1]!));
-        numbers[at] = negative === 1 ? -magnitude : magnitude;
+        sign = signs + 3 * (1 + signAt(numbers, at, beside[pair]!)) + 1 + signAt(numbers, at, beside[pair + 1]!);
       }
+      const near = sum >> shift;
+      before = coder.signed(context + (near < 11 ? NEIGHBOURS[near]! * UNARY : LAST_NEIGHBOURS), coreEscape, shift, sign);
+      numbers[at] = before;
     }
   }
 }
 
+function shiftOf(t: number): number {
+  return Math.min(MOST_SHIFT, Math.max(0, (t >> 1) - 3));
+}
+
+function contextOf(t: number): number {
+  return Math.min(CORE_CLASSES - 1, Math.max(0, t + ZERO_CLASS)) * (NEIGHBOUR_CLASSES * UNARY);
+}
+
 /** The sign of the number so far before another; 0 where there is none. */
 function signAt(numbers: Int32Array, at: number, before: number): number {
-  return before === 0 ? 0 : Math.sign(numbers[at - before]!);
+  return before === 0 ? 0 : signOf(numbers[at - before]!);
+}
+
+/** -1, 0 or 1. */
+export function signOf(number: number): number {
+  return (number >> 31) | (-number >>> 31);
 }

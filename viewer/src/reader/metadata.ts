@@ -75,6 +75,14 @@ export function levelEnds({ stages, levels }: Metadata): number[] {
   return levels.map((level) => stages.indexOf(level) + 1);
 }
 
+/** Of a model of the levels 1 to `level`. */
+export function upto(metadata: Metadata, level: number): Metadata {
+  const { stages, levels, quality } = metadata;
+  return {
+    ...metadata, stages: stages.slice(0, levelEnds(metadata)[level - 1]), levels: levels.slice(0, level), quality: quality.slice(0, level),
+  };
+}
+
 /** The header as parsed: the axes lack coordinates that have sections. */
 export interface Parsed {
   metadata: Metadata;

@@ -2,7 +2,7 @@
 
 import { type Coder, UNARY, WHOLE } from "./coder";
 import { BASIS_CLASSES, type Contexts, NEIGHBOURS, NEIGHBOUR_CLASSES, SIGN_CLASSES } from "./contexts";
-import { Cores, MOST_SHIFT } from "./cores";
+import { Cores, LAST_NEIGHBOURS, MOST_SHIFT, signOf } from "./cores";
 import { fault } from "./reasons";
 import type { NodeShape } from "./run";
 import type { Arrays } from "./stage";
@@ -191,22 +191,32 @@ export class Numbers {
     const size = Math.min(BASIS_CLASSES - 1, Math.max(0, t + ZERO_CLASS));
     const context = basis + size * NEIGHBOUR_CLASSES * UNARY;
     const signs = basisSign + (Math.min(size, 63) >> 2);
-    const halves = columnOf(k);
     const apart = along === 0 ? 2 : along;
+    let place = 0; // along the last axis
+    let a = 0;
     for (let i = 0; i < rows; i += 1) {
-      const hasA = along === 0 ? i > 0 : i % along !== 0;
+      const hasA = place > 0;
       const hasB = i >= apart;
-      const a = hasA ? column[i - 1]! : 0;
+      a = hasA ? a : 0;
       const b = hasB ? column[i - apart]! : 0;
       const sum = Math.abs(hasA ? a : b) + Math.abs(hasB ? b : a);
-      const magnitude = coder.magnitude(context + NEIGHBOURS[Math.min(sum >> shift, 11)]! * UNARY, basisEscape, shift);
-      if (magnitude === 0) {
-        column[i] = 0;
-        continue;
+      const near = sum >> shift;
+      const sign = signs + SIGN_CLASSES * (3 * signOf(a) + signOf(b) + 4);
+      a = coder.signed(context + (near < 11 ? NEIGHBOURS[near]! * UNARY : LAST_NEIGHBOURS), basisEscape, shift, sign);
+      column[i] = a;
+      place = place + 1 === along ? 0 : place + 1;
+    }
+    this.widen(k, rows, places, from, into, first, step);
+  }
+
+  private widen(k: number, rows: number, places: Uint32Array, from: number, into: Uint16Array, first: number, step: number): void {
+    const { column } = this;
+    const halves = columnOf(k);
+    for (let i = 0; i < rows; i += 1) {
+      const number = column[i]!;
+      if (number !== 0) {
+        into[first + places[from + i]! * step] = number < 0 ? halves.half(-number) | 0x8000 : halves.half(number);
       }
-      const negative = coder.bit(signs + SIGN_CLASSES * (3 * (Math.sign(a) + 1) + Math.sign(b) + 1));
-      column[i] = negative === 1 ? -magnitude : magnitude;
-      into[first + places[from + i]! * step] = halves.half(magnitude) | (negative << 15);
     }
   }
 }

@@ -41,14 +41,14 @@ export class Reading {
   private readonly ends: number[]; // stages of each level, with those before
   private read = 0; // sections
   private readonly extents = new Extents();
-  private readonly runs: RunReader;
+  private runs: RunReader | null = null; // while there are any
   private nodes: Nodes; // of the stage at hand
   private arrays: Arrays | null = null;
   private run = 0; // of the stage at hand
   private reach = 0;
 
   /** `file`: its memory, filled up to `headerEnd` at least. */
-  constructor(file: Uint8Array, readonly size: number, limits: Limits = DEFAULT_LIMITS) {
+  constructor(file: Uint8Array, readonly size: number, private readonly limits: Limits = DEFAULT_LIMITS) {
     const end = headerEnd(file, size, limits);
     this.parsed = parseMetadata(parseJson(headerText(file, end), "header"), size, limits);
     const { metadata, stages, coords } = this.parsed;
@@ -57,7 +57,6 @@ export class Reading {
     this.ends = levelEnds(metadata);
     const axisSizes = new Map(metadata.axes.map((axis) => [axis.name, axis.size]));
     this.nodes = rootOf(metadata.organisation.map((mode) => mode.map((name) => axisSizes.get(name)!)), this.extents);
-    this.runs = new RunReader(metadata.modeSizes.length, this.extents, limits);
   }
 
   /** Levels that are read. */
@@ -101,6 +100,7 @@ export class Reading {
     const { stage } = this.arrays;
     const run = stage.runs[this.run]!;
     this.arrays.begin(run);
+    this.runs ??= new RunReader(this.metadata.modeSizes.length, this.extents, this.limits);
     this.runs.read(this.arrays, bytes.subarray(0, run.bytes), run.nodes, where);
     this.arrays.end();
     if (stage.isHalf) {
@@ -111,6 +111,7 @@ export class Reading {
       this.finish(this.arrays);
       const next = this.parsed.stages[this.stages.length];
       this.arrays = next?.runs.length === 0 ? this.begin() : null; // a stage without nodes has no sections
+      this.runs = next === undefined ? null : this.runs;
     }
   }
 

@@ -60,5 +60,14 @@ export function heatTable(): Float32Array<ArrayBuffer> {
 
 /** A CSS gradient of a colour map. */
 export function gradient(name: string): string {
-  return `linear-gradient(to right, ${(COLOURS[name] ?? []).map((stop) => `rgb(${stop.join(" ")})`).join(", ")})`;
+  return cssGradient(COLOURS[name] ?? []);
+}
+
+/** Likewise of the colours of errors. */
+export function heatGradient(): string {
+  return cssGradient(HEAT);
+}
+
+function cssGradient(stops: Stop[]): string {
+  return `linear-gradient(to right, ${stops.map((stop) => `rgb(${stop.join(" ")})`).join(", ")})`;
 }

@@ -76,22 +76,23 @@ class GridCache {
     this.key = key;
     const places = this.place(wanted);
     let left = budget;
-    const progress: Progress = { complete: true, decoded: 0 };
+    let [there, decoded] = [0, 0];
     wanted.forEach((name, i) => {
       const slot = places[i]!;
       if (this.held[slot] === name) {
+        there += 1;
         return;
       }
       if (left <= 0) {
-        progress.complete = false;
         return;
       }
+      there += 1;
       this.decode(request, request.groups[i]!, slot * each, width, height);
       this.held[slot] = name;
       left -= width * height * each;
-      progress.decoded += width * height * each;
+      decoded += width * height * each;
     });
-    return { first: places.map((slot) => slot * each), progress };
+    return { first: places.map((slot) => slot * each), progress: { share: there / wanted.length, decoded } };
   }
 
   destroy(): void {

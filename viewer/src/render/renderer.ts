@@ -9,9 +9,9 @@ export interface Side {
   level: number;
 }
 
-/** Whether all that a picture needs has been decoded, and how many elements just were. */
+/** How much of what a picture needs has been decoded, 1 if all of it has, and how many elements just were. */
 export interface Progress {
-  complete: boolean;
+  share: number;
   decoded: number;
 }
 

@@ -10,7 +10,7 @@ const FLAG_SRGB = 1;
 const FLAG_PREMULTIPLIED = 2;
 
 export interface Tone {
-  white: number; // the value that shows as white
+  white: number; // the value that shows as white; of errors their span
   srgb: boolean;
   premultiplied: boolean;
 }
@@ -52,19 +52,43 @@ export class Screen {
   /** Show the pictures. */
   present(state: State, tone: Tone): void {
     const { width, height } = this.shown!;
-    const { mode, position, gain } = state.compare;
-    const [first, second] = this.pictures as [GPUTexture, GPUTexture];
+    this.develop(state, tone);
     if (this.canvas.width !== width || this.canvas.height !== height) { // which empties it: not before there is a picture
       Object.assign(this.canvas, { width, height });
     }
-    this.pass.run({
-      width, height, mode: MODES.indexOf(mode), flags: (tone.srgb ? FLAG_SRGB : 0) + (tone.premultiplied ? FLAG_PREMULTIPLIED : 0),
-      exposure: 2 ** state.tone.stops / tone.white, split: position * width, gain, curve: CURVES.indexOf(state.tone.curve),
-      background: BACKGROUND,
-    }, [first, mode === "none" ? first : second, this.heat, this.shown!], [width, height, 1]);
     const encoder = this.device.createCommandEncoder();
     encoder.copyTextureToTexture({ texture: this.shown! }, { texture: this.canvasTexture() }, [width, height]);
     this.device.queue.submit([encoder.finish()]);
+  }
+
+  /** The pictures as they would be shown, for a file. */
+  async read(state: State, tone: Tone): Promise<ImageData> {
+    const { width, height } = this.shown!;
+    this.develop(state, tone);
+    const row = 256 * Math.ceil(width / 64); // bytes, as WebGPU has them
+    const buffer = this.device.createBuffer({ size: row * height, usage: GPUBufferUsage.COPY_DST | GPUBufferUsage.MAP_READ });
+    const encoder = this.device.createCommandEncoder();
+    encoder.copyTextureToBuffer({ texture: this.shown! }, { buffer, bytesPerRow: row }, [width, height]);
+    this.device.queue.submit([encoder.finish()]);
+    await buffer.mapAsync(GPUMapMode.READ);
+    const [bytes, image] = [new Uint8Array(buffer.getMappedRange()), new ImageData(width, height)];
+    for (let y = 0; y < height; y += 1) {
+      image.data.set(bytes.subarray(y * row, y * row + 4 * width), 4 * width * y);
+    }
+    buffer.destroy();
+    return image;
+  }
+
+  /** From radiance to `shown`. The colours of errors are those of numbers, whatever the exposure. */
+  private develop(state: State, tone: Tone): void {
+    const { width, height } = this.shown!;
+    const { mode, position, gain } = state.compare;
+    const [first, second] = this.pictures as [GPUTexture, GPUTexture];
+    this.pass.run({
+      width, height, mode: MODES.indexOf(mode), flags: (tone.srgb ? FLAG_SRGB : 0) + (tone.premultiplied ? FLAG_PREMULTIPLIED : 0),
+      exposure: (mode === "heat" ? 1 : 2 ** state.tone.stops) / tone.white, split: position * width, gain,
+      curve: CURVES.indexOf(state.tone.curve), background: BACKGROUND,
+    }, [first, mode === "none" ? first : second, this.heat, this.shown!], [width, height, 1]);
   }
 
   /** Where the browser takes the picture from. The page is painted anew when a canvas gets its context: not before there is one. */

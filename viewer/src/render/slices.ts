@@ -74,7 +74,7 @@ export class SliceRenderer implements Renderer {
     }
     this.pass.run({
       width: target.width, height: target.height, channels: shown.length, rows: rows.count, columns: columns.count, scale, offset_y: offsetY,
-      offset_x: offsetX, low, high: windowEnd(low, high),
+      offset_x: offsetX, low, high: windowEnd(low, high), values: state.compare.mode === "heat" ? 1 : 0,
     }, [this.colours, cache.texture!, target], [target.width, target.height, 1]);
     return progress;
   }

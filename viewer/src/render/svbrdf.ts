@@ -58,7 +58,7 @@ export class SvbrdfRenderer implements Renderer {
     frame.run(fixed ? sets! : [this.standing(state)]);
     pass.run(this.frame(state, rays, target, shading.flags, fixed ? frame.stride : 0),
       [this.directions.buffer, ...this.surface.seen, target], [target.width, target.height, 1], frame.group(side.level));
-    return { complete: true, decoded: 0 };
+    return { share: 1, decoded: 0 };
   }
 
   ahead(): void {

@@ -28,6 +28,13 @@ export function make<Tag extends keyof HTMLElementTagNameMap>(
   return element;
 }
 
+/** Have an element say something; what it says already is not painted anew. */
+export function tell(element: Element, text: string): void {
+  if (element.textContent !== text) {
+    element.textContent = text;
+  }
+}
+
 function labelled(label: string, input: HTMLElement, output?: HTMLElement): HTMLElement {
   ids += 1;
   input.id = `control-${ids}`;
@@ -62,7 +69,7 @@ export function slider(label: string, options: SliderOptions): Control {
       input.value = String(value);
     }
     if (number === null) {
-      output.textContent = shown;
+      tell(output, shown);
     }
     number?.refresh();
     input.setAttribute("aria-valuetext", shown);
@@ -147,21 +154,17 @@ export function colour(label: string, get: () => [number, number, number], set: 
   };
 }
 
-/** Buttons beside each other; one with `pressed` says whether it is on. */
-export function buttons(
-  ...entries: { label: string; act: () => void; pressed?: () => boolean; enabled?: () => boolean }[]
-): Control {
-  const made = entries.map(({ label, act }) => {
-    const button = make("button", { type: "button" }, label);
+/** Buttons beside each other, whose labels may change. */
+export function buttons(...entries: { label: string | (() => string); act: () => void; enabled?: () => boolean }[]): Control {
+  const made = entries.map(({ act }) => {
+    const button = make("button", { type: "button" });
     button.addEventListener("click", act);
     return button;
   });
   return {
     element: make("div", { class: "buttons" }, ...made), refresh: () => {
-      entries.forEach(({ pressed, enabled }, i) => {
-        if (pressed !== undefined) {
-          made[i]!.setAttribute("aria-pressed", String(pressed()));
-        }
+      entries.forEach(({ label, enabled }, i) => {
+        tell(made[i]!, typeof label === "string" ? label : label());
         made[i]!.disabled = enabled !== undefined && !enabled();
       });
     },
@@ -173,7 +176,7 @@ export function note(text: () => string, className = "note"): Control {
   const element = make("p", { class: className });
   return {
     element, refresh: () => {
-      element.textContent = text();
+      tell(element, text());
       element.hidden = element.textContent === "";
     },
   };

@@ -1,17 +1,17 @@
 /** The panel: which controls there are for a model, and what they change. */
 
 import type { App } from "../app";
-import { framesOf } from "../places";
+import { headline } from "../figures";
+import { framesOf, resetView } from "../places";
 import type { FileKind } from "../reader/metadata";
 import { findCameras } from "../render/lightfield";
 import { layOut } from "../render/layout";
 import { colourAxis } from "../render/slices";
-import { type State, VOLUME_MODES, newLight } from "../state";
-import { type Control, buttons, check, choice, colour, group, make, only, plain, slider } from "./controls";
+import { LEAST_GAIN, MOST_GAIN } from "../render/window";
+import { MOST_LIGHTS, type State, VOLUME_MODES, newLight } from "../state";
+import { type Control, buttons, check, choice, colour, group, make, only, plain, slider, tell } from "./controls";
 import { Groups, type Services } from "./groups";
 import { transferEditor } from "./transfer";
-
-const MOST_LIGHTS = 8;
 
 /** Builds the controls of an app into an element; `refresh` shows the state anew. */
 export class Panel extends Groups {
@@ -45,110 +45,96 @@ export class Panel extends Groups {
   }
 
   private levels(): Control {
-    const { app } = this;
-    const { quality, levels } = app.metadata;
-    const decibels = (snr: number): string => (snr === Infinity ? "exact" : `${snr.toFixed(1)} dB`);
-    const big = make("p", { class: "big" });
+    const { length } = this.app.metadata.levels;
+    const [snr, of] = [make("span"), make("small")];
     const level = slider("Level", {
-      min: 1, max: levels.length, step: 1, get: () => Math.min(this.state.level, Math.max(1, app.arrived)),
-      show: (value) => `${value} of ${levels.length}`,
-      set: this.change((value) => {
-        this.state.level = Math.min(value, Math.max(1, app.arrived));
+      min: 1, max: length, step: 1, get: () => this.state.level, show: (value) => `${value} of ${length}`,
+      set: this.change((state, value) => {
+        state.level = value;
       }),
     });
     return group("Level", [{
-      element: big, refresh: () => {
-        const shown = Math.min(this.state.level, Math.max(1, app.arrived));
-        const snr = decibels(quality[shown - 1]!.snrDb);
-        big.replaceChildren(snr, make("small", {}, levels.length === 1 ? " SNR, one level" : ` SNR at level ${shown} of ${levels.length}`));
+      element: make("p", { class: "big" }, snr, " ", of), refresh: () => {
+        headline(this.app.shown).forEach((text, n) => tell([snr, of][n]!, text));
       },
-    }, only(() => levels.length > 1, level)]);
+    }, only(() => length > 1, level)]);
   }
 
   private compare(): Control {
     const { app } = this;
-    const several = app.metadata.levels.length > 1;
-    const others = (): [string, string][] => [
-      ...(app.original === null ? [] : [["original", "Original"] as [string, string]]),
-      ...app.metadata.levels.map((_, l): [string, string] => [String(l + 1), `Level ${l + 1}`]),
-    ];
-    const { compare } = this.state;
-    if (app.original === null && compare.level === null) {
-      compare.level = 1;
-    }
-    const active = (): boolean => this.state.compare.mode !== "none";
+    const { levels } = app.metadata;
+    const compare = (): State["compare"] => this.state.compare;
+    const others = [["original", "Original"], ...levels.map((_, l) => [String(l + 1), `Level ${l + 1}`])] as [string, string][];
     return group("Compare", [
-      choice("Show", [["none", "This level"], ["split", "Side by side"], ["heat", "Error"]], () => compare.mode, (mode) => {
-        compare.mode = mode;
-        this.changed();
-      }),
-      only(active, choice("With", others(), () => (compare.level === null ? "original" : String(compare.level)), (value) => {
-        compare.level = value === "original" ? null : Number(value);
-        this.changed();
+      choice("Show", [["none", "This level"], ["split", "Side by side"], ["heat", "Error"]], () => compare().mode, this.change((state, mode) => {
+        state.compare.mode = mode;
       })),
-      only(() => compare.mode === "split", slider("Divider", {
-        min: 0, max: 1, step: 0.01, get: () => compare.position, show: (value) => `${Math.round(100 * value)} %`,
-        set: this.change((value) => {
-          compare.position = value;
+      only(() => compare().mode !== "none", choice("With", others, () => (compare().level === null ? "original" : String(compare().level)),
+        this.change((state, value) => {
+          state.compare.level = value === "original" ? null : Number(value);
+        }), (value) => (value === "original" ? app.shown.original : Number(value) <= app.shown.arrived))),
+      only(() => compare().mode === "split", slider("Divider", {
+        min: 0, max: 1, step: 0.01, get: () => compare().position, show: (value) => `${Math.round(100 * value)} %`,
+        set: this.change((state, value) => {
+          state.compare.position = value;
         }),
       })),
-      only(() => compare.mode === "heat", slider("Amplify", {
-        min: -2, max: 12, step: 1, get: () => Math.log2(compare.gain), show: (value) => `x ${plain(2 ** value)}`,
-        set: this.change((value) => {
-          compare.gain = 2 ** value;
+      only(() => compare().mode === "heat", slider("Amplify", {
+        min: LEAST_GAIN, max: MOST_GAIN, step: 1, get: () => Math.log2(compare().gain), show: (value) => `x ${plain(2 ** value)}`,
+        set: this.change((state, value) => {
+          state.own.gain = false;
+          state.compare.gain = 2 ** value;
         }),
       })),
-    ], () => several || app.original !== null);
+      only(() => compare().mode === "heat", this.own("gain", "As the file's error needs")),
+    ], () => levels.length > 1 || app.shown.original);
   }
 
   private material(): Control[] {
-    const { surface } = this.state;
+    const surface = (): State["surface"] => this.state.surface;
     return [group("Object", [
       choice("Shape", [["sphere", "Sphere"], ["plane", "Plane"], ["cloth", "Cloth"], ["mesh", "Mesh (open one first)"]],
-        () => surface.shape, (shape) => {
-          surface.shape = shape;
-          this.app.resetView();
-          this.changed();
-        }, (shape) => shape !== "mesh" || this.app.mesh !== null),
+        () => surface().shape, this.change((state, shape) => {
+          state.surface.shape = shape;
+          resetView(state, this.app.metadata.axes, this.app.kind);
+        }), (shape) => shape !== "mesh" || this.app.shown.mesh),
       slider("Repeats", {
-        min: 0, max: 3, step: 0.5, get: () => Math.log2(surface.repeat), show: (value) => `x ${plain(2 ** value)}`,
-        set: this.change((value) => {
-          surface.repeat = 2 ** value;
+        min: 0, max: 3, step: 0.5, get: () => Math.log2(surface().repeat), show: (value) => `x ${plain(2 ** value)}`,
+        set: this.change((state, value) => {
+          state.surface.repeat = 2 ** value;
         }),
       }),
-      check("Directions' y runs against the rows", () => surface.yUp, this.change((value) => {
-        surface.yUp = value;
+      check("Directions' y runs against the rows", () => surface().yUp, this.change((state, value) => {
+        state.surface.yUp = value;
       })),
-      check("Values lack the cosine", () => !surface.cosine, this.change((value) => {
-        surface.cosine = !value;
+      check("Values lack the cosine", () => !surface().cosine, this.change((state, value) => {
+        state.surface.cosine = !value;
       })),
     ]), this.lights(), this.time()];
   }
 
   private lights(): Control {
-    const { lights } = this.state;
-    const light = (): State["lights"][number] => lights[this.state.light]!;
+    const light = (state = this.state): State["lights"][number] => state.lights[state.light]!;
     return group("Light", [
-      only(() => lights.length > 1, this.lightChoice()),
-      choice("Kind", [["sun", "Directional"], ["point", "Point"]], () => (light().point ? "point" : "sun"), (value) => {
-        light().point = value === "point";
-        light().intensity = light().point ? light().distance ** 2 : 1;
-        this.changed();
-      }),
+      only(() => this.state.lights.length > 1, this.lightChoice()),
+      choice("Kind", [["sun", "Directional"], ["point", "Point"]], () => (light().point ? "point" : "sun"), this.change((state, value) => {
+        const point = value === "point";
+        Object.assign(light(state), { point, intensity: point ? light(state).distance ** 2 : 1 });
+      })),
       ...this.towards(light),
       only(() => light().point, slider("Distance", {
-        min: 1.05, max: 10, step: 0.05, get: () => light().distance, set: this.change((value) => {
-          light().distance = value;
+        min: 1.05, max: 10, step: 0.05, get: () => light().distance, set: this.change((state, value) => {
+          light(state).distance = value;
         }),
       })),
       slider("Intensity", {
         min: -4, max: 6, step: 0.1, get: () => Math.log2(light().intensity), show: (value) => plain(2 ** value),
-        set: this.change((value) => {
-          light().intensity = 2 ** value;
+        set: this.change((state, value) => {
+          light(state).intensity = 2 ** value;
         }),
       }),
-      colour("Colour", () => light().colour, this.change((value) => {
-        light().colour = value;
+      colour("Colour", () => light().colour, this.change((state, value) => {
+        light(state).colour = value;
       })),
       this.lightCount(),
     ]);
@@ -157,10 +143,9 @@ export class Panel extends Groups {
   /** Which of the lights the other controls show; options of lights that there are not are hidden. */
   private lightChoice(): Control {
     const select = choice("Light", Array.from({ length: MOST_LIGHTS }, (_, n) => [String(n), `Light ${n + 1}`] as const),
-      () => String(this.state.light), (value) => {
-        this.state.light = Number(value);
-        this.changed();
-      }, (value) => Number(value) < this.state.lights.length);
+      () => String(this.state.light), this.change((state, value) => {
+        state.light = Number(value);
+      }), (value) => Number(value) < this.state.lights.length);
     const options = select.element.querySelectorAll("option");
     return {
       element: select.element, refresh: () => {
@@ -173,30 +158,26 @@ export class Panel extends Groups {
   }
 
   private lightCount(): Control {
-    const { lights } = this.state;
+    const count = (): number => this.state.lights.length;
     return buttons({
-      label: "Add a light", enabled: () => lights.length < MOST_LIGHTS, act: () => {
-        lights.push(newLight(lights[this.state.light]!.azimuth + 120, 40));
-        this.state.light = lights.length - 1;
-        this.changed();
-      },
+      label: "Add a light", enabled: () => count() < MOST_LIGHTS, act: () => this.app.choose((state) => {
+        state.light = state.lights.push(newLight(state.lights[state.light]!.azimuth + 120, 40)) - 1;
+      }),
     }, {
-      label: "Remove", enabled: () => lights.length > 1, act: () => {
-        lights.splice(this.state.light, 1);
-        this.state.light = Math.min(this.state.light, lights.length - 1);
-        this.changed();
-      },
+      label: "Remove", enabled: () => count() > 1, act: () => this.app.choose((state) => {
+        state.lights.splice(state.light, 1);
+      }),
     });
   }
 
   /** Sliders for where a light comes from. */
-  private towards(light: () => State["lights"][number]): Control[] {
+  private towards(light: (state?: State) => State["lights"][number]): Control[] {
     return [
-      this.angle("Azimuth", -180, 180, () => light().azimuth, (value) => {
-        light().azimuth = value;
+      this.angle("Azimuth", 180, () => light().azimuth, (state, value) => {
+        light(state).azimuth = value;
       }),
-      this.angle("Elevation", -90, 90, () => light().elevation, (value) => {
-        light().elevation = value;
+      this.angle("Elevation", 90, () => light().elevation, (state, value) => {
+        light(state).elevation = value;
       }),
     ];
   }
@@ -204,66 +185,62 @@ export class Panel extends Groups {
   private lightfield(): Control[] {
     const { axes } = this.app.metadata;
     const { last } = findCameras(axes, layOut(axes, "lightfield"));
-    const { view } = this.state;
     const along = (label: string, most: number, key: "row" | "column"): Control => only(() => most > 0, slider(label, {
-      min: 0, max: most, step: 0.01, get: () => view[key], show: (value) => value.toFixed(2), set: this.change((value) => {
-        view[key] = value;
+      min: 0, max: most, step: 0.01, get: () => this.state.view[key], show: (value) => value.toFixed(2), set: this.change((state, value) => {
+        state.view[key] = value;
       }),
     }));
     return [group("View point", [
       along("Row", last[0], "row"), along("Column", last[1], "column"),
       slider("Focus", {
-        min: -8, max: 8, step: 0.05, get: () => view.focus, show: (value) => `${value.toFixed(2)} px`,
-        set: this.change((value) => {
-          view.focus = value;
+        min: -8, max: 8, step: 0.05, get: () => this.state.view.focus, show: (value) => `${value.toFixed(2)} px`,
+        set: this.change((state, value) => {
+          state.view.focus = value;
         }),
       }),
       slider("Aperture", {
-        min: 0, max: Math.max(1, Math.hypot(...last)), step: 0.1, get: () => view.aperture, set: this.change((value) => {
-          view.aperture = value;
+        min: 0, max: Math.max(1, Math.hypot(...last)), step: 0.1, get: () => this.state.view.aperture,
+        set: this.change((state, value) => {
+          state.view.aperture = value;
         }),
       }),
     ]), this.time()];
   }
 
   private volume(): Control[] {
-    const { volume } = this.state;
-    const iso = (): boolean => volume.mode === "iso";
+    const volume = (): State["volume"] => this.state.volume;
+    const iso = (): boolean => volume().mode === "iso";
     const names = { emission: "Glow", shaded: "Shaded", iso: "Iso-surface", maximum: "Brightest on the ray" };
     return [group("Look", [
-      choice("Mode", VOLUME_MODES.map((mode) => [mode, names[mode]] as const), () => volume.mode, (mode) => {
-        volume.mode = mode;
-        this.changed();
-      }),
-      this.colourMap(() => volume.colours, (name) => {
-        volume.colours = name;
-      }),
-      only(() => !iso() && volume.mode !== "maximum", transferEditor(() => volume.opacity, this.change((points) => {
-        volume.opacity = points;
-      }), () => volume.colours)),
+      choice("Mode", VOLUME_MODES.map((mode) => [mode, names[mode]] as const), () => volume().mode, this.change((state, mode) => {
+        state.volume.mode = mode;
+      })),
+      this.colourMap("volume"),
+      only(() => !iso() && volume().mode !== "maximum", transferEditor(() => volume().opacity, this.change((state, points) => {
+        state.volume.opacity = points;
+      }), () => volume().colours)),
       only(iso, slider("Iso value", {
-        min: 0, max: 1, step: 0.005, get: () => volume.iso, show: (value) => plain(volume.low + value * (volume.high - volume.low)),
-        set: this.change((value) => {
-          volume.iso = value;
+        min: 0, max: 1, step: 0.005, get: () => volume().iso, show: (value) => plain(volume().low + value * (volume().high - volume().low)),
+        set: this.change((state, value) => {
+          state.volume.iso = value;
         }),
       })),
-      ...this.window(() => volume),
+      ...this.window("volume"),
       slider("Step", {
-        min: 0.25, max: 2, step: 0.25, get: () => volume.step, show: (value) => `${value} voxel`, set: this.change((value) => {
-          volume.step = value;
+        min: 0.25, max: 2, step: 0.25, get: () => volume().step, show: (value) => `${value} voxel`, set: this.change((state, value) => {
+          state.volume.step = value;
         }),
       }),
       this.clips(),
-    ]), group("Light", this.towards(() => this.state.lights[0]!), () => volume.mode === "shaded" || iso()), this.time()];
+    ]), group("Light", this.towards((state = this.state) => state.lights[0]!), () => volume().mode === "shaded" || iso()), this.time()];
   }
 
   /** Where the box begins and ends, folded away. */
   private clips(): Control {
-    const { volume } = this.state;
     const clip = (name: string, axis: number, key: "clipLow" | "clipHigh"): Control => slider(name, {
-      min: 0, max: 1, step: 0.01, get: () => volume[key][axis]!, show: (value) => `${Math.round(100 * value)} %`,
-      set: this.change((value) => {
-        const other = key === "clipLow" ? volume.clipHigh[axis]! : volume.clipLow[axis]!;
+      min: 0, max: 1, step: 0.01, get: () => this.state.volume[key][axis]!, show: (value) => `${Math.round(100 * value)} %`,
+      set: this.change(({ volume }, value) => {
+        const other = volume[key === "clipLow" ? "clipHigh" : "clipLow"][axis]!;
         volume[key][axis] = key === "clipLow" ? Math.min(value, other - 0.01) : Math.max(value, other + 0.01);
       }),
     });
@@ -275,28 +252,24 @@ export class Panel extends Groups {
 
   private slices(): Control[] {
     const { axes } = this.app.metadata;
-    const { slice } = this.state;
     const names = axes.map((axis, n) => [String(n), axis.name] as const);
-    const pick = (label: string, key: "x" | "y"): Control => choice(label, names, () => String(slice[key]), (value) => {
+    const pick = (label: string, key: "x" | "y"): Control => choice(label, names, () => String(this.state.slice[key]), this.change((state, value) => {
+      const { slice } = state;
       const other = key === "x" ? "y" : "x";
       if (slice[other] === Number(value)) {
         slice[other] = slice[key];
       }
       slice[key] = Number(value);
-      this.state.pan = [0, 0];
-      this.changed();
-    });
+      state.pan = [0, 0];
+    }));
     const channels = axes.some((axis) => axis.role === "channel" && axis.size > 2);
     return [group("Picture", [
       ...(axes.length > 1 ? [pick("Across", "x"), pick("Down", "y")] : []),
-      only(() => channels, check("Channels as colours", () => slice.colour, (value) => {
-        slice.colour = value;
-        this.changed();
-      })),
-      only(() => colourAxis(this.app.metadata, this.state) === null, this.colourMap(() => slice.colours, (name) => {
-        slice.colours = name;
-      })),
-      ...this.window(() => slice),
+      only(() => channels, check("Channels as colours", () => this.state.slice.colour, this.change((state, value) => {
+        state.slice.colour = value;
+      }))),
+      only(() => colourAxis(this.app.metadata, this.state) === null, this.colourMap("slice")),
+      ...this.window("slice"),
     ])];
   }
 
@@ -310,8 +283,8 @@ export class Panel extends Groups {
       () => stands(n),
       slider(axis.name, {
         min: 0, max: axis.size - 1, step: 1, get: () => this.state.position[n]!, show: (value) => `${value} / ${axis.size - 1}`,
-        set: this.change((value) => {
-          this.state.position[n] = value;
+        set: this.change((state, value) => {
+          state.position[n] = value;
         }),
       })));
     const playing = only(() => kind === "generic" && framesOf(metadata.axes, kind, this.state) > 1, this.play());

@@ -1,4 +1,4 @@
-/** Playing time. */
+/** Playing time: frame after frame, each of which is seen before the next one is chosen. */
 
 import type { App } from "../app";
 import { frameOf, framesOf, showFrame } from "../places";
@@ -8,26 +8,17 @@ const FRAMES_A_SECOND = 8;
 export class Player {
   private timer = 0;
 
-  constructor(private readonly app: App, private readonly refresh: () => void, signal: AbortSignal) {
+  constructor(private readonly app: App, signal: AbortSignal) {
     signal.addEventListener("abort", () => this.stop());
   }
 
-  get playing(): boolean {
-    return this.timer !== 0;
-  }
-
-  /** Play or stop; where there is but one frame, nothing plays. */
+  /** Play or pause; where there is but one frame, nothing plays. */
   toggle(): void {
-    if (this.playing) {
-      this.stop();
-    } else if (this.frames > 1) {
+    this.app.dispatch({ type: "play", playing: !this.app.shown.playing });
+    this.stop();
+    if (this.app.shown.playing) {
       this.timer = window.setInterval(() => this.step(), 1000 / FRAMES_A_SECOND);
     }
-    this.refresh();
-  }
-
-  private get frames(): number {
-    return framesOf(this.app.metadata.axes, this.app.kind, this.app.state);
   }
 
   private stop(): void {
@@ -36,14 +27,13 @@ export class Player {
   }
 
   private step(): void {
-    const { app, frames } = this;
-    if (frames < 2) {
+    const { kind, playing, drawn, state, metadata: { axes } } = this.app.shown;
+    if (!playing) {
       this.stop(); // the picture shows all of time by now
-    } else if (!app.decoding) { // a step that is not decoded yet would never be seen
-      const { axes } = app.metadata;
-      showFrame(axes, app.kind, app.state, (Math.floor(frameOf(axes, app.kind, app.state)) + 1) % frames);
-      app.redraw();
+    } else if (drawn?.whole === true && drawn.kind === kind && frameOf(axes, kind, drawn.state) === frameOf(axes, kind, state)) {
+      this.app.choose((draft) => {
+        showFrame(axes, kind, draft, (Math.floor(frameOf(axes, kind, draft)) + 1) % framesOf(axes, kind, draft));
+      });
     }
-    this.refresh();
   }
 }

@@ -6,16 +6,13 @@ import { findCameras } from "../render/lightfield";
 import { layOut } from "../render/layout";
 import { fitted, zoomAbout } from "../render/part";
 import { sliceSize } from "../render/slices";
+import type { State } from "../state";
 import type { Services } from "./groups";
 import { pictureBox, placeIn } from "./place";
 import { panelShown, showPanel } from "./shown";
 
 const TURN = 0.4; // degrees a pixel
 const KEY_STEP = 24; // pixels that an arrow key counts as
-
-function clamped(value: number, low: number, high: number): number {
-  return Math.min(high, Math.max(low, value));
-}
 
 /** Rows and columns of slices, or of a light field. */
 function pictureSize({ metadata, kind, state }: App): [number, number] {
@@ -28,16 +25,21 @@ function pictureSize({ metadata, kind, state }: App): [number, number] {
 
 export class Pointer {
   private readonly fingers = new Map<number, PointerEvent>();
+  private over = false; // the mouse is on the picture, or a finger
 
   constructor(
     private readonly app: App, private readonly canvas: HTMLCanvasElement, private readonly services: Services,
-    private readonly refresh: () => void, private readonly hover: (place: [number, number] | null) => void,
-    signal: AbortSignal,
+    private readonly hover: (place: [number, number] | null) => void, signal: AbortSignal,
   ) {
     const options = { signal };
     canvas.addEventListener("pointerdown", (event) => this.down(event), options);
     canvas.addEventListener("pointermove", (event) => this.move(event), options);
-    canvas.addEventListener("pointerleave", () => this.hover(null), options);
+    canvas.addEventListener("pointerleave", (event) => {
+      this.over = false;
+      if (event.pointerType === "mouse") { // what a finger read stays when it is lifted
+        this.hover(null);
+      }
+    }, options);
     for (const type of ["pointerup", "pointercancel"] as const) {
       canvas.addEventListener(type, (event) => this.fingers.delete(event.pointerId), options);
     }
@@ -49,19 +51,20 @@ export class Pointer {
     window.addEventListener("keydown", (event) => this.key(event), options);
   }
 
-  private changed(): void {
-    this.refresh();
-    this.app.redraw();
-  }
-
   private down(event: PointerEvent): void {
     this.canvas.setPointerCapture(event.pointerId);
     this.fingers.set(event.pointerId, event);
+    this.point(event);
+  }
+
+  private point(event: PointerEvent): void {
+    this.over = true;
+    this.hover(placeIn(this.canvas, event));
   }
 
   private move(event: PointerEvent): void {
     const before = this.fingers.get(event.pointerId);
-    this.hover(placeIn(this.canvas, event));
+    this.point(event);
     if (before === undefined) {
       return;
     }
@@ -87,51 +90,52 @@ export class Pointer {
 
   /** Turn the camera, or move the view point or the slice. */
   private drag(x: number, y: number): void {
-    const { app } = this;
-    const { state } = app;
-    if (app.kind === "generic") {
-      this.pan(x, y);
-    } else if (app.kind === "lightfield") {
-      const { last } = findCameras(app.metadata.axes, layOut(app.metadata.axes, "lightfield"));
-      const share = 1 / Math.max(120, pictureBox(this.canvas).width / 2);
-      state.view.column = clamped(state.view.column - x * share * Math.max(1, last[1]), 0, last[1]);
-      state.view.row = clamped(state.view.row - y * share * Math.max(1, last[0]), 0, last[0]);
-    } else {
-      state.camera.azimuth -= x * TURN;
-      state.camera.elevation = clamped(state.camera.elevation + y * TURN, -89.9, 89.9);
-    }
-    this.changed();
+    const { kind, metadata } = this.app;
+    this.app.choose((state) => {
+      if (kind === "generic") {
+        this.pan(state, x, y);
+      } else if (kind === "lightfield") {
+        const { last } = findCameras(metadata.axes, layOut(metadata.axes, "lightfield"));
+        const share = 1 / Math.max(120, pictureBox(this.canvas).width / 2);
+        state.view.column -= x * share * Math.max(1, last[1]);
+        state.view.row -= y * share * Math.max(1, last[0]);
+      } else {
+        state.camera.azimuth -= x * TURN;
+        state.camera.elevation += y * TURN;
+      }
+    });
   }
 
-  private pan(x: number, y: number): void {
-    const { state, metadata } = this.app;
+  private pan(state: State, x: number, y: number): void {
     const { width, height } = pictureBox(this.canvas);
-    const { scale } = fitted(...sliceSize(metadata, state), width, height, state);
+    const { scale } = fitted(...sliceSize(this.app.metadata, state), width, height, state);
     state.pan = [state.pan[0] + x * scale, state.pan[1] + y * scale];
   }
 
   private moveLight(x: number, y: number): void {
-    const { lights, light: chosen } = this.app.state;
-    const light = lights[this.app.kind === "volume" ? 0 : chosen]; // a volume has one
-    if (this.app.kind === "generic") {
-      this.pan(x, y);
-    } else if (this.app.kind !== "lightfield" && light !== undefined) {
-      light.azimuth += x * TURN;
-      light.elevation = clamped(light.elevation - y * TURN, -90, 90);
-    }
-    this.changed();
+    const { kind } = this.app;
+    this.app.choose((state) => {
+      if (kind === "generic") {
+        this.pan(state, x, y);
+      } else if (kind !== "lightfield") {
+        const light = state.lights[kind === "volume" ? 0 : state.light]!; // a volume has one
+        light.azimuth += x * TURN;
+        light.elevation -= y * TURN;
+      }
+    });
   }
 
   /** Come nearer; in a picture, what is at a place of it stays there. */
   private zoom(factor: number, place: [number, number] | null = null): void {
-    const { state, kind } = this.app;
-    if (kind === "generic" || kind === "lightfield") {
-      const { width, height } = pictureBox(this.canvas);
-      zoomAbout(place ?? [0.5, 0.5], factor, pictureSize(this.app), [width, height], state);
-    } else {
-      state.camera.distance = clamped(state.camera.distance / factor, 0.3, 40);
-    }
-    this.changed();
+    const { kind } = this.app;
+    this.app.choose((state) => {
+      if (kind === "generic" || kind === "lightfield") {
+        const { width, height } = pictureBox(this.canvas);
+        zoomAbout(place ?? [0.5, 0.5], factor, pictureSize(this.app), [width, height], state);
+      } else {
+        state.camera.distance = Math.min(40, Math.max(0.3, state.camera.distance / factor));
+      }
+    });
   }
 
   private key(event: KeyboardEvent): void {
@@ -145,7 +149,12 @@ export class Pointer {
     };
     const arrow = arrows[event.key];
     const act = arrow === undefined ? this.actions()[event.key]
-      : () => (event.shiftKey ? this.moveLight(...arrow) : this.drag(...arrow));
+      : () => {
+        (event.shiftKey ? this.moveLight(...arrow) : this.drag(...arrow));
+        if (!this.over) {
+          this.hover([0.5, 0.5]); // keys point at the middle
+        }
+      };
     if (act !== undefined) {
       event.preventDefault();
       act();
@@ -154,28 +163,22 @@ export class Pointer {
 
   private actions(): Record<string, () => void> {
     const { app } = this;
-    const { state, metadata } = app;
-    const set = (change: () => void) => () => {
-      change();
-      this.changed();
-    };
-    const level = (step: number): (() => void) => set(() => {
-      state.level = clamped(Math.min(state.level, app.arrived) + step, 1, app.arrived);
+    const { axes } = app.metadata;
+    const set = (choose: (state: State) => void) => () => app.choose(choose);
+    const level = (step: number): (() => void) => set((state) => {
+      state.level += step;
     });
-    const frame = (step: number): (() => void) => set(() => {
-      showFrame(metadata.axes, app.kind, state, Math.round(frameOf(metadata.axes, app.kind, state)) + step);
+    const frame = (step: number): (() => void) => set((state) => {
+      showFrame(axes, app.kind, state, Math.round(frameOf(axes, app.kind, state)) + step);
     });
-    const exposure = (step: number): (() => void) => set(() => {
-      state.tone.stops = clamped(state.tone.stops + step, -6, 6);
+    const exposure = (step: number): (() => void) => set((state) => {
+      state.tone.stops += step;
     });
-    const compare = set(() => {
-      if (app.original === null && app.metadata.levels.length === 1) {
-        return; // The panel offers nothing to compare with either.
-      }
+    const compare = set((state) => {
       const modes = ["none", "split", "heat"] as const;
       state.compare.mode = modes[(modes.indexOf(state.compare.mode) + 1) % 3]!;
     });
-    const reset = set(() => app.resetView());
+    const reset = (): void => app.resetView();
     return {
       "+": () => this.zoom(1.2), "=": () => this.zoom(1.2), "-": () => this.zoom(1 / 1.2), "[": level(-1), "]": level(1),
       ",": frame(-1), ".": frame(1), " ": () => this.services.player.toggle(), c: compare, C: compare, e: exposure(0.5),

@@ -1,20 +1,16 @@
-/** What the canvas shows as a file. */
+/** What is shown as a file. */
 
+import type { App } from "../app";
+import { pictureName } from "../figures";
 import { make } from "./controls";
 
-/** The name for a picture of a model: the model's, but for its ending. */
-export function pictureName(file: string): string {
-  const stem = file.split(/[/\\]/).pop()!.replace(/\.hmk$/i, "");
-  return `${stem === "" ? "hmkcta" : stem}.png`;
-}
-
-/** Save what the canvas shows as a PNG file, named after the model's. */
-export function savePicture(canvas: HTMLCanvasElement, file: string): void {
-  canvas.toBlob((blob) => {
-    if (blob !== null) {
-      const link = make("a", { href: URL.createObjectURL(blob), download: pictureName(file) });
-      link.click();
-      setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
-    }
-  });
+/** Save what is chosen, at its full size once it is whole, as a PNG file, named after the model and what of it is shown. */
+export async function savePicture(app: App): Promise<void> {
+  const name = pictureName(app.shown);
+  const image = await app.picture();
+  const canvas = new OffscreenCanvas(image.width, image.height);
+  canvas.getContext("2d")!.putImageData(image, 0, 0);
+  const link = make("a", { href: URL.createObjectURL(await canvas.convertToBlob()), download: name });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
 }

@@ -1,14 +1,15 @@
 /** How far a file has come, and what its frames take: a bar in the panel and a line in the picture's corner. */
 
-import type { Statistics } from "../app";
 import { formatBytes } from "../bytes";
-import { byId } from "./controls";
+import { badge } from "../figures";
+import type { Shown } from "../store";
+import { byId, tell } from "./controls";
 
 const QUIET = 1000; // milliseconds without progress on the page: each change of it is painted, by the adapter that decodes
 
 export class Status {
   private bytes: [number, number] = [0, 0];
-  private last: Statistics | null = null;
+  private last: Shown | null = null;
   private quiet = true;
   private hush = 0; // the timer that ends it
 
@@ -42,8 +43,12 @@ export class Status {
     this.say();
   }
 
-  frame(statistics: Statistics): void {
-    this.last = statistics;
+  /** What is shown, and at once where the picture is not yet what is chosen. */
+  show(shown: Shown): void {
+    const text = badge(shown);
+    this.last = shown;
+    tell(byId("decoding"), text ?? "");
+    byId("decoding").hidden = text === null;
     this.say();
   }
 
@@ -55,7 +60,8 @@ export class Status {
   /** Say nothing: there is no file. */
   clear(): void {
     this.endProgress();
-    byId("statistics").textContent = "";
+    byId("statistics").textContent = byId("decoding").textContent = "";
+    byId("decoding").hidden = true;
   }
 
   private say(): void {
@@ -64,9 +70,9 @@ export class Status {
     }
     const [have, size] = this.bytes;
     const bytes = have < size ? `${formatBytes(have)} of ${formatBytes(size)}` : formatBytes(size);
-    const { last } = this;
-    byId("statistics").textContent = last === null ? bytes
-      : [`${last.milliseconds.toFixed(1)} ms`, `${last.width} x ${last.height}`, bytes, ...(last.decoding ? ["decoding"] : []),
-        this.adapter()].join("  ·  ");
+    const { drawn = null, share = 1 } = this.last ?? {};
+    tell(byId("statistics"), drawn === null ? bytes
+      : [`${drawn.milliseconds.toFixed(1)} ms`, `${drawn.width} x ${drawn.height}`, bytes, ...(share < 1 ? ["decoding"] : []),
+        this.adapter()].join("  ·  "));
   }
 }
