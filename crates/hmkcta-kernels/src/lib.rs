@@ -54,6 +54,7 @@ mod small;
 mod sorting;
 mod stage;
 mod stage_code;
+mod stage_whole;
 mod steps;
 mod subspace;
 #[cfg(test)]

@@ -4,6 +4,7 @@ use crate::binding::{check_length, slices};
 use crate::contexts::Fault;
 use crate::run_code::{Decoded, Run, Stage, Stated, decode};
 use crate::stage::{Geometry, Next, Parted};
+use crate::stage_whole::Widened;
 use crate::threads;
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1};
 use pyo3::exceptions::PyValueError;
@@ -320,10 +321,51 @@ pub fn next_stage<'py>(
     next_dict(py, next)
 }
 
+/// The arrays of a stage with a step, all flat, float16 as its bits.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct WidenedArrays<'py> {
+    step: f32,
+    shape: Array<'py, u32>,
+    cluster: OfModes<'py, u16>,
+    column: OfModes<'py, u8>,
+    core: Array<'py, u16>,
+    core_scale: Array<'py, f32>,
+    basis: OfModes<'py, u16>,
+}
+
+/// The whole core numbers and basis numbers of a stage, for `encode_stage`.
+#[pyfunction]
+#[allow(clippy::type_complexity, reason = "two kinds of numbers")]
+pub fn whole_stage<'py>(
+    py: Python<'py>,
+    arrays: WidenedArrays<'py>,
+    places: Places<'py>,
+) -> PyResult<(Bound<'py, PyArray1<i32>>, Vec<Bound<'py, PyArray1<i32>>>)> {
+    let geometry = places.geometry(arrays.cluster.len())?;
+    let shape = arrays.shape.as_slice()?;
+    check_length("shape", shape.len(), 3 * geometry.nodes() * geometry.order())?;
+    check_length("column", arrays.column.len(), geometry.order())?;
+    check_length("basis", arrays.basis.len(), geometry.order())?;
+    let widened = Widened {
+        geometry,
+        step: arrays.step,
+        shape,
+        cluster: slices(&arrays.cluster)?,
+        column: slices(&arrays.column)?,
+        core: arrays.core.as_slice()?,
+        scale: arrays.core_scale.as_slice()?,
+        basis: slices(&arrays.basis)?,
+    };
+    let (core, basis) = py.detach(|| widened.whole()).map_err(PyValueError::new_err)?;
+    Ok((core.into_pyarray(py), basis.into_iter().map(|own| own.into_pyarray(py)).collect()))
+}
+
 /// Give the module what this file has for Python.
 pub fn register(module: &Bound<PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(encode_stage, module)?)?;
     module.add_function(wrap_pyfunction!(count_stage, module)?)?;
     module.add_function(wrap_pyfunction!(decode_stage, module)?)?;
+    module.add_function(wrap_pyfunction!(whole_stage, module)?)?;
     module.add_function(wrap_pyfunction!(next_stage, module)?)
 }
