@@ -39,7 +39,7 @@ def merged_model() -> Model:
     axes = (Axis("light", 24, "light", directions, "unit vectors"), Axis("texel", 6, "space"),
             Axis("frame", 2, "time", np.array([0.0, 0.04]), "s"), Axis("rgb", 3, "channel"))
     organisation = (("light", "rgb"), ("texel",), ("frame",))
-    metadata, stages = random_model(np.random.default_rng(302), mode_sizes(axes, organisation), 3, (2,), axes=axes,
+    metadata, stages = random_model(np.random.default_rng(4), mode_sizes(axes, organisation), 3, (2,), axes=axes,
                                     organisation=organisation, shapes=Shapes(2, 2, 2, 4, 0.15, 0.25), coded=1.0, cuts=(2,))
     return replace(metadata, kind="svbrdf", source_dtype="float16", source={"file": "a \\ \u00e9.npy"}), stages
 

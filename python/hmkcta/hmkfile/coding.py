@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields
 from itertools import accumulate
 from typing import Any
 
@@ -108,7 +109,7 @@ def _level(out: dict[str, Any], places: Places, stage: Stage, *, last: bool) -> 
     members = rows * mixture
     others = [np.delete(clusters, n, axis=1).prod(axis=1) for n in range(order)]
     none = (None,) * order
-    return PackedLevel(
+    return _read_only(PackedLevel(
         shape=shape, child=None if last else _offsets(out["children"]),
         row_offset=tuple(_offsets(rows[:, n]) for n in range(order)),
         core=out["core"].view(np.float16), core_offset=_offsets(cells * ranks.prod(axis=1)),
@@ -118,7 +119,17 @@ def _level(out: dict[str, Any], places: Places, stage: Stage, *, last: bool) -> 
         basis_offset=tuple(_offsets(members[:, n] * others[n] * ranks[:, n]) for n in range(order)),
         part=none if last else tuple(out["part"]), local=none if last else tuple(out["next"]["local"]),
         step=stage.step, column=tuple(out["column"]) if stage.step is not None else (),
-    )
+    ))
+
+
+def _read_only(level: PackedLevel) -> PackedLevel:
+    """The same, safe from being changed: models share arrays."""
+    for field in fields(level):
+        value = getattr(level, field.name)
+        for array in value if isinstance(value, tuple) else (value,):
+            if isinstance(array, np.ndarray):
+                array.flags.writeable = False
+    return level
 
 
 def _halves(bits: NDArray[np.uint16]) -> F16:
