@@ -48,8 +48,9 @@ def _pack(nodes: Sequence[Node], undecomposed: Sequence[int], unit: float, bits:
     core, core_offset = _ragged([numbers for _, numbers, _ in rounded], np.float16)
     scale, cell_offset = _ragged([factors for *_, factors in rounded], np.float32)
     scale = (scale * unit).astype(np.float32)
-    cluster = [_ragged([_members(node, n) for node in nodes if stored[n]] or _none(nodes), np.uint16) for n in range(order)]
-    basis = [_ragged([_basis(node, n) for node in nodes if stored[n]] or _none(nodes), np.float16) for n in range(order)]
+    none: Ragged = [np.zeros(0)] * len(nodes)
+    cluster = [_ragged([_members(node, n) for node in nodes] if stored[n] else none, np.uint16) for n in range(order)]
+    basis = [_ragged([_basis(node, n) for node in nodes] if stored[n] else none, np.float16) for n in range(order)]
     return PackedLevel(
         shape=shape,
         child=None if last else _offsets([len(node.children) for node in nodes]),
@@ -91,11 +92,6 @@ def _entries(columns: Sequence[Sequence[U8 | None]], stored: Sequence[bool]) -> 
     """Entries of the columns of all nodes, mode by mode."""
     each = [[own for node in columns if (own := node[n]) is not None] for n in range(len(stored))]
     return tuple(_joined([*own], np.uint8) if kept else None for own, kept in zip(each, stored, strict=True))
-
-
-def _none(nodes: Sequence[Node]) -> Ragged:
-    """No entries of any node."""
-    return [np.zeros(0)] * len(nodes)
 
 
 def _members(node: Node, n: int) -> NDArray[np.uint16]:

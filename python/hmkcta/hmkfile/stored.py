@@ -48,7 +48,7 @@ def from_stored(metadata: Metadata, levels: Sequence[PackedLevel]) -> tuple[Meta
         return metadata, tuple(levels)
     whole = tuple(_filled_in(level, metadata.undecomposed) for level in levels)
     given = {field.name: getattr(metadata, field.name) for field in fields(Metadata)}
-    bounds = tuple(replace(bounds_of(level), scheme=told.scheme) for level, told in zip(whole, metadata.stages, strict=True))
+    bounds = tuple(bounds_of(level, told.scheme) for level, told in zip(whole, metadata.stages, strict=True))
     kept = bounds if metadata.undecomposed else metadata.stages
     return Metadata(**{**given, "stages": kept}), whole
 
@@ -75,8 +75,8 @@ def _filled_in(level: PackedLevel, modes: Sequence[int]) -> PackedLevel:
     lengths = [np.diff(offset.astype(np.int64)) for offset in level.row_offset]
     places = {n: np.concatenate([np.zeros(0, np.int64), *map(np.arange, lengths[n].tolist())]) for n in modes}
     made = {
-        "cluster": lambda n: np.zeros(0, np.uint16), "basis": lambda n: np.zeros(0, np.float16),
-        "cluster_offset": lambda n: nothing, "basis_offset": lambda n: nothing,
+        "cluster": lambda _: np.zeros(0, np.uint16), "basis": lambda _: np.zeros(0, np.float16),
+        "cluster_offset": lambda _: nothing, "basis_offset": lambda _: nothing,
         "part": lambda n: None if level.child is None else np.zeros(int(level.row_offset[n][-1]), np.uint16),
         "local": lambda n: None if level.child is None else places[n].astype(np.uint32),
     }
