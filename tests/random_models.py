@@ -152,7 +152,7 @@ def _random_node(rng: np.random.Generator, rows: Sizes, undecomposed: Sequence[i
     part = tuple(c[:, 0] if inner and mixture[n] == 1 else p for n, (p, c) in enumerate(zip(part, cluster, strict=True)))
     core = rng.normal(size=(prod(clusters), *ranks)).astype(np.float16)
     scale = rng.uniform(0.25, 2.0, prod(clusters)).astype(np.float32)
-    children = _child_rows(rows, clusters, part) if inner else ()
+    children = _child_rows(clusters, part) if inner else ()
     return Node(rows, clusters, mixture, ranks, core, scale, cluster, tuple(map(basis, range(order))), part,
                 tuple(_places(p) if inner else np.zeros(p.size, np.uint32) for p in part), children)
 
@@ -178,7 +178,7 @@ def _random_cut(rng: np.random.Generator, rows: Sizes, shapes: Shapes) -> Node:
     none = tuple(np.zeros(0, np.uint16) for _ in rows)
     return Node(rows, tuple(clusters), zeros, zeros, np.zeros(0, np.float16), np.zeros(0, np.float32), none,
                 tuple(np.zeros(0, np.float16) for _ in rows), part, tuple(map(_places, part)),
-                _child_rows(rows, tuple(clusters), part))
+                _child_rows(tuple(clusters), part))
 
 
 def _random_shape(rng: np.random.Generator, rows: Sizes, own: Set[int], shapes: Shapes) -> tuple[Sizes, Sizes, Sizes]:
@@ -200,7 +200,7 @@ def _places(part: U16) -> U32:
     return local
 
 
-def _child_rows(rows: Sizes, clusters: Sizes, part: tuple[U16, ...]) -> tuple[Sizes, ...]:
+def _child_rows(clusters: Sizes, part: tuple[U16, ...]) -> tuple[Sizes, ...]:
     """Rows of the PC children, in the order of their flattened part numbers."""
     counts = [np.bincount(p, minlength=c) for c, p in zip(clusters, part, strict=True)]
     return tuple(tuple(int(count[i]) for count, i in zip(counts, index, strict=True))
