@@ -68,7 +68,7 @@ def test_an_extra_byte_is_refused() -> None:
 
 @pytest.mark.parametrize("name", FILES)
 def test_forged_sections_are_refused_or_decode(name: str) -> None:
-    """Checksums that fit say nothing of the meaning: whatever is in a section, it never ends in anything but a verdict."""
+    """Checksums that fit say nothing of the meaning: whatever is in a section, the reader comes to a verdict."""
     rng = np.random.default_rng(0)
     parts = Parts.split(FILES[name])
     for _ in range(300):
@@ -108,13 +108,29 @@ def test_without_verification_checksums_of_sections_alone_are_not_compared() -> 
 def bomb(**stage: object) -> bytes:
     """A file of one small section whose header states a lot."""
     axes = [{"name": "x", "size": 2**32 - 1}]
-    head = {"nodes": 1, "step": 1.0, "largest": [[1], [1], [1]], "rows": [2**32 - 1], "runs": [[1, 40, 1, 1, 2**32 - 1]]}
-    header = {"axes": axes, "organisation": [[0]], "dtype": "float32", "stages": [{**head, **stage}],
-              "quality": [{"snr_db": 1.0, "rmse": 1.0, "max_abs_error": 1.0}]}
+    head = {
+        "nodes": 1,
+        "step": 1.0,
+        "largest": [[1], [1], [1]],
+        "rows": [2**32 - 1],
+        "runs": [[1, 40, 1, 1, 2**32 - 1]],
+    }
+    header = {
+        "axes": axes,
+        "organisation": [[0]],
+        "dtype": "float32",
+        "stages": [{**head, **stage}],
+        "quality": [{"snr_db": 1.0, "rmse": 1.0, "max_abs_error": 1.0}],
+    }
     text = json.dumps(header, separators=(",", ":")).encode()
     payload = bytes(40)
-    return (MAGIC + struct.pack("<III", 1, len(text), zlib.crc32(text)) + text + payload
-            + struct.pack("<I", zlib.crc32(payload)))
+    return (
+        MAGIC
+        + struct.pack("<III", 1, len(text), zlib.crc32(text))
+        + text
+        + payload
+        + struct.pack("<I", zlib.crc32(payload))
+    )
 
 
 BOMBS = {

@@ -26,16 +26,27 @@ Model = tuple[Metadata, tuple[PackedLevel, ...]]
 
 @st.composite
 def models(draw: st.DrawFn) -> Model:
-    """Any model of order 1 to 5, with modes of size 1 and undecomposed ones, of one to three stages, cuts among them."""
+    """Any model of order 1 to 5, with modes of size 1 and undecomposed ones, of one to three stages, also cuts."""
     sizes = draw(st.lists(st.integers(1, 6), min_size=1, max_size=5))
     undecomposed = tuple(n for n in range(len(sizes)) if draw(st.integers(0, 5)) == 0)
     stages = draw(st.integers(1, 3))
     share = st.sampled_from([0.0, 0.3])
-    shapes = draw(st.builds(Shapes, st.integers(1, 3), st.integers(1, 3), st.integers(1, 3), st.just(8), share, share, share, share))
+    shapes = draw(
+        st.builds(
+            Shapes, st.integers(1, 3), st.integers(1, 3), st.integers(1, 3), st.just(8), share, share, share, share
+        )
+    )
     cut = stages > 1 and max(sizes) > 1 and draw(st.booleans())
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    return random_model(rng, sizes, stages, undecomposed, shapes=shapes, coded=draw(st.sampled_from([0.0, 0.5, 1.0])),
-                        cuts=(1,) if cut else ())
+    return random_model(
+        rng,
+        sizes,
+        stages,
+        undecomposed,
+        shapes=shapes,
+        coded=draw(st.sampled_from([0.0, 0.5, 1.0])),
+        cuts=(1,) if cut else (),
+    )
 
 
 def encoded(model: Model) -> bytes:
@@ -96,9 +107,14 @@ def test_all_whole_numbers_keep_their_bytes(k: int, tmp_path: Path) -> None:
         basis = (q.astype(np.float32) * unit).astype(np.float16)
         core = rng.integers(-size, size + 1, 1)
         e = next(e for e in range(15) if abs(int(core[0])) <= 2047 * 2**e)
-        made = replace(stage, step=0.1, column=(np.array([k], np.uint8), np.array([2], np.uint8)),
-                       core=(core * np.float32(2.0**-e)).astype(np.float16),
-                       core_scale=np.array([np.float32(0.1) * np.float32(2**e)], np.float32), basis=(basis, stage.basis[1]))
+        made = replace(
+            stage,
+            step=0.1,
+            column=(np.array([k], np.uint8), np.array([2], np.uint8)),
+            core=(core * np.float32(2.0**-e)).astype(np.float16),
+            core_scale=np.array([np.float32(0.1) * np.float32(2**e)], np.float32),
+            basis=(basis, stage.basis[1]),
+        )
         data = encoded((metadata, (made,)))
         again = loads(data)
         assert encoded(again) == data
@@ -114,8 +130,9 @@ def _two_rows() -> Model:
 
 def test_one_block_takes_less_than_600_bytes_of_header_and_tables() -> None:
     axes = (Axis("y", 64, "space"), Axis("x", 64, "space"), Axis("t", 32, "time"), Axis("rgb", 3, "channel"))
-    metadata, stages = random_model(np.random.default_rng(0), (64, 64, 32, 3), 1, axes=axes, coded=1.0,
-                                    shapes=Shapes(1, 1, 3, zero=0.0))
+    metadata, stages = random_model(
+        np.random.default_rng(0), (64, 64, 32, 3), 1, axes=axes, coded=1.0, shapes=Shapes(1, 1, 3, zero=0.0)
+    )
     data = encoded((metadata, stages))
     assert len(data) - sum(map(len, Parts.split(data).sections)) < 600
 
@@ -132,8 +149,7 @@ def test_several_runs_are_read_as_one() -> None:
     from hmkcta import _native
 
     rng = np.random.default_rng(0)
-    metadata, stages = random_model(rng, (60, 60, 60), 2, cuts=(1,), coded=1.0,
-                                    shapes=Shapes(6, 1, 2, 400, zero=0.0))
+    metadata, stages = random_model(rng, (60, 60, 60), 2, cuts=(1,), coded=1.0, shapes=Shapes(6, 1, 2, 400, zero=0.0))
     ranks = stages[1].shape[:, 2]
     assert ranks.any()
     wide = replace(metadata, stages=tuple(map(bounds_of, stages)))
@@ -182,7 +198,9 @@ def test_loaded_arrays_are_read_only(tmp_path: Path) -> None:
 
 def test_the_header_leaves_out_what_has_its_default() -> None:
     metadata, stages = _two_rows()
-    plain = Metadata(metadata.source_dtype, metadata.axes, metadata.organisation, metadata.stages, quality=metadata.quality)
+    plain = Metadata(
+        metadata.source_dtype, metadata.axes, metadata.organisation, metadata.stages, quality=metadata.quality
+    )
     text = Parts.split(encoded((plain, stages))).text.decode()
     assert json.loads(text).keys() == {"axes", "organisation", "dtype", "stages", "quality"}
     assert "role" not in text or '"role":"other"' not in text
