@@ -178,8 +178,6 @@ def _add_cells(rng: np.random.Generator, stage: Ragged, rows: Array, *, parted: 
 def _part(rng: np.random.Generator, rows: int, cluster: Array, mixture: int, clusters: int, *, parted: bool) -> Array:
     if not parted or clusters == 1:
         return np.zeros(rows, int)
-    if mixture == 1:
-        return cluster.reshape(-1)
     if rng.random() < 0.5:
         return _runs(rng, rows, clusters)
     return cluster.reshape(rows, mixture)[np.arange(rows), rng.integers(0, mixture, rows)]

@@ -95,63 +95,66 @@ def json_cases() -> Cases:
     ]
 
 
+#: What is wrong with the small file's header, the edit that makes it so, the reason, and where it is found.
+ROOT = ("stages", 0)
+BAD_FIELDS: list[tuple[str, dict[str, Any], str, str]] = [
+    ("no axes", header("axes"), "field-missing", "header.axes"),
+    ("a field too many", header("version", to=1), "field-unknown", "header.version"),
+    ("a size as a text", header("axes", 0, "size", to="4"), "field-type", "header.axes[0].size"),
+    ("a size of 0", header("axes", 0, "size", to=0), "field-value", "header.axes[0].size"),
+    ("a size of 4.0", header("axes", 0, "size", to=4.0), "field-type", "header.axes[0].size"),
+    ("a name with a plus", header("axes", 0, "name", to="a+b"), "field-value", "header.axes[0].name"),
+    ("a name twice", header("axes", 1, "name", to="höhe"), "field-value", "header.axes[1].name"),
+    ("an unknown role", header("axes", 0, "role", to="depth"), "field-value", "header.axes[0].role"),
+    (
+        "too few coordinates",
+        header("axes", 0, "coordinates", to=[1, 2]),
+        "field-value",
+        "header.axes[0].coordinates",
+    ),
+    ("coordinates null", header("axes", 0, "coordinates", to=None), "field-type", "header.axes[0].coordinates"),
+    (
+        "coordinates of 17",
+        header("axes", 0, "coordinates", to={"dtype": "F32", "width": 17}),
+        "field-value",
+        "header.axes[0].coordinates.width",
+    ),
+    ("an axis in no mode", header("organisation", to=[[0]]), "organisation", "header.organisation"),
+    ("an axis twice", header("organisation", to=[[0], [0, 1]]), "organisation", "header.organisation"),
+    ("a mode without axes", header("organisation", to=[[0, 1], []]), "field-value", "header.organisation"),
+    ("an unknown type", header("dtype", to="float128"), "field-value", "header.dtype"),
+    ("an unknown kind", header("kind", to="sound"), "field-value", "header.kind"),
+    (
+        "an unknown transform",
+        header("transform", to={"name": "cube"}),
+        "transform-unknown",
+        "header.transform.name",
+    ),
+    (
+        "a scale of 0",
+        header("transform", to={"name": "log1p", "scale": 0}),
+        "field-value",
+        "header.transform.scale",
+    ),
+    ("quality of no level", header("quality", to=[]), "field-value", "header.quality"),
+    ("null, and errors", header("quality", 0, "rmse", to=1.0), "field-value", "header.quality[0].snr_db"),
+    ("no stages", header("stages", to=[]), "field-value", "header.stages"),
+    ("two roots", header(*ROOT, "nodes", to=2), "field-value", "header.stages[0].runs"),
+    ("a step of 0", header(*ROOT, "step", to=0), "field-value", "header.stages[0].step"),
+    ("a step beyond float32", header(*ROOT, "step", to=1e39), "field-value", "header.stages[0].step"),
+    ("a step and bits", header(*ROOT, "bits", to=16), "field-value", "header.stages[0].bits"),
+    ("8 bits", header(*ROOT, "bits", to=8), "field-value", "header.stages[0].bits"),
+    ("neither step nor bits", header(*ROOT, "step"), "field-value", "header.stages[0].largest"),
+    ("an unknown scheme", header(*ROOT, "scheme", to="some"), "field-value", "header.stages[0].scheme"),
+    ("other rows", header(*ROOT, "rows", 0, to=5), "row-count", "header.stages[0].rows"),
+    ("a run without nodes", header(*ROOT, "runs", to=[[0, 4, 0, 0, 0, 0]]), "field-value", "header.stages[0].runs"),
+    ("too few counts", header(*ROOT, "runs", 0, to=[1, 4]), "field-value", "header.stages[0].runs[0]"),
+]
+
+
 def field_cases() -> Cases:
     """Fields of wrong types and values."""
-    root = ("stages", 0)
-    bad: list[tuple[str, dict[str, Any], str, str]] = [
-        ("no axes", header("axes"), "field-missing", "header.axes"),
-        ("a field too many", header("version", to=1), "field-unknown", "header.version"),
-        ("a size as a text", header("axes", 0, "size", to="4"), "field-type", "header.axes[0].size"),
-        ("a size of 0", header("axes", 0, "size", to=0), "field-value", "header.axes[0].size"),
-        ("a size of 4.0", header("axes", 0, "size", to=4.0), "field-type", "header.axes[0].size"),
-        ("a name with a plus", header("axes", 0, "name", to="a+b"), "field-value", "header.axes[0].name"),
-        ("a name twice", header("axes", 1, "name", to="höhe"), "field-value", "header.axes[1].name"),
-        ("an unknown role", header("axes", 0, "role", to="depth"), "field-value", "header.axes[0].role"),
-        (
-            "too few coordinates",
-            header("axes", 0, "coordinates", to=[1, 2]),
-            "field-value",
-            "header.axes[0].coordinates",
-        ),
-        ("coordinates null", header("axes", 0, "coordinates", to=None), "field-type", "header.axes[0].coordinates"),
-        (
-            "coordinates of 17",
-            header("axes", 0, "coordinates", to={"dtype": "F32", "width": 17}),
-            "field-value",
-            "header.axes[0].coordinates.width",
-        ),
-        ("an axis in no mode", header("organisation", to=[[0]]), "organisation", "header.organisation"),
-        ("an axis twice", header("organisation", to=[[0], [0, 1]]), "organisation", "header.organisation"),
-        ("a mode without axes", header("organisation", to=[[0, 1], []]), "field-value", "header.organisation"),
-        ("an unknown type", header("dtype", to="float128"), "field-value", "header.dtype"),
-        ("an unknown kind", header("kind", to="sound"), "field-value", "header.kind"),
-        (
-            "an unknown transform",
-            header("transform", to={"name": "cube"}),
-            "transform-unknown",
-            "header.transform.name",
-        ),
-        (
-            "a scale of 0",
-            header("transform", to={"name": "log1p", "scale": 0}),
-            "field-value",
-            "header.transform.scale",
-        ),
-        ("quality of no level", header("quality", to=[]), "field-value", "header.quality"),
-        ("null, and errors", header("quality", 0, "rmse", to=1.0), "field-value", "header.quality[0].snr_db"),
-        ("no stages", header("stages", to=[]), "field-value", "header.stages"),
-        ("two roots", header(*root, "nodes", to=2), "field-value", "header.stages[0].runs"),
-        ("a step of 0", header(*root, "step", to=0), "field-value", "header.stages[0].step"),
-        ("a step beyond float32", header(*root, "step", to=1e39), "field-value", "header.stages[0].step"),
-        ("a step and bits", header(*root, "bits", to=16), "field-value", "header.stages[0].bits"),
-        ("8 bits", header(*root, "bits", to=8), "field-value", "header.stages[0].bits"),
-        ("neither step nor bits", header(*root, "step"), "field-value", "header.stages[0].largest"),
-        ("an unknown scheme", header(*root, "scheme", to="some"), "field-value", "header.stages[0].scheme"),
-        ("other rows", header(*root, "rows", 0, to=5), "row-count", "header.stages[0].rows"),
-        ("a run without nodes", header(*root, "runs", to=[[0, 4, 0, 0, 0, 0]]), "field-value", "header.stages[0].runs"),
-        ("too few counts", header(*root, "runs", 0, to=[1, 4]), "field-value", "header.stages[0].runs[0]"),
-    ]
-    return [case(name, SMALL, [edit], reason, where) for name, edit, reason, where in bad]
+    return [case(name, SMALL, [edit], reason, where) for name, edit, reason, where in BAD_FIELDS]
 
 
 def limit_cases() -> Cases:

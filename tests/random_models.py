@@ -165,10 +165,6 @@ def _random_node(
     cluster = tuple(map(subsets, range(order)))
     if shapes.tidy and inner:
         part = tuple(p if n in own else c[:, 0] for n, (p, c) in enumerate(zip(part, cluster, strict=True)))
-    # A row of one cluster goes to its part.
-    part = tuple(
-        c[:, 0] if inner and mixture[n] == 1 else p for n, (p, c) in enumerate(zip(part, cluster, strict=True))
-    )
     core = rng.normal(size=(prod(clusters), *ranks)).astype(np.float16)
     scale = rng.uniform(0.25, 2.0, prod(clusters)).astype(np.float32)
     children = _child_rows(clusters, part) if inner else ()

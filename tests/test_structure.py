@@ -17,7 +17,7 @@ PACKAGE = ROOT / "python" / "hmkcta"
 
 #: Modules and subpackages from the lowest layer up; an import goes to a lower layer, or stays in its subpackage.
 LAYERS = (
-    ("arrays", "bitstream"),
+    ("arrays", "bitstream", "storage"),
     ("_version", "errors", "metrics", "narrow", "rice", "_native"),
     ("core_parameters", "parameters", "support"),
     ("axes", "conventions", "goals", "grids", "transform", "indexing"),

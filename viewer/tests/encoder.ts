@@ -196,13 +196,13 @@ function encodeTables(to: Encoder, node: Node, parts: boolean): void {
     }
   });
   node.clusters.forEach((count, n) => {
-    if (parts && count > 1 && node.mixture[n]! > 1) {
+    if (parts && count > 1 && node.mixture[n]! > 0) {
       const slots = node.part[n]!.map((part, i) => node.cluster[n]![i]!.indexOf(part));
       to.bit(`slots${n}`, !slots.includes(-1));
       if (slots.includes(-1)) {
         encodeLabels(to, `part${n}`, node.part[n]!.map((part) => [part]), count);
       } else {
-        slots.forEach((slot) => to.label(`slot${n}`, slot, node.mixture[n]!));
+        slots.filter(() => node.mixture[n]! > 1).forEach((slot) => to.label(`slot${n}`, slot, node.mixture[n]!));
       }
     }
   });

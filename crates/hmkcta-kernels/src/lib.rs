@@ -38,6 +38,7 @@ mod pair_projection;
 mod part;
 mod permuted;
 mod pick;
+mod picked;
 mod places;
 mod range_coder;
 mod real;
@@ -75,10 +76,7 @@ use coding::Search;
 use dictionary::Given;
 use element::Decode;
 use gauss_seidel::Effort;
-use numpy::{
-    Element, IntoPyArray, PyArray1, PyArrayMethods, PyReadonlyArray1, PyReadwriteArray1, PyUntypedArrayMethods,
-};
-use pick::Pick;
+use numpy::{Element, IntoPyArray, PyArray1, PyReadonlyArray1, PyReadwriteArray1};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
@@ -248,52 +246,6 @@ fn orthonormalise(
     Ok(())
 }
 
-/// A sub-tensor of a contiguous array of the given sizes, and where that array starts.
-fn pick_of(tensor: &Bound<PyArray1<f32>>, sizes: &[usize], rows: &[PyReadonlyArray1<u32>]) -> PyResult<(Pick, usize)> {
-    let rows = slices(rows)?;
-    check_length("the list of rows", rows.len(), sizes.len())?;
-    check_length("the tensor", tensor.len(), sizes.iter().product())?;
-    let ascending = |rows: &[u32], size: usize| {
-        rows.windows(2).all(|pair| pair[0] < pair[1]) && rows.last().is_none_or(|&row| (row as usize) < size)
-    };
-    if !tensor.is_contiguous() || !rows.iter().zip(sizes).all(|(rows, &size)| ascending(rows, size)) {
-        return Err(PyValueError::new_err("a contiguous tensor and ascending rows of its modes are needed"));
-    }
-    Ok((Pick::new(sizes, &rows), tensor.data() as usize))
-}
-
-/// The sub-tensor of the given rows of each mode, flat. Meanwhile other threads may write to others.
-#[pyfunction]
-fn gather<'py>(
-    py: Python<'py>,
-    tensor: Bound<'py, PyArray1<f32>>,
-    sizes: Vec<usize>,
-    rows: Vec<PyReadonlyArray1<'py, u32>>,
-) -> PyResult<Bound<'py, PyArray1<f32>>> {
-    let (pick, start) = pick_of(&tensor, &sizes, &rows)?;
-    let mut block = vec![0.0; pick.len()];
-    // SAFETY: `pick_of` has checked the array, which lives as long as `tensor`; writers leave these elements alone.
-    py.detach(|| unsafe { pick.copy_from(start as *const f32, &mut block) });
-    Ok(block.into_pyarray(py))
-}
-
-/// Put a sub-tensor in its place. Meanwhile other threads may read and write others.
-#[pyfunction]
-fn scatter<'py>(
-    py: Python<'py>,
-    tensor: Bound<'py, PyArray1<f32>>,
-    sizes: Vec<usize>,
-    rows: Vec<PyReadonlyArray1<'py, u32>>,
-    block: Floats<'py>,
-) -> PyResult<()> {
-    let (pick, start) = pick_of(&tensor, &sizes, &rows)?;
-    let block = block.as_slice()?;
-    check_length("the block", block.len(), pick.len())?;
-    // SAFETY: as in `gather`.
-    py.detach(|| unsafe { pick.put_into(start as *mut f32, block) });
-    Ok(())
-}
-
 /// The best cluster subsets of a mode's rows and their coefficients, flat, from H and b.
 #[pyfunction]
 #[allow(clippy::too_many_arguments, reason = "two matrices, what their sides stand for, and what is wanted")]
@@ -399,8 +351,8 @@ fn _native(module: &Bound<PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(collect::collect, module)?)?;
     module.add_function(wrap_pyfunction!(collect::collect_scaled, module)?)?;
     module.add_function(wrap_pyfunction!(magnitudes::magnitudes, module)?)?;
-    module.add_function(wrap_pyfunction!(gather, module)?)?;
-    module.add_function(wrap_pyfunction!(scatter, module)?)?;
+    module.add_function(wrap_pyfunction!(picked::gather, module)?)?;
+    module.add_function(wrap_pyfunction!(picked::scatter, module)?)?;
     module.add_function(wrap_pyfunction!(code_rows, module)?)?;
     module.add_function(wrap_pyfunction!(kmeans::nearest_with_room, module)?)?;
     module.add_function(wrap_pyfunction!(kmeans::cluster_rows, module)?)?;

@@ -153,23 +153,15 @@ impl Stage<'_> {
             check_members(&node.members[n], mixture[n], clusters[n])?;
             if node.parted {
                 node.parts[n] = part_of(self.part[n], at.modes[n].rows, own.modes[n].rows);
-                self.check_parts(node, n)?;
+                if node.parts[n].iter().any(|&part| u32::from(part) >= clusters[n]) {
+                    return Err(Fault::PartRange);
+                }
             }
             if node.kind == CUT {
                 node.grids[n] = grid_of(&node.parts[n], clusters[n], place.extents(n), buffer).unwrap_or_default();
             }
         }
         if self.coded { self.load_numbers(at, &own, node) } else { Ok(()) }
-    }
-
-    fn check_parts(&self, node: &Node, n: usize) -> Checked<()> {
-        let fixed = node.kind == CELLS && node.mixture[n] == 1 && node.clusters[n] > 1;
-        let sound = if fixed {
-            node.parts[n] == node.members[n]
-        } else {
-            node.parts[n].iter().all(|&part| u32::from(part) < node.clusters[n])
-        };
-        if sound { Ok(()) } else { Err(Fault::PartRange) }
     }
 
     fn load_numbers(&self, at: &Sizes, own: &Sizes, node: &mut Node) -> Checked<()> {

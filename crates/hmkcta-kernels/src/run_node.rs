@@ -208,17 +208,14 @@ impl Walk {
             if node.clusters[n] == 1 {
                 continue;
             }
-            if mixture == 1 {
-                part.copy_from_slice(members);
-                continue;
-            }
             let models = &mut self.models.modes[n];
             let slot = |(part, of_row): (&u16, &[u16])| of_row.iter().position(|c| c == part);
             let slotted = !C::DECODES && part.iter().zip(members.chunks_exact(mixture)).map(slot).all(|s| s.is_some());
             if coder.bit(&mut models.slotted, slotted) {
                 for (part, of_row) in part.iter_mut().zip(members.chunks_exact(mixture)) {
-                    let at = if C::DECODES { 0 } else { slot((part, of_row)).unwrap_or(0) };
-                    *part = of_row[models.slot.code(coder, at as u32, mixture as u32)? as usize];
+                    let at = if C::DECODES { 0 } else { slot((part, of_row)).unwrap_or(0) as u32 };
+                    let at = if mixture > 1 { models.slot.code(coder, at, mixture as u32)? } else { 0 };
+                    *part = of_row[at as usize];
                 }
             } else {
                 memberships(coder, &mut models.part, part, 1, node.clusters[n])?;

@@ -194,7 +194,7 @@ def _as_fault(error: ValueError, name: str) -> Exception:
     reason, run, *_ = (*error.args, None)
     if reason == "part-range":
         return fault(
-            "cluster-range", name, "a part that its node does not have, or not the row's only cluster", "less than C"
+            "cluster-range", name, "a part that its node does not have", "less than C"
         )
     name = name if run is None else f"{name}.runs[{run}]"
     found, allowed = _TOLD.get(reason, (reason, "sound arrays"))

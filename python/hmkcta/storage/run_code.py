@@ -158,13 +158,10 @@ class _Walk:
                 node.parts[n] = np.zeros(place.rows[n], np.int64)
             if node.clusters[n] == 1:
                 continue
-            if mixture == 1:
-                node.parts[n][:] = members[:, 0]
-                continue
             found = members == node.parts[n][:, None]
             if self.coder.bit(("slots", n), int(found.any(1).all())):
                 for i, slots in enumerate(found):
-                    slot = code_label(self.coder, ("slot", n), mixture, int(slots.argmax()))
+                    slot = code_label(self.coder, ("slot", n), mixture, int(slots.argmax())) if mixture > 1 else 0
                     node.parts[n][i] = members[i, slot]
             else:
                 self._labels(("part", n), node.parts[n], node.clusters[n])

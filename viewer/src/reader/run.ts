@@ -198,7 +198,7 @@ export class RunReader {
     if (count > 1) {
       const [k, entries, part] = [mixture[n]!, level.cluster[n]!, level.part[n]!];
       const from = level.clusterOffset[n]![s]!;
-      if (k > 1 && coder.bit(mode.slots) === 0) {
+      if (coder.bit(mode.slots) === 0) {
         this.labels(n, first, rows[n]!, count, mode.samePart, mode.partLabel);
       } else {
         for (let row = 0; row < rows[n]!; row += 1) {
