@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import fields
 from itertools import accumulate
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -162,12 +162,19 @@ def _level(out: dict[str, Any], places: Places, stage: Stage, *, last: bool) -> 
     )
 
 
+def arrays_of(level: PackedLevel, name: str) -> list[NDArray[Any] | None]:
+    """The arrays of a field, one for each mode where it has some for each; none of a field that holds no array."""
+    value: Any = getattr(level, name)
+    if isinstance(value, tuple):
+        return list(cast("tuple[NDArray[Any] | None, ...]", value))
+    return [cast("NDArray[Any]", value)] if isinstance(value, np.ndarray) else [None]
+
+
 def _read_only(level: PackedLevel) -> PackedLevel:
     """The same, safe from being changed: models share arrays."""
     for field in fields(level):
-        value = getattr(level, field.name)
-        for array in value if isinstance(value, tuple) else (value,):
-            if isinstance(array, np.ndarray):
+        for array in arrays_of(level, field.name):
+            if array is not None:
                 array.flags.writeable = False
     return level
 

@@ -9,8 +9,8 @@ from contextlib import contextmanager
 import numpy as np
 
 from ..errors import HmkctaError, Kind, invalid
-from ..packed import Metadata, PackedLevel, bounds_of
-from .coding import encode_stage, following, root_places
+from ..packed import U32, Metadata, PackedLevel, bounds_of
+from .coding import arrays_of, encode_stage, following, root_places
 from .container import closed, prefix_of
 from .limits import DEFAULT_LIMITS, Limits
 from .metadata import coords_array, is_section, to_json
@@ -24,6 +24,11 @@ from .text import format_json
 _TYPES = {"shape": np.uint32, "child": np.uint32, "row_offset": np.uint32, "core": np.float16, "core_offset": np.uint32,
           "core_scale": np.float32, "cell_offset": np.uint32, "cluster": np.uint16, "cluster_offset": np.uint32,
           "basis": np.float16, "basis_offset": np.uint32, "part": np.uint16, "local": np.uint32, "column": np.uint8}
+
+
+#: Those of each mode, and those that the last stage does not have.
+_OF_MODES = ("row_offset", "cluster", "cluster_offset", "basis", "basis_offset", "part", "local", "column")
+_NOT_AT_LAST = ("child", "part", "local")
 
 
 def encode(metadata: Metadata, levels: Sequence[PackedLevel]) -> list[bytes]:
@@ -106,22 +111,22 @@ def _check_arrays(level: PackedLevel, name: str, *, last: bool) -> None:
     if level.shape.ndim != 3 or level.shape.shape[1] != 3:
         raise fault("array-shape", f"{name}.shape", list(level.shape.shape), "[nodes, 3, modes]")
     for field, dtype in _TYPES.items():
-        value = getattr(level, field)
-        absent = (last and field in ("child", "part", "local")) or (field == "column" and level.step is None)
-        each = value if isinstance(value, tuple) else (value,)
-        if isinstance(value, tuple) and len(value) != (0 if field == "column" and absent else level.order):
-            raise fault("array-shape", f"{name}.{field}", f"{len(value)} modes", level.order)
-        for array in each:
+        absent = (last and field in _NOT_AT_LAST) or (field == "column" and level.step is None)
+        arrays = arrays_of(level, field)
+        modes = (0 if field == "column" and absent else level.order) if field in _OF_MODES else 1
+        if len(arrays) != modes:
+            raise fault("array-shape", f"{name}.{field}", f"{len(arrays)} modes", modes)
+        for array in arrays:
             if (array is None) != absent:
                 raise fault("array-shape", f"{name}.{field}", "no array" if array is None else "an array",
                             "none" if absent else "an array")
-            if array is not None and field != "shape" and array.ndim != 1:
+            if array is not None and array.ndim != (3 if field == "shape" else 1):
                 raise fault("array-shape", f"{name}.{field}", f"{array.ndim} dimensions", 1)
             if array is not None and array.dtype != dtype:
                 raise fault("array-dtype", f"{name}.{field}", array.dtype, np.dtype(dtype))
 
 
-def _check_rows(level: PackedLevel, rows: np.ndarray, name: str) -> None:
+def _check_rows(level: PackedLevel, rows: U32, name: str) -> None:
     """A stage's nodes must own the rows that the stage before gives them."""
     for n, offsets in enumerate(level.row_offset):
         if not np.array_equal(np.diff(offsets.astype(np.int64)), rows[:, n].astype(np.int64)):
@@ -132,9 +137,8 @@ def _check_read(read: Sequence[PackedLevel], levels: Sequence[PackedLevel]) -> N
     """What a file leaves out must be in the arrays as a reader makes it: a model with other arrays would be another."""
     for t, (one, other) in enumerate(zip(read, levels, strict=True)):
         for field in ("shape", "child", "row_offset", "cluster", "part", "local", "core_offset", "basis_offset"):
-            own, given = getattr(one, field), getattr(other, field)
-            pairs = zip(own, given, strict=True) if isinstance(own, tuple) else [(own, given)]
-            if any(a is not None and not np.array_equal(a, b) for a, b in pairs):
+            pairs = zip(arrays_of(one, field), arrays_of(other, field), strict=True)
+            if any(a is not None and b is not None and not np.array_equal(a, b) for a, b in pairs):
                 raise fault("array-shape", f"stages[{t}].{field}", "other numbers", "those that a reader finds")
 
 

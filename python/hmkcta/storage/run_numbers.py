@@ -100,7 +100,7 @@ def _base(node: Node, place: Place, flat: int, free: list[int]) -> int:
 
 def _code_core(coder: Coder, node: Node, place: Place, flat: int, free: list[int]) -> None:
     """A cell's core. Modes without a basis have an axis for each of their extents."""
-    sizes, modes = [], []
+    sizes, modes = list[int](), list[int]()
     for n, rank in enumerate(node.ranks):
         own = [rank] if n in free else list(place.extents[n])
         sizes += own
