@@ -114,7 +114,7 @@ def random_model(config: Configuration, seed: int = 0) -> Model:
             nodes = [child for node in nodes for child in node.children]
             levels.append(nodes)
     undecomposed = tuple(n for n, rank in enumerate(plan.levels[0].ranks) if rank is None)
-    packed = pack_levels(levels, undecomposed, [spec.bits for spec in plan.levels])
+    packed = pack_levels(levels, undecomposed)
     quality = tuple(LevelQuality(0.0, 1.0, 1.0) for _ in packed)
     metadata = Metadata("float32", axes, organisation, tuple(bounds_of(level, "most") for level in packed),
                         kind=config.kind, quality=quality, writer="random numbers")
