@@ -30,8 +30,8 @@ class Ragged:
         """The arrays as the native coder takes them."""
 
         def joined(pieces: list[Array], dtype: type) -> Array:
-            flat = [np.asarray(piece).reshape(-1) for piece in pieces]
-            return np.concatenate([np.zeros(0), *flat]).astype(dtype)
+            flat: list[Array] = [np.zeros(0), *(np.asarray(piece).reshape(-1) for piece in pieces)]
+            return np.asarray(np.concatenate(flat), np.dtype(dtype))
 
         def of_modes(pieces: list[list[Array]], dtype: type) -> list[Array]:
             return [joined([node[n] for node in pieces], dtype) for n in range(self.order)]
@@ -106,7 +106,7 @@ def _add_empty(stage: Ragged, rows: Array) -> None:
 
 def _add_cut(rng: np.random.Generator, stage: Ragged, rows: Array, extents: list[list[int]]) -> None:
     while True:
-        clusters, part = [], []
+        clusters, part = list[int](), list[Array]()
         for n, m in enumerate(rows):
             grid = [min(int(rng.choice([1, 1, 2, 3])), extent) for extent in extents[n]]
             if rng.random() < 0.3:
@@ -125,13 +125,13 @@ def _add_cut(rng: np.random.Generator, stage: Ragged, rows: Array, extents: list
 
 def grid_part(grid: list[int], extents: list[int]) -> Array:
     """The part of each row by the rule of a grid."""
-    along = []
+    along = list[Array]()
     for segments, extent in zip(grid, extents, strict=True):
         own = np.zeros(extent, int)
         for p in range(segments):
             own[extent * p // segments : extent * (p + 1) // segments] = p
         along.append(own)
-    return np.array([np.ravel_multi_index(index, grid) for index in product(*along)], int)
+    return np.array([np.ravel_multi_index(index, grid) for index in product(*(own.tolist() for own in along))], int)
 
 
 def _runs(rng: np.random.Generator, rows: int, count: int) -> Array:
@@ -156,7 +156,7 @@ def _add_cells(rng: np.random.Generator, stage: Ragged, rows: Array, *, parted: 
         if free[n]:
             there = np.isin(np.arange(clusters[n]), cluster[n])
             filled &= there.reshape([-1 if m == n else 1 for m in range(order)])
-    column, basis = [], []
+    column, basis = list[Array](), list[Array]()
     for n in range(order):
         others = cells // clusters[n]
         k = np.where(filled.reshape(-1, 1), np.clip(rng.normal(12, 4, (cells, ranks[n])), 0, 63).astype(int), 0)

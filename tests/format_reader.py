@@ -8,7 +8,7 @@ import struct
 import zlib
 from math import prod
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -104,12 +104,13 @@ class Reader:
         return payload
 
     def _coordinates(self, axis: dict[str, Any]) -> Any:
-        given = axis.get("coordinates")
+        given: Any = axis.get("coordinates")
         if not isinstance(given, dict):
             return given
-        count, letter = axis["size"] * max(1, given["width"]), {"F32": "f", "F64": "d"}[given["dtype"]]
+        width = int(cast("dict[str, Any]", given)["width"])
+        count, letter = axis["size"] * max(1, width), {"F32": "f", "F64": "d"}[given["dtype"]]
         numbers = struct.unpack(f"<{count}{letter}", self._section(struct.calcsize(f"<{count}{letter}")))
-        return np.array(numbers).reshape([axis["size"], given["width"]][: 2 if given["width"] else 1]).tolist()
+        return np.array(numbers).reshape([axis["size"], width][: 2 if width else 1]).tolist()
 
     def _stages(self) -> list[list[Any]]:
         places: list[Any] = [self.modes]

@@ -10,7 +10,7 @@ import struct
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 TESTS = Path(__file__).parent
 CORPUS = TESTS / "corpus" / "cases.json"
@@ -62,7 +62,11 @@ def _lengths(header: dict[str, Any]) -> list[int]:
     lengths: list[int] = []
     for axis in header["axes"]:
         if isinstance(given := axis.get("coordinates"), dict):
-            lengths.append(axis["size"] * max(1, given["width"]) * {"F32": 4, "F64": 8}[given["dtype"]])
+            lengths.append(
+                axis["size"]
+                * max(1, int(cast("dict[str, Any]", given)["width"]))
+                * {"F32": 4, "F64": 8}[given["dtype"]]
+            )
     for stage in header["stages"]:
         for _, coded, cells, core, *basis in stage["runs"]:
             lengths.append(coded + (4 * cells + 2 * (core + sum(basis)) if "bits" in stage else 0))

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 import hmkcta
 from hmk_corpus import Parts
@@ -69,8 +70,9 @@ def assert_equal(one: Any, two: Any, name: str) -> None:
         for a, b in zip(cast("tuple[Any, ...]", one), two, strict=True):
             assert_equal(a, b, name)
     elif isinstance(one, np.ndarray):
-        assert one.dtype == two.dtype, name
-        np.testing.assert_array_equal(one, two, name)
+        array = cast("NDArray[Any]", one)
+        assert array.dtype == two.dtype, name
+        np.testing.assert_array_equal(array, two, name)
     else:
         assert one == two, name
 

@@ -103,7 +103,8 @@ def stated(order: int, stage: dict[str, Any], following: dict[str, Array] | None
 
 def widened(order: int, nodes: list[Node]) -> tuple[Array, Array, list[Array]]:
     """Core, scales and bases as float16, by the text of the format."""
-    core, scale, basis = [np.zeros(0)], [np.zeros(0)], [[np.zeros(0)] for _ in range(order)]
+    core, scale = list[Array]([np.zeros(0)]), list[Array]([np.zeros(0)])
+    basis = [list[Array]([np.zeros(0)]) for _ in range(order)]
     for node in nodes:
         if node.kind != 1:
             continue

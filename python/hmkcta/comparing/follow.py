@@ -203,7 +203,6 @@ def _snr(task: Task, tree: Hierarchy, energy: float) -> float:
 
 def _packed(task: Task, tree: Hierarchy) -> tuple[PackedLevel, ...]:
     """The levels as the file has them."""
-    bits = [level.bits for level in task.plan.levels]
     return pack_levels(tree.levels, undecomposed_in(task.plan), task.source.unit)
 
 
