@@ -129,9 +129,9 @@ def apply_edit(data: bytes, edit: dict[str, Any]) -> bytes:
             head = _changed(head, change["path"], change)
         parts = Parts(parts.with_header(head).text, [new, *parts.sections[1:]])
     elif op == "section":
-        own = parts.sections[edit["number"]]
-        at = edit["at"] % len(own) if "at" in edit else 0
-        parts.sections[edit["number"]] = own[:at] + new + (own[at + len(new) :] if "at" in edit else b"")
+        own: bytes = parts.sections[int(edit["number"])]
+        at = int(edit["at"]) % len(own) if "at" in edit else 0
+        parts.sections[int(edit["number"])] = own[:at] + new + (own[at + len(new) :] if "at" in edit else b"")
     else:
         parts = parts.with_header(_changed(parts.header, edit["path"], edit))
     return parts.join()
