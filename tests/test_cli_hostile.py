@@ -117,14 +117,14 @@ def test_a_file_that_is_no_hmk_file_is_recognised(content: bytes, part: str, tmp
 
 
 def test_safetensors_of_somebody_else_are_no_hmk_file(tmp_path: Path) -> None:
-    """They begin as an `.hmk` file does, so the header tells."""
+    """What they begin like is told."""
     header = b'{"weight":{"dtype":"F32","shape":[3],"data_offsets":[0,12]}}'
     (tmp_path / "other.safetensors").write_bytes(len(header).to_bytes(8, "little") + header + bytes(12))
     with pytest.raises(hmkcta.HmkctaError) as caught:
         hmkcta.open(tmp_path / "other.safetensors")
-    assert (caught.value.kind.label, caught.value.reason) == ("Compatibility", "not-hmk")
-    assert "found safetensors without hmkcta, allowed an .hmk file" in refused("info", tmp_path / "other.safetensors",
-                                                                               code=3)
+    assert (caught.value.kind.label, caught.value.reason) == ("Io", "foreign-file")
+    assert "found what begins like safetensors, allowed an .hmk file" in refused("info", tmp_path / "other.safetensors",
+                                                                                 code=3)
 
 
 @pytest.mark.parametrize("content", [bytes(range(200, 230)) * 3, b"plain text of somebody" * 3])

@@ -17,12 +17,12 @@ PACKAGE = ROOT / "python" / "hmkcta"
 
 #: Modules and subpackages from the lowest layer up; an import goes to a lower layer, or stays in its subpackage.
 LAYERS = (
-    ("arrays", "bitstream"),
+    ("arrays", "bitstream", "storage"),
     ("_version", "errors", "metrics", "narrow", "rice", "_native"),
     ("core_parameters", "loopback", "parameters", "support"),
     ("axes", "goals", "grids", "packing", "transform", "indexing"),
     ("neighbours", "plan", "packed"),
-    ("conventions", "plan_checks"),
+    ("conventions", "plan_checks", "planned"),
     ("labels",),
     ("cells", "hmkfile", "_example"),
     ("backends",),

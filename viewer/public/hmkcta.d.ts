@@ -48,7 +48,7 @@ export interface OnGpu {
   readonly layout: GPUBindGroupLayout;
   /** Bytes on the GPU. */
   readonly bytes: number;
-  /** What to bind as group 0 for so many levels: without a number, for all that have arrived. */
+  /** What to bind as group 0 for so many levels: without a number, for all that had arrived when this was made. */
   group(levels?: number): GPUBindGroup;
   destroy(): void;
 }
@@ -83,6 +83,7 @@ export interface Limits {
   mixture: number;
   rank: number;
   level_cost: number;
+  widened: number;
   json_bytes: number;
   json_depth: number;
   json_string: number;

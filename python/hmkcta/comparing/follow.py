@@ -31,8 +31,8 @@ from ..measure import measure_both
 from ..measure_streamed import measure_streamed
 from ..metrics import noise_at, snr_db
 from ..model import Model
-from ..pack import bounds, pack_levels
-from ..packed import LevelQuality, Metadata, PackedLevel
+from ..pack import pack_levels
+from ..packed import LevelQuality, Metadata, PackedLevel, bounds_of
 from ..plan import AUTO, SCHEMES, LevelSpec, Plan
 from ..plan_checks import check_plan
 from ..ranks.adaptive import Goal, fit_to_goal
@@ -203,8 +203,7 @@ def _snr(task: Task, tree: Hierarchy, energy: float) -> float:
 
 def _packed(task: Task, tree: Hierarchy) -> tuple[PackedLevel, ...]:
     """The levels as the file has them."""
-    bits = [level.bits for level in task.plan.levels]
-    return pack_levels(tree.levels, undecomposed_in(task.plan), bits, task.source.unit)
+    return pack_levels(tree.levels, undecomposed_in(task.plan), task.source.unit)
 
 
 def _metadata(
@@ -215,7 +214,7 @@ def _metadata(
     transformed: Sequence[LevelQuality] | None = None,
 ) -> Metadata:
     schemes = [tree.schemes[number] if number < len(tree.schemes) else "most" for number in range(len(levels))]
-    tops = [bounds(level, scheme) for level, scheme in zip(levels, schemes, strict=True)]
+    tops = [bounds_of(level, scheme) for level, scheme in zip(levels, schemes, strict=True)]
     metadata = metadata_of(task.source, task.plan, tops, task.kind, task.run.seed, quality, transformed)
     if task.run.device != "cpu":  # which rounds in its own way
         metadata = replace(metadata, writer=f"{metadata.writer}, {task.run.device}")

@@ -28,7 +28,7 @@ export async function open(
 ): Promise<Model> {
   let model: Model | null = null;
   const reading = await load(await byteSource(source), {
-    onTables: () => undefined,
+    onStart: () => undefined,
     onLevel: (read, level) => {
       model ??= new Model(read);
       model.arrived = level;
