@@ -216,7 +216,13 @@ export class RunReader {
     for (let n = 0; n < this.order; n += 1) {
       const mode = this.modes[n]!;
       const isGrid = coder.bit(mode.rule) === 0;
-      const counts = (isGrid ? extents[n]! : [0]).map(() => 1 + coder.whole(mode.grid));
+      const counts = (isGrid ? extents[n]! : [rows[n]!]).map((extent) => {
+        const parts = 1 + coder.whole(mode.grid);
+        if (isGrid && parts > extent) {
+          throw fault("node-shape", this.where, `${parts} parts of ${extent} rows in mode ${n}`, "no more parts than rows");
+        }
+        return parts;
+      });
       const most = arrays.stage.clusters[n]!;
       const count = counts.reduce((all, each) => Math.min(all * each, 2 * most + 1), 1);
       this.bounded("C", n, count, most);
