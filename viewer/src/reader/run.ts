@@ -2,7 +2,7 @@
 
 import { Coder, LABEL, WHOLE } from "./coder";
 import { CELLS, CUT, Contexts, EMPTY, MEMBER_CLASSES, type ModeContexts, RANK_CLASSES } from "./contexts";
-import type { Limits } from "./limits";
+import { type Limits, checkLimit } from "./limits";
 import { Numbers } from "./numbers";
 import { fault } from "./reasons";
 import type { Arrays } from "./stage";
@@ -101,6 +101,7 @@ export class RunReader {
       this.modeShape(n, shape);
     }
     const { clusters, mixture, ranks } = shape;
+    checkLimit("level-cost-limit", this.where, product(ranks.map((rank, n) => (mixture[n] === 0 ? 1 : mixture[n]! * rank))), this.limits.level_cost);
     [clusters, mixture, ranks].forEach((values, which) => this.setShape(s, which, values));
     const cells = product(clusters);
     const entries = rows.map((count, n) => count * mixture[n]!);
@@ -141,9 +142,7 @@ export class RunReader {
       }
       r = 1 + coder.whole(mode.rank + this.rank[n]! * WHOLE);
       this.rank[n] = Math.min(32 - Math.clz32(r), RANK_CLASSES - 1);
-      if (r > this.limits.rank) {
-        throw fault("rank-limit", this.where, r, `at most ${this.limits.rank}`);
-      }
+      checkLimit("rank-limit", this.where, r, this.limits.rank);
     }
     this.bounded("R", n, r, stage.ranks[n]!);
     clusters.push(c);

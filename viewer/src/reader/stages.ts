@@ -102,7 +102,7 @@ function parseRun(value: Json, where: string, order: number): Run {
   return { nodes: nodes!, bytes: bytes!, cells: cells!, core: core!, basis };
 }
 
-/** Limits of a stage; its nodes are held against these bounds later. */
+/** Limits of a stage; its nodes are held against these bounds later, and what holds in decomposed modes alone is checked then. */
 function checkBounds(stage: Stage, where: string, sizes: number[], limits: Limits): void {
   const path = `${where}.largest`;
   if (stage.step !== null && stage.isHalf) {
@@ -116,12 +116,6 @@ function checkBounds(stage: Stage, where: string, sizes: number[], limits: Limit
     checkLimit("mixture-limit", path, stage.mixture[n]!, limits.mixture);
     checkLimit("rank-limit", path, stage.ranks[n]!, stage.mixture[n] === 0 ? size : Math.max(size, limits.rank));
   });
-  checkLimit("level-cost-limit", path, levelCost(stage), limits.level_cost);
-}
-
-/** Multiply-adds of one element at a stage, in a node of the largest K and R. */
-export function levelCost({ mixture, ranks }: LevelBounds): number {
-  return mixture.reduce((all, k, n) => (k === 0 ? all : all * k * ranks[n]!), 1);
 }
 
 /** What the runs hold together must be what the stage does, and few enough to be counted. */
