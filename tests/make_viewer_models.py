@@ -22,7 +22,7 @@ from hmkcta.core_parameters import core_parameters
 from hmkcta.narrow import BASIS_NUMBERS, CORE_NUMBERS, U8, narrowed, widened
 from hmkcta.packed import F16, U32, PackedLevel
 from hmkcta.parameters import BELOW_ONE, bytes_of, from_whole, most_of_core, of_columns, whole
-from hmkcta.render import Camera, Compare, Light, Look, Renderer, Scene, Surface, Viewpoint
+from hmkcta.render import Camera, Compare, Light, Look, Renderer, Scene, Surface, Tone, Viewpoint
 from hmkcta.render.layout import value_range
 
 SIZE = 64
@@ -60,6 +60,7 @@ def main(folder: Path) -> None:
         entries.append({"name": case.name, "file": f"{case.file}.hmk", "controls": case.controls, "drag": case.drag,
                         "mesh": case.mesh})
     document = {"size": SIZE, "pictures": entries, "slices": _slices(models["stack"][0]),
+                "means": {name: float(models[name][1].mean()) for name in ("photographs", "photograph")},
                 "constant": Renderer(models["constant"][0]).picture(Scene(8, 8))[4, 4].tolist()}
     (folder / "pictures.json").write_text(json.dumps(document), encoding="utf-8")
 
@@ -106,6 +107,11 @@ def light_field() -> tuple[Model, Any]:
 def volume() -> tuple[Model, Any]:
     """A volume over time."""
     return _compressed(synthetic.volume(size=12, frames=3), "R=2,5,5,5 / R=2,2,2,2 C=1,2,2,2 K=1,2,2,2")
+
+
+def deep() -> tuple[Model, Any]:
+    """A volume of more elements than are decoded at first in one frame."""
+    return _compressed(synthetic.volume(size=16, frames=2), "R=2,5,5,5 / R=2,2,2,2 C=1,2,2,2 K=1,2,2,2")
 
 
 def volume_in_bytes() -> tuple[Model, Any]:
@@ -216,6 +222,34 @@ def constant() -> tuple[Model, Any]:
     return compress(array, "R=1", axes=[Axis("a", 8), Axis("b", 8)]), array
 
 
+def photographs() -> tuple[Model, Any]:
+    """Four cameras of 8-bit colours, of which the brightest is far from white."""
+    y, x = np.meshgrid(np.linspace(0, 5, 32), np.linspace(0, 4, 32), indexing="ij")
+    views = [[95 + 70 * np.sin(x + u) * np.cos(y + v) for v in (0.0, 0.2)] for u in (0.0, 0.2)]
+    array = np.stack([np.array(views) * share for share in (1, 0.8, 1.05)], axis=-1).astype(np.uint8)
+    axes = [Axis("row", 2, "view"), Axis("column", 2, "view"), *_picture(32)]
+    return compress(array, "R=1,1,2,2,1 / R=2,2,6,6,2 C=1,1,2,2,1 K=1", axes=axes, kind="lightfield"), array
+
+
+def photograph() -> tuple[Model, Any]:
+    """One of them, of which nothing is known but the axes."""
+    array = photographs()[1][0, 0]
+    return compress(array, "R=2,2,1 / R=6,6,2 C=2,2,1 K=1", axes=_picture(32)), array
+
+
+def painted() -> tuple[Model, Any]:
+    """The material as 8-bit photographs, which are sRGB-coded."""
+    data = synthetic.material(9, 9, 16)
+    light = np.clip(data.values / np.percentile(data.values, 99.5), 0, 1)
+    coded = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    array = np.rint(255 * coded).astype(np.uint8)
+    return compress(array, LEVELS, axes=data.axes, kind=data.kind, organisation="light+rgb, view, y, x"), array
+
+
+def _picture(size: int) -> list[Axis]:
+    return [Axis("y", size, "space"), Axis("x", size, "space"), Axis("rgb", 3, "channel")]
+
+
 def renamed() -> tuple[Model, Any]:
     """The material as a file whose axes say neither what they are called nor what they are for."""
     model, values = material()
@@ -226,9 +260,9 @@ def renamed() -> tuple[Model, Any]:
 
 
 MAKERS = {"material": material, "ageing": ageing, "merged": merged, "grids": grids,
-          "lightfield": light_field, "volume": volume, "bytes": volume_in_bytes, "packed": volume_packed,
+          "lightfield": light_field, "volume": volume, "deep": deep, "bytes": volume_in_bytes, "packed": volume_packed,
           "stack": stack, "bare": bare, "series": series, "renamed": renamed, "wide": wide,
-          "constant": constant}
+          "constant": constant, "photographs": photographs, "photograph": photograph, "painted": painted}
 
 
 def patch(path: Path) -> None:
@@ -258,6 +292,15 @@ def _cases() -> list[Case]:
         Case("material-time", "ageing", Scene(time=1), {"Frame": "1"}),
         Case("merged", "merged", Scene()),
         Case("merged-cloth", "merged", Scene(surface=Surface("cloth")), {"Shape": "cloth"}),
+        Case("painted", "painted", Scene()),
+        Case("painted-as-light", "painted", Scene(surface=Surface(coded=False)), {"Values are sRGB-coded": "false"}),
+        Case("photographs", "photographs", Scene()),
+        Case("photographs-white", "photographs", Scene(tone=Tone(white=120)), {"White, as a number": "120"}),
+        Case("photographs-error", "photographs", Scene(level=1, compare=Compare("heat", 2, gain=64.0)),
+             {"Show": "heat", "With": "2", "Amplify": "6", **low}),
+        Case("photograph", "photograph", Scene(kind="generic")),
+        Case("photograph-error", "photograph", Scene(kind="generic", level=1, compare=Compare("heat", 2, gain=16.0)),
+             {"Show": "heat", "With": "2", "Amplify": "4", **low}),
         Case("grids", "grids", Scene()),
         Case("grids-plane", "grids", Scene(surface=Surface("plane")), {"Shape": "plane"}),
         Case("lightfield", "lightfield", Scene(viewpoint=Viewpoint(0.5, 1.25)), {"Row": "0.5", "Column": "1.25"}),

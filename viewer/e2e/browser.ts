@@ -75,7 +75,7 @@ export class Server {
 
 /** What opens files of a folder in one browser, each with a server of its own until the test ends. */
 export function opening(
-  folder: string, size: number, opened: (page: Page) => void,
+  folder: string, size: number, opened: (page: Page) => void | Promise<void>,
 ): (file: string, query?: string, ...options: string[]) => Promise<void> {
   let browser: Browser;
   let page: Page | null = null;
@@ -96,7 +96,7 @@ export function opening(
   return async (file, query = `&pixels=${size}x${size}`, ...options) => {
     server = await Server.start(join(folder, file), ...options);
     page = await browser.newPage({ viewport: { width: 900, height: 640 } });
-    opened(page);
+    await opened(page);
     await page.goto(server.url + query);
   };
 }
@@ -124,7 +124,7 @@ export async function pixels(page: Page, size: number): Promise<Uint8Array> {
   await page.evaluate((side) => {
     const canvas = document.querySelector("canvas")!;
     Object.assign(canvas.style, { position: "fixed", left: "0", top: "0", width: `${side}px`, height: `${side}px`, zIndex: "9" });
-    document.querySelectorAll<HTMLElement>("#divider, #statistics, #readout, #toggle").forEach((element) => {
+    document.querySelectorAll<HTMLElement>("#divider, #statistics, #readout, #toggle, #error-bar, #decoding").forEach((element) => {
       element.style.visibility = "hidden";
     });
   }, size);
@@ -142,7 +142,17 @@ export function control(page: Page, label: string): Locator {
 export async function setControls(page: Page, values: Record<string, string>): Promise<void> {
   for (const [label, value] of Object.entries(values)) {
     const found = control(page, label);
-    await (await found.evaluate((element) => element.tagName) === "SELECT" ? found.selectOption(value) : found.fill(value));
+    switch (await found.evaluate((element) => (element.tagName === "SELECT" ? "select" : element.getAttribute("type")))) {
+      case "select":
+        await found.selectOption(value);
+        break;
+      case "checkbox":
+        await found.setChecked(value === "true");
+        break;
+      default:
+        await found.fill(value);
+        await found.blur();
+    }
   }
 }
 

@@ -11,15 +11,11 @@ import { resetView } from "./places";
 import { Problem, asProblem } from "./problem";
 import { type FileKind, type Metadata, upto } from "./reader/metadata";
 import type { Reading } from "./reader/read";
-import { LightfieldRenderer } from "./render/lightfield";
-import { layOut } from "./render/layout";
+import { makeRenderer } from "./render/kinds";
 import type { MeshMaker } from "./render/mesh";
 import type { Progress, Renderer, Side } from "./render/renderer";
-import type { Screen, Tone } from "./render/screen";
-import { SliceRenderer } from "./render/slices";
+import { type Screen, toneOf } from "./render/screen";
 import { SvbrdfRenderer } from "./render/svbrdf";
-import { VolumeRenderer } from "./render/volume";
-import { span } from "./render/window";
 import type { State } from "./state";
 import { type Action, type Drawn, type Shown, firstShown, reduced } from "./store";
 
@@ -174,16 +170,6 @@ export class App {
     this.dispatch({ type: "original" });
   }
 
-  /** What the file can be shown as: its kind, if its axes make it, and slices. */
-  kinds(): FileKind[] {
-    const { kind, axes } = this.metadata;
-    try {
-      return kind === "generic" ? ["generic"] : (layOut(axes, kind), [kind, "generic"]);
-    } catch {
-      return ["generic"];
-    }
-  }
-
   /** Change the renderer; what the axes do not make is shown as slices, with the reason. */
   async showAs(kind: FileKind): Promise<void> {
     const choice = ++this.choices;
@@ -194,7 +180,7 @@ export class App {
   /** Have another renderer, of the model and the original that there is by now. */
   private async use(kind: FileKind, choice: number, notes: string[] = []): Promise<void> {
     const decoders = [this.newest, ...(this.originalDecoder === null ? [] : [this.originalDecoder])];
-    const renderer = await this.made(kind, decoders);
+    const renderer = await makeRenderer(this.gpu.device, kind, this.metadata, decoders, [this.state, ...this.pace.size(true)]);
     await Promise.allSettled(this.saves.map(({ done }) => done.promise)); // which are drawn by the one that there is
     if (this.closed || choice !== this.choices) { // another choice came before this one was ready
       renderer.destroy();
@@ -218,16 +204,6 @@ export class App {
       this.dispatch({ type: "show-as", kind });
     }
     this.redraw();
-  }
-
-  private made(kind: FileKind, decoders: Decoder[]): Promise<Renderer> {
-    const { device } = this.gpu;
-    switch (kind) {
-      case "svbrdf": return SvbrdfRenderer.make(device, this.metadata, decoders, [this.state, ...this.pace.size(true)]);
-      case "lightfield": return LightfieldRenderer.make(device, this.metadata, decoders);
-      case "volume": return VolumeRenderer.make(device, this.metadata, decoders);
-      default: return SliceRenderer.make(device, decoders);
-    }
   }
 
   /** Say what went wrong, unless another file is shown by now. */
@@ -311,7 +287,11 @@ export class App {
 
   /** Draw one frame. What cannot be drawn is not shown: what was drawn last is shown again, once; else nothing, until something changes. */
   private async frame(): Promise<void> {
-    const long = setTimeout(() => current(this.shown, this.shown.drawn) || this.dispatch({ type: "share", share: 0 }), LONG);
+    const long = setTimeout(() => {
+      if (this.shown.share === 1 && !current(this.shown)) {
+        this.dispatch({ type: "share", share: 0 });
+      }
+    }, LONG);
     try {
       this.send({ type: "drawn", ...await this.drawFrame() });
     } catch (error) {
@@ -397,7 +377,7 @@ export class App {
     if (!whole && (drawn?.whole === true || state.compare.mode !== "none")) {
       return null;
     }
-    this.screen.present(state, tone(this.shown));
+    this.screen.present(state, toneOf(this.shown));
     return { kind, state, whole };
   }
 
@@ -415,7 +395,7 @@ export class App {
         };
         await guarded(device, "drawing the picture to save", drawing);
       }
-      done.resolve(await guarded(device, "saving the picture", () => this.screen.read(state, tone(shown))));
+      done.resolve(await guarded(device, "saving the picture", () => this.screen.read(state, toneOf(shown))));
     } catch (error) {
       done.reject(error);
     }
@@ -444,12 +424,4 @@ function decoderOf(device: GPUDevice, metadata: Metadata, { stages, arrived }: R
     made.addLevel();
   }
   return made;
-}
-
-/** How radiance is shown; errors by what their colours span. */
-function tone(shown: Shown): Tone {
-  const { kind, state } = shown;
-  const light = kind === "svbrdf" || kind === "lightfield";
-  const white = state.compare.mode === "heat" ? span(shown) : light ? state.tone.white : 1;
-  return { white, srgb: kind === "svbrdf", premultiplied: kind === "volume" };
 }

@@ -1,6 +1,6 @@
 /** Every figure and word that the page says of what it shows, as functions of its state. */
 
-import type { Drawn, Shown } from "./store";
+import type { Shown } from "./store";
 import { span } from "./render/window";
 
 export function decibels(snr: number): string {
@@ -40,8 +40,8 @@ export function pictureName({ name, metadata: { levels }, state: { level, compar
   return `${parts.join("-")}.png`;
 }
 
-/** Whether a picture is what is chosen, and nothing of it is missing. */
-export function current({ kind, state }: Shown, drawn: Drawn | null): boolean {
+/** Whether the picture is what is chosen, and nothing of it is missing. */
+export function current({ kind, state, drawn }: Shown): boolean {
   return drawn !== null && drawn.whole && drawn.kind === kind && drawn.state === state;
 }
 

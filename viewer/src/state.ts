@@ -27,14 +27,14 @@ export const VOLUME_MODES: VolumeMode[] = ["emission", "shaded", "iso", "maximum
 export interface State {
   level: number;
   compare: { mode: CompareMode; level: number | null; position: number; gain: number }; // level null: the original
-  own: { gain: boolean; white: boolean; slice: boolean; volume: boolean }; // which of them, and windows, are the file's own
+  own: { gain: boolean; white: boolean; coded: boolean; slice: boolean; volume: boolean }; // what of them, and of windows, is the file's own
   time: number;
   position: number[]; // index of every source axis that nothing else moves along
   tone: { stops: number; curve: Curve; white: number };
   camera: Camera;
   lights: Light[];
   light: number; // which of them pointer, keys and panel change
-  surface: { shape: Shape | "mesh"; repeat: number; yUp: boolean; cosine: boolean };
+  surface: { shape: Shape | "mesh"; repeat: number; yUp: boolean; cosine: boolean; coded: boolean };
   view: { row: number; column: number; focus: number; aperture: number };
   zoom: number;
   pan: [number, number]; // in pixels of the picture, of slices and light fields
@@ -54,14 +54,14 @@ export function newState(axes: number): State {
   return {
     level: 1,
     compare: { mode: "none", level: null, position: 0.5, gain: 1 },
-    own: { gain: true, white: true, slice: true, volume: true },
+    own: { gain: true, white: true, coded: true, slice: true, volume: true },
     time: 0,
     position: new Array<number>(axes).fill(0),
     tone: { stops: 0, curve: "linear", white: 1 },
     camera: { azimuth: 20, elevation: 20, distance: 3.4, fov: 38, target: [0, 0, 0] },
     lights: [newLight()],
     light: 0,
-    surface: { shape: "sphere", repeat: 1, yUp: false, cosine: true },
+    surface: { shape: "sphere", repeat: 1, yUp: false, cosine: true, coded: false },
     view: { row: 0, column: 0, focus: 0, aperture: 0 },
     zoom: 1,
     pan: [0, 0],

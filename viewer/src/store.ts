@@ -5,6 +5,7 @@ import { carryPlaces, framesOf, resetView, startPlaces } from "./places";
 import type { FileKind, Metadata } from "./reader/metadata";
 import { findCameras } from "./render/lightfield";
 import { layOut } from "./render/layout";
+import { isCoded } from "./render/white";
 import { ownGain, ownWhite, startWindow } from "./render/window";
 import { MOST_LIGHTS, MOST_STOPS, type State, newState } from "./state";
 
@@ -89,8 +90,10 @@ export function reduced(shown: Shown, action: Action): Shown {
       return { ...shown, share: action.share };
     case "saving":
       return { ...shown, saving: action.saving };
-    case "drawn":
-      return { ...shown, drawn: action.drawn, share: action.drawn.whole ? 1 : shown.share };
+    case "drawn": { // perhaps while something else was chosen
+      const { drawn } = action;
+      return { ...shown, drawn, share: drawn.whole && drawn.state === shown.state && drawn.kind === shown.kind ? 1 : shown.share };
+    }
   }
 }
 
@@ -105,7 +108,8 @@ function settled(shown: Shown, choose: (state: State) => void = () => undefined)
   bringInto(state, shown);
   takeOwn(state, { ...shown, state });
   const same = JSON.stringify(state) === JSON.stringify(shown.state);
-  return { ...shown, state: frozen(same ? shown.state : state), playing: shown.playing && framesOf(shown.metadata.axes, shown.kind, state) > 1 };
+  const share = same || shown.share === 1 ? shown.share : 0; // of another picture by now
+  return { ...shown, share, state: frozen(same ? shown.state : state), playing: shown.playing && framesOf(shown.metadata.axes, shown.kind, state) > 1 };
 }
 
 /** Hold all that is chosen to what there is. */
@@ -135,6 +139,7 @@ function bringInto(made: State, { metadata: { axes, levels }, arrived, kind, ori
 /** White, windows and the error's amplification, unless they were chosen. */
 function takeOwn(state: State, shown: Shown): void {
   const { own } = state;
+  state.surface.coded = own.coded ? isCoded(shown.metadata.sourceDtype) : state.surface.coded;
   if (shown.range !== null) {
     state.tone.white = own.white ? ownWhite(shown, shown.range) : state.tone.white;
     Object.assign(state.slice, own.slice ? startWindow(shown, shown.range, "slice") : {});

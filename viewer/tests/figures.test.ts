@@ -48,12 +48,15 @@ describe("figures", () => {
     expect(badge(reduced(half, { type: "share", share: 0.9999 }))).toBe("decoding 99 %");
     expect(badge(reduced(half, { type: "drawn", drawn: drawn(half, false) })), "half a picture is none").toBe("decoding 34 %");
     const whole = reduced(half, { type: "drawn", drawn: drawn(half) });
-    expect([badge(whole), current(whole, whole.drawn)]).toEqual([null, true]);
+    expect([badge(whole), current(whole)]).toEqual([null, true]);
     const next = reduced(whole, { type: "choose", choose: (state) => {
       state.level = 1;
     } });
-    expect(current(next, next.drawn)).toBe(false);
+    expect(current(next)).toBe(false);
     expect(badge(reduced(next, { type: "share", share: 0 }))).toBe("decoding 0 %, still level 3");
+    expect(badge(reduced(reduced(next, { type: "share", share: 0.5 }), { type: "choose", choose: (state) => {
+      state.level = 2;
+    } })), "nothing of another choice").toBe("decoding 0 %, still level 3");
     expect(badge(reduced(next, { type: "saving", saving: 0.5 }))).toBe("saving 50 %");
   });
 

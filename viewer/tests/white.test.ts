@@ -1,8 +1,8 @@
 /** What shows as white, by the type of the source. */
 
 import { expect, it } from "vitest";
-import { codedWhite, whiteOf } from "../src/render/white";
-import { LIGHTFIELD, VOLUME, axis } from "./made";
+import { codedWhite, isCoded, whiteOf } from "../src/render/white";
+import { LIGHTFIELD, VOLUME, axis, shown } from "./made";
 
 it.each([["bool", 1], ["uint8", 255], ["uint16", 65535], ["int8", null], ["int16", null], ["uint32", null], ["uint64", null], ["float16", null], ["float32", null]])(
   "of pictures of %s is %s", (dtype, white) => {
@@ -14,6 +14,6 @@ it.each([["bool", 1], ["uint8", 255], ["uint16", 65535], ["int8", null], ["int16
   });
 
 it("makes light of 8-bit materials", () => {
-  expect([codedWhite("uint8", "svbrdf"), codedWhite("uint16", "svbrdf"), codedWhite("float32", "svbrdf"), codedWhite("uint8", "lightfield")])
-    .toEqual([255, 0, 0, 0]);
+  expect(["uint8", "uint16", "float32"].map((dtype) => [isCoded(dtype), codedWhite(dtype)])).toEqual([[true, 255], [false, 65535], [false, 1]]);
+  expect(shown("svbrdf", [...LIGHTFIELD.slice(2), axis("light", 3, "light")], [], "uint8").state.surface.coded).toBe(true);
 });

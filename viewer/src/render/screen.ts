@@ -2,8 +2,10 @@
 
 import { Pass } from "../gpu/pass";
 import { BACKGROUND, CURVES, type State } from "../state";
+import type { Shown } from "../store";
 import { heatTable } from "./colours";
 import { filledBuffer } from "./renderer";
+import { span } from "./window";
 
 const MODES = ["none", "split", "heat"];
 const FLAG_SRGB = 1;
@@ -13,6 +15,14 @@ export interface Tone {
   white: number; // the value that shows as white; of errors their span
   srgb: boolean;
   premultiplied: boolean;
+}
+
+/** How a state's radiance is shown. */
+export function toneOf(shown: Shown): Tone {
+  const { kind, state } = shown;
+  const light = kind === "svbrdf" || kind === "lightfield";
+  const white = state.compare.mode === "heat" ? span(shown) : light ? state.tone.white : 1;
+  return { white, srgb: kind === "svbrdf", premultiplied: kind === "volume" };
 }
 
 export class Screen {

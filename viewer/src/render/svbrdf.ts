@@ -12,6 +12,7 @@ import type { MeshMaker } from "./mesh";
 import type { Progress, Renderer, Side } from "./renderer";
 import { type Directed, Shading } from "./shading";
 import { Surface } from "./surface";
+import { codedWhite } from "./white";
 import { type Rays, type Vector, cameraRays, direction, dot, scaled } from "./vector";
 
 const FLAG_Y_UP = 1;
@@ -20,7 +21,7 @@ const FLAG_COSINE = 2;
 export class SvbrdfRenderer implements Renderer {
   private constructor(
     private readonly directed: Directed, readonly notes: string[], private readonly surface: Surface,
-    private readonly directions: Directions, private readonly shadings: Map<Decoder, Shading>,
+    private readonly directions: Directions, private readonly shadings: Map<Decoder, Shading>, private readonly codedWhite: number,
   ) {}
 
   /** Compiles, and meanwhile makes what needs no compiler and draws what the first frame will see. */
@@ -39,7 +40,8 @@ export class SvbrdfRenderer implements Renderer {
     surface.prepareMesh(first[0]);
     const directions = Directions.make(device, metadata, layout, notes);
     const [, shadings] = await compiled;
-    return new SvbrdfRenderer(directed, notes, surface, directions, new Map(decoders.map((decoder, n) => [decoder, shadings[n]!])));
+    return new SvbrdfRenderer(directed, notes, surface, directions, new Map(decoders.map((decoder, n) => [decoder, shadings[n]!])),
+      codedWhite(metadata.sourceDtype)); // the model's: an original is sent as float16
   }
 
   async prepare(state: State, sides: Side[]): Promise<void> {
@@ -82,6 +84,7 @@ export class SvbrdfRenderer implements Renderer {
     const values: Values = {
       ...rays, ...this.directions.values, width: target.width, height: target.height, light_count: state.lights.length,
       rows: this.surface.rows, columns: this.surface.columns, y_axis: y, x_axis: x, set_numbers: stride,
+      coded_white: surface.coded ? this.codedWhite : 0,
       flags: (surface.yUp ? FLAG_Y_UP : 0) + (surface.cosine ? 0 : FLAG_COSINE) + flags,
       channel_axis: layout.channels.length === 3 ? layout.channel ?? NO_AXIS : NO_AXIS, channels: layout.channels,
       "stands[0]": stands.slice(0, 4), "stands[1]": stands.slice(4, 8),

@@ -12,7 +12,12 @@ export function whiteOf(sourceDtype: string, kind: FileKind, axes: readonly Axis
   return picture ? WHITE[sourceDtype] ?? null : null;
 }
 
-/** The white of a material whose values are sRGB-coded, which makes light of them; 0: they are light. */
-export function codedWhite(sourceDtype: string, kind: FileKind): number {
-  return kind === "svbrdf" && sourceDtype === "uint8" ? 255 : 0;
+/** The type whose values are coded by sRGB's curve: of more bits they are mostly light. */
+export function isCoded(sourceDtype: string): boolean {
+  return sourceDtype === "uint8";
+}
+
+/** The white by which sRGB-coded values of a material are decoded to light. */
+export function codedWhite(sourceDtype: string): number {
+  return WHITE[sourceDtype] ?? 1;
 }

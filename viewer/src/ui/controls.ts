@@ -156,8 +156,8 @@ export function colour(label: string, get: () => [number, number, number], set: 
 
 /** Buttons beside each other, whose labels may change. */
 export function buttons(...entries: { label: string | (() => string); act: () => void; enabled?: () => boolean }[]): Control {
-  const made = entries.map(({ act }) => {
-    const button = make("button", { type: "button" });
+  const made = entries.map(({ label, act }) => {
+    const button = make("button", { type: "button" }, typeof label === "string" ? label : label());
     button.addEventListener("click", act);
     return button;
   });

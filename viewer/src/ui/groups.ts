@@ -3,6 +3,7 @@
 import type { App } from "../app";
 import type { FileKind } from "../reader/metadata";
 import { COLOURS } from "../render/colours";
+import { kindsOf } from "../render/kinds";
 import { whiteOf } from "../render/white";
 import { windowBounds } from "../render/window";
 import { CURVES, MOST_STOPS, type State } from "../state";
@@ -133,7 +134,7 @@ export abstract class Groups {
   }
 
   protected view(): Control {
-    const kinds = this.app.kinds();
+    const kinds = kindsOf(this.app.metadata);
     return group("View", [
       only(() => kinds.length > 1, choice("Show as", kinds.map((kind) => [kind, KINDS[kind]] as const), () => this.app.kind,
         (kind) => void this.app.showAs(kind).catch((error) => this.app.fail(error)))),

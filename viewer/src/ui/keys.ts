@@ -5,11 +5,11 @@ export const KEYS: Record<string, string> = {
   "+ -": "nearer, farther",
   "[ ]": "level down, up",
   ", .": "previous, next frame",
-  Space: "play or stop time",
+  Space: "play or pause time",
   C: "compare: off, side by side, error",
   "E Shift+E": "exposure up, down",
   R: "reset the view",
-  S: "save the picture",
+  S: "save the picture, in full",
   Escape: "close the message beside the picture",
   "?": "this list",
 };

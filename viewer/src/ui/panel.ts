@@ -110,6 +110,10 @@ export class Panel extends Groups {
       check("Values lack the cosine", () => !surface().cosine, this.change((state, value) => {
         state.surface.cosine = !value;
       })),
+      check("Values are sRGB-coded", () => surface().coded, this.change((state, value) => {
+        state.own.coded = false;
+        state.surface.coded = value;
+      })),
     ]), this.lights(), this.time()];
   }
 

@@ -61,7 +61,7 @@ class TransferEditor implements Control {
       knob.style.top = `${height * (1 - drawn(opacity))}px`;
       knob.setAttribute("aria-label", `Point ${i + 1}: value ${Math.round(100 * share)} %, `
         + `opacity ${(100 * opacity).toFixed(1)} %. ` + (i > 0 && i < points.length - 1
-        ? "Arrow keys move it, Delete removes it." : "Up and down arrow keys move it."));
+        ? "Arrow keys move it, Delete removes it, Enter adds one." : "Up and down arrow keys move it, Enter adds one."));
     });
     const path = points.map(([share, opacity]) => `${WIDTH * share} ${HEIGHT * (1 - drawn(opacity))}`).join(" L ");
     this.curve.setAttribute("d", `M 0 ${HEIGHT} L ${path} L ${WIDTH} ${HEIGHT} Z`);
@@ -75,6 +75,15 @@ class TransferEditor implements Control {
     const at = Math.max(1, after < 0 ? points.length - 1 : after);
     this.change([...points.slice(0, at), point, ...points.slice(at)]);
     return at;
+  }
+
+  /** Add a point halfway to the next one, of the last one to the one before, and go on with it. */
+  private addBeside(i: number): void {
+    const points = this.get();
+    if (points.length < MOST_POINTS) {
+      const [one, other] = [points[i]!, points[i + 1] ?? points[i - 1]!];
+      this.knobs[this.add([(one[0] + other[0]) / 2, (one[1] + other[1]) / 2])]?.focus();
+    }
   }
 
   private change(points: Point[]): void {
@@ -121,6 +130,10 @@ class TransferEditor implements Control {
         const [share, opacity] = this.get()[i]!;
         this.move(i, share + step[0], Math.max(0, drawn(opacity) + step[1]) ** 2);
         event.preventDefault();
+      }
+      if (event.key === "Enter" || event.key === "Insert") {
+        event.preventDefault();
+        this.addBeside(i);
       }
       if (event.key === "Delete" || event.key === "Backspace") {
         this.remove(i);
