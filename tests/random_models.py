@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmkcta.axes import Axis, Organisation, name_axes, separate
-from hmkcta.narrow import BASIS_NUMBERS, CORE_NUMBERS, U8, widened
 from hmkcta.packed import F16, U16, U32, LevelQuality, Metadata, PackedLevel, bounds_of
 
 Sizes = tuple[int, ...]
@@ -53,15 +52,14 @@ class Node:
 
 def random_model(rng: np.random.Generator, sizes: Sequence[int], levels: int = 2, undecomposed: Sequence[int] = (), *,
                  shapes: Shapes = Shapes(), axes: tuple[Axis, ...] | None = None,
-                 organisation: Organisation | None = None, eight_from: int | None = None, packed_share: float = 0.0,
+                 organisation: Organisation | None = None, coded: float = 0.0,
                  cuts: Sequence[int] = ()) -> tuple[Metadata, tuple[PackedLevel, ...]]:
     """A random model of a tensor with these mode sizes; every choice that is open is drawn from `rng`.
 
     The quality in the metadata is made up. With `axes` and `organisation` modes can be merged axes, of these sizes.
     Of `levels` stages, those numbered in `cuts` (from 1) have no numbers, but cut their nodes; `undecomposed` modes are
     so in all nodes.
-    Core and basis numbers of the stages from `eight_from` on are stored in eight bits, but that share of these stages
-    is packed, as far as they have decomposed modes.
+    `coded`: which share of the stages with numbers has whole ones of a step, the others float16.
     """
     axes = axes if axes is not None else name_axes(sizes)
     packed: list[PackedLevel] = []
@@ -72,10 +70,7 @@ def random_model(rng: np.random.Generator, sizes: Sequence[int], levels: int = 2
                  for owned in rows]
         packed.append(_pack(nodes, len(sizes), last=level == levels))
         rows = [child for node in nodes for child in node.children]
-    if eight_from is not None:
-        packed[eight_from - 1:] = [_in_bytes(rng, level) for level in packed[eight_from - 1:]]
-        packed[eight_from - 1:] = [_in_columns(rng, level, undecomposed) if rng.random() < packed_share else level
-                                   for level in packed[eight_from - 1:]]
+    packed = [_in_steps(rng, level) if not level.is_cut and rng.random() < coded else level for level in packed]
     figures = 10.0 + 8.0 * np.arange(sum(not level.is_cut for level in packed))
     quality = tuple(LevelQuality(float(snr), float(1 / snr), float(2 / snr)) for snr in figures)
     metadata = Metadata("float32", axes, organisation or separate(axes), tuple(map(bounds_of, packed)),
@@ -83,55 +78,48 @@ def random_model(rng: np.random.Generator, sizes: Sequence[int], levels: int = 2
     return metadata, tuple(packed)
 
 
-def _in_bytes(rng: np.random.Generator, level: PackedLevel) -> PackedLevel:
-    """The level with core and basis numbers that bytes stand for, each byte as likely as any."""
-    def drawn(array: F16, numbers: F16) -> F16:
-        return widened(rng.integers(-128, 128, array.size, np.int8), numbers)
-
-    basis = tuple(drawn(array, BASIS_NUMBERS) for array in level.basis)
-    return replace(level, core=drawn(level.core, CORE_NUMBERS), basis=basis, bits=8)
-
-
-def _in_columns(rng: np.random.Generator, level: PackedLevel, undecomposed: Sequence[int]) -> PackedLevel:
-    """The level packed, node after node, with columns of any parameters and numbers of their sizes."""
-    stored = [n for n in range(level.order) if n not in undecomposed]
-    if not stored:
-        return level
-    rice: list[list[U8]] = [[] for _ in level.basis]
-    cores, bases = list[F16](), [list[F16]() for _ in level.basis]
-    for s, (clusters, _, ranks) in enumerate(level.shape.tolist()):
-        own = np.full(ranks, 15)
-        for n in stored:
-            lower, upper = (_parameters(rng, int(ranks[n])) for _ in range(2))
-            rice[n].append((lower + 16 * upper).astype(np.uint8))
-            own = np.minimum(own, upper.reshape([-1 if m == n else 1 for m in range(level.order)]))
-            count = _lengths(level.basis_offset[n])[s]
-            bases[n].append(_drawn(rng, np.resize(lower, count), np.resize(lower, count)))
-        each = np.tile(own.reshape(-1), prod(clusters))
-        cores.append(_drawn(rng, each, np.full(each.size, own.max(initial=0))))
-    return replace(
-        level,
-        core=np.concatenate([np.zeros(0, np.float16), *cores]),
-        basis=tuple(np.concatenate([np.zeros(0, np.float16), *own]) for own in bases),
-        rice=tuple(np.concatenate([np.zeros(0, np.uint8), *own]) if n in stored else None
-                   for n, own in enumerate(rice)),
-    )
-
-
-def _parameters(rng: np.random.Generator, columns: int) -> Ints:
-    return rng.integers(16, size=columns)
+def _in_steps(rng: np.random.Generator, level: PackedLevel) -> PackedLevel:
+    """The level with whole numbers of a step: core numbers up to 2^24, columns of any k."""
+    step = float(np.float32(rng.uniform(0.01, 1.0)))
+    core, scale = level.core.copy(), level.core_scale.copy()
+    column, basis = [list[NDArray[Any]]() for _ in level.basis], [array.copy() for array in level.basis]
+    rows = [np.diff(offset.astype(np.int64)) for offset in level.row_offset]
+    for s in range(level.nodes):
+        clusters, mixture, ranks = level.shape[s].astype(int).tolist()
+        part = slice(*level.core_offset[s:s + 2])
+        whole = _whole(rng, core[part].size)
+        e = next(e for e in range(15) if np.abs(whole).max(initial=0) <= 2047 * 2**e)
+        filled = np.ones(clusters, bool)
+        for n in range(level.order):
+            if mixture[n]:
+                members = level.cluster[n][slice(*level.cluster_offset[n][s:s + 2])]
+                there = np.isin(np.arange(clusters[n]), members)
+                filled &= there.reshape([-1 if m == n else 1 for m in range(level.order)])
+        cells = filled.reshape(-1)
+        whole = (whole.reshape(max(1, cells.size), -1) * cells[:, None]).reshape(-1) if whole.size else whole
+        e = next(e for e in range(15) if np.abs(whole).max(initial=0) <= 2047 * 2**e)
+        core[part] = (whole / 2.0**e).astype(np.float32)
+        scale[slice(*level.cell_offset[s:s + 2])] = np.float32(np.float32(step) * np.float32(2**e))
+        for n in range(level.order):
+            if not mixture[n] or not ranks[n]:
+                continue
+            k = rng.integers(0, 40, (cells.size, ranks[n])) * cells[:, None]
+            column[n].append(k.reshape(-1))
+            members = level.cluster[n][slice(*level.cluster_offset[n][s:s + 2])].reshape(rows[n][s], mixture[n])
+            own = np.moveaxis(k.reshape(*clusters, ranks[n]), n, 0).reshape(clusters[n], -1, ranks[n])[members]
+            alive = np.moveaxis(filled, n, 0).reshape(clusters[n], -1)[members]
+            q = np.rint(rng.normal(size=own.shape) * 2.0 ** (own / 2 - 1)) * alive[..., None]
+            unit = np.where(own % 2, np.float32(0.70710678118654752), np.float32(1)) * np.float32(2.0) ** -(own // 2)
+            basis[n][slice(*level.basis_offset[n][s:s + 2])] = (q.astype(np.float32) * unit.astype(np.float32)).reshape(-1)
+    columns = tuple(np.concatenate([np.zeros(0), *own]).astype(np.uint8) for own in column)
+    return replace(level, core=core, core_scale=scale, basis=tuple(basis), step=step, column=columns)
 
 
-def _lengths(starts: U32) -> list[int]:
-    return np.diff(starts.astype(np.int64)).tolist()
-
-
-def _drawn(rng: np.random.Generator, parameters: Ints, steps: Ints) -> F16:
-    """Whole numbers in steps that go with other parameters: most below where codes are longest, some beyond."""
-    most = np.where(rng.random(parameters.size) < 1 / 8, 16, 8) << parameters
-    folded = rng.integers(0, np.minimum(most, 1 << 16))
-    whole = np.where(folded % 2 == 0, folded // 2, -(folded + 1) // 2)
-    return (whole / 2.0 ** (steps + 2)).astype(np.float16)
+def _whole(rng: np.random.Generator, count: int) -> Ints:
+    """Whole numbers, some of them as large as can be."""
+    small = np.rint(rng.laplace(0, 3, count)).astype(np.int64)
+    large = rng.integers(-(2**24) + 1, 2**24, count) >> rng.integers(0, 20, count)
+    return np.where(rng.random(count) < 0.05, large, small)
 
 
 def _random_node(rng: np.random.Generator, rows: Sizes, undecomposed: Sequence[int], shapes: Shapes, *, root: bool,
@@ -160,6 +148,8 @@ def _random_node(rng: np.random.Generator, rows: Sizes, undecomposed: Sequence[i
     cluster = tuple(map(subsets, range(order)))
     if shapes.tidy and inner:
         part = tuple(p if n in own else c[:, 0] for n, (p, c) in enumerate(zip(part, cluster, strict=True)))
+    # A row of one cluster goes to its part.
+    part = tuple(c[:, 0] if inner and mixture[n] == 1 else p for n, (p, c) in enumerate(zip(part, cluster, strict=True)))
     core = rng.normal(size=(prod(clusters), *ranks)).astype(np.float16)
     scale = rng.uniform(0.25, 2.0, prod(clusters)).astype(np.float32)
     children = _child_rows(rows, clusters, part) if inner else ()

@@ -99,7 +99,7 @@ class HmkctaError(Exception):
 
 
 class ForeignFile(HmkctaError):
-    """No `.hmk` file, by how it begins or as safetensors of somebody else: kind and reason are the format's.
+    """No `.hmk` file, by how it begins: kind and reason are the format's.
 
     The command line ends with 3, as it does for a file that cannot be read.
 

@@ -21,7 +21,7 @@ from .goals import memory_given
 from .hmkfile import DEFAULT_LIMITS, Limits, encoded_size, load, save
 from .indexing import Index, Selection, cut, occurring, positions, select
 from .packed import LevelBounds, LevelQuality, Metadata, PackedLevel, level_ends, undecomposed_modes
-from .plan import LevelSpec, Plan, multiply_adds
+from .plan import AUTO, SCHEMES, LevelSpec, Plan, multiply_adds
 from .support.memory import available_memory, check_memory, format_bytes
 from .support.slabs import slabs
 from .transform import from_json, nearest
@@ -134,14 +134,14 @@ class Model:
         """The plan that the levels follow, with the largest R, C and K of any node; blocks are named as clusters."""
         whole, levels = undecomposed_modes(self.stages), list[LevelSpec]()
         cuts = [1] * len(self._sizes)
-        for bounds, stage in zip(self.metadata.stages, self.stages, strict=True):
+        for bounds in self.metadata.stages:
             clusters = [cut * c for cut, c in zip(cuts, bounds.clusters, strict=True)]
             cuts = clusters if bounds.is_cut else [1] * len(cuts)
             if bounds.is_cut or not all(bounds.clusters):
                 continue
             ranks = (None if n in whole and clusters[n] == 1 else r for n, r in enumerate(bounds.ranks))
             levels.append(LevelSpec(tuple(ranks), tuple(clusters), tuple(max(1, k) for k in bounds.mixture),
-                                    bounds.scheme, bits=stage.bits))
+                                    bounds.scheme if bounds.scheme in SCHEMES else AUTO))
         return Plan(self.metadata.organisation, tuple(levels))
 
     @property

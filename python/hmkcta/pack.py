@@ -1,4 +1,4 @@
-"""Fitted nodes as the file's flat arrays (`docs/format.md`, section 3)."""
+"""Fitted nodes as the flat arrays of stages, in float16."""
 
 from __future__ import annotations
 
@@ -8,34 +8,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .arrays import F32
 from .cells import round_cores
-from .core_parameters import core_parameters
 from .fitting.hierarchy import Node
-from .narrow import U8
-from .packed import F16, PackedLevel
-from .parameters import BELOW_ONE, bytes_of, from_whole, most_of_core, of_columns, whole_of_core
+from .packed import PackedLevel
 from .streaming.pieces import places_of
 
 Ragged = list[NDArray[Any]]
-#: Entries of a node's columns, mode by mode, its core numbers, and the factor of each of its cells.
-Cores = tuple[list[U8 | None], F16, F32]
 
 
 def pack_levels(
-    levels: Sequence[Sequence[Node]], undecomposed: Sequence[int], bits: Sequence[int], unit: float = 1.0
+    levels: Sequence[Sequence[Node]], undecomposed: Sequence[int], unit: float = 1.0
 ) -> tuple[PackedLevel, ...]:
     """Every level's nodes in order, as stored.
 
-    `undecomposed`: mode numbers, `bits`: of each level's numbers, `unit`: what cores are multiples of.
+    `undecomposed`: mode numbers, `unit`: what cores are multiples of.
     """
-    return tuple(
-        _pack(nodes, undecomposed, unit, own, last=nodes is levels[-1])
-        for nodes, own in zip(levels, bits, strict=False)
-    )
+    return tuple(_pack(nodes, undecomposed, unit, last=nodes is levels[-1]) for nodes in levels)
 
 
-def _pack(nodes: Sequence[Node], undecomposed: Sequence[int], unit: float, bits: int, *, last: bool) -> PackedLevel:
+def _pack(nodes: Sequence[Node], undecomposed: Sequence[int], unit: float, *, last: bool) -> PackedLevel:
     order = len(nodes[0].rows) if nodes else 0
     stored = [n not in undecomposed for n in range(order)]
     shape = np.zeros((len(nodes), 3, order), np.uint32)
@@ -43,10 +34,11 @@ def _pack(nodes: Sequence[Node], undecomposed: Sequence[int], unit: float, bits:
         if node.cells is not None:
             shape[s] = node.cells.spec.clusters, node.cells.spec.mixture, node.cells.ranks
             shape[s, 1, [not kept for kept in stored]] = 0
-    fewer = any(node.cells is not None and node.cells.spec.packed for node in nodes)
-    rounded = [_coded(node, stored) if fewer else _plain(node, bits) for node in nodes]
-    core, core_offset = _ragged([numbers for _, numbers, _ in rounded], np.float16)
-    scale, cell_offset = _ragged([factors for *_, factors in rounded], np.float32)
+    rounded = [round_cores(node.cells.cores, 16) for node in nodes if node.cells is not None]
+    counts = [0 if node.cells is None else node.cells.cores.size for node in nodes]
+    cells = [0 if node.cells is None else len(node.cells.cores) for node in nodes]
+    core, core_offset = _joined([numbers for numbers, _ in rounded], np.float16), _offsets(counts)
+    scale, cell_offset = _joined([factors for _, factors in rounded], np.float32), _offsets(cells)
     scale = (scale * unit).astype(np.float32)
     cluster = [_ragged([_members(node, n) for node in nodes if stored[n]] or _none(nodes), np.uint16) for n in range(order)]
     basis = [_ragged([_basis(node, n) for node in nodes if stored[n]] or _none(nodes), np.float16) for n in range(order)]
@@ -64,33 +56,7 @@ def _pack(nodes: Sequence[Node], undecomposed: Sequence[int], unit: float, bits:
         basis_offset=tuple(o for _, o in basis),
         part=tuple(None if last else _joined([_part(node, n) for node in nodes], np.uint16) for n in range(order)),
         local=tuple(None if last else _joined([_local(node, n) for node in nodes], np.uint32) for n in range(order)),
-        bits=bits,
-        rice=_entries([columns for columns, *_ in rounded], stored) if fewer else (),
     )
-
-
-def _plain(node: Node, bits: int) -> Cores:
-    """Those of a node of a level that is not packed."""
-    if node.cells is None:
-        return [], np.zeros(0, np.float16), np.zeros(0, np.float32)
-    return [], *round_cores(node.cells.cores, bits)
-
-
-def _coded(node: Node, stored: Sequence[bool]) -> Cores:
-    """Those of a node of a packed level; no entries of a mode that is not stored."""
-    if node.cells is None:
-        return [np.zeros(0, np.uint8) if kept else None for kept in stored], *_plain(node, 8)[1:]
-    whole, step = whole_of_core(node.cells.cores)
-    columns = [None if own is None else bytes_of(of_columns(basis), own)
-               for basis, own in zip(node.cells.bases, core_parameters(whole, stored), strict=True)]
-    most = most_of_core(columns, np.array([node.cells.ranks]))
-    return columns, from_whole(whole, most), np.ldexp(step, int(most[0]) + BELOW_ONE).astype(np.float32)
-
-
-def _entries(columns: Sequence[Sequence[U8 | None]], stored: Sequence[bool]) -> tuple[U8 | None, ...]:
-    """Entries of the columns of all nodes, mode by mode."""
-    each = [[own for node in columns if (own := node[n]) is not None] for n in range(len(stored))]
-    return tuple(_joined([*own], np.uint8) if kept else None for own, kept in zip(each, stored, strict=True))
 
 
 def _none(nodes: Sequence[Node]) -> Ragged:

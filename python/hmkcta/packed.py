@@ -18,11 +18,8 @@ from numpy.typing import NDArray
 
 from .arrays import F32
 from .axes import Axis, Organisation
-from .bitstream import I32
-from .narrow import BASIS_NUMBERS, CORE_NUMBERS, I8, U8, narrowed
-from .parameters import from_whole, most_of_core, of_basis_numbers, of_core_numbers, whole
-from .rice import MOST, MOST_ZEROS, code_bytes, decoded, encoded
 
+U8 = NDArray[np.uint8]
 U16 = NDArray[np.uint16]
 U32 = NDArray[np.uint32]
 F16 = NDArray[np.float16]
@@ -58,8 +55,6 @@ class PackedLevel:
     local: tuple[U32 | None, ...]  # likewise: the position of a row among those of its part
     step: float | None = None  # D, of which core numbers are multiples; None: numbers are float16
     column: tuple[U8, ...] = ()  # per node [PC, R_n]: k of every column of a basis; without a step no arrays
-    bits: int = 16  # of a core or basis number in the file; of 8 the arrays hold what the bytes stand for (`narrow.py`)
-    rice: tuple[U8 | None, ...] = ()  # of a packed level: per node [R_n], see `parameters`; else empty
 
     @property
     def nodes(self) -> int:
@@ -90,80 +85,10 @@ class PackedLevel:
         """Core and basis numbers stored; the paper counts 2 bytes each."""
         return self.core.size + sum(basis.size for basis in self.basis)
 
-    @property
-    def number_bytes(self) -> int:
-        """Bytes of the core and basis numbers in the file."""
-        return self.core_bytes + sum(self.basis_bytes(n) for n in range(self.order))
-
-    @property
-    def core_bytes(self) -> int:
-        """Bytes of the core numbers in the file."""
-        return code_bytes(*self.whole_numbers("core", self.core)) if self.rice else self.bits // 8 * self.core.size
-
-    def basis_bytes(self, n: int) -> int:
-        """Bytes of the basis numbers of a mode in the file."""
-        basis = cast("F16 | None", self.basis[n])  # the file leaves out what is empty
-        if basis is None:
-            return 0
-        return code_bytes(*self.whole_numbers(f"basis/{n}", basis)) if self.rice else self.bits // 8 * basis.size
-
-    def tables(self) -> Iterator[tuple[str, NDArray[Any]]]:
-        """Names (without ``level/<l>/``) and arrays of the small integer and scale tables."""
-        yield "shape", self.shape
-        if self.child is not None:
-            yield "child", self.child
-        yield "core_offset", self.core_offset
-        yield "cell_offset", self.cell_offset
-        yield "core_scale", self.core_scale
-        yield from ((f"rice/{n}", entries) for n, entries in enumerate(self.rice) if entries is not None)
-        for n in range(self.order):
-            yield f"row_offset/{n}", self.row_offset[n]
-            per_mode: Sequence[tuple[str, NDArray[Any] | None]] = (
-                ("cluster", self.cluster[n]),
-                ("cluster_offset", self.cluster_offset[n]),
-                ("basis_offset", self.basis_offset[n]),
-                ("part", self.part[n]),
-                ("local", self.local[n]),
-            )
-            yield from ((f"{name}/{n}", array) for name, array in per_mode if array is not None)
-
     def wide(self) -> Iterator[tuple[str, F16]]:
-        """Names (without ``level/<l>/``) and arrays of the core and basis numbers, as decoders take them."""
+        """Names and arrays of the core and basis numbers."""
         yield "core", self.core
-        stored = cast("tuple[F16 | None, ...]", self.basis)
-        yield from ((f"basis/{n}", basis) for n, basis in enumerate(stored) if basis is not None)
-
-    def coefficients(self) -> Iterator[tuple[str, F16 | I8 | U8]]:
-        """The same as the file has them: bytes, or in a packed level codes."""
-        for name, array in self.wide():
-            if self.rice:
-                yield name, encoded(*self.whole_numbers(name, array))
-            else:
-                table = CORE_NUMBERS if name == "core" else BASIS_NUMBERS
-                yield name, narrowed(array, table) if self.bits == 8 else array
-
-    def whole_numbers(self, name: str, array: F16) -> tuple[I32, U8]:
-        """The whole numbers of an array of a packed level, and the parameters of their codes."""
-        parameters, steps = self._parameters(name)
-        # The largest number that there is a code for may be one more in float16.
-        most = np.maximum(MOST, (MOST_ZEROS // 2) << parameters.astype(np.int32)) - 1
-        return np.minimum(whole(array, steps), most), parameters
-
-    def unpacked(self, name: str, codes: U8) -> F16:
-        """The numbers of an array of a packed level, of their codes in the file."""
-        parameters, steps = self._parameters(name)
-        return from_whole(decoded(codes, parameters), steps)
-
-    def _parameters(self, name: str) -> tuple[U8, U8]:
-        """Of each number of an array the parameter of its code, and the one that its steps go with."""
-        if name == "core":
-            most = most_of_core(self.rice, self.shape[:, 2])
-            return of_core_numbers(self.rice, self.shape), np.repeat(most, np.diff(self.core_offset.astype(np.int64)))
-        n = int(name.split("/")[1])
-        entries, offsets = self.rice[n], self.basis_offset[n]
-        assert entries is not None
-        own = of_basis_numbers(entries, self.shape[:, 2, n], np.diff(offsets.astype(np.int64)))
-        return own, own
+        yield from ((f"basis/{n}", basis) for n, basis in enumerate(self.basis))
 
 
 @dataclass(frozen=True)

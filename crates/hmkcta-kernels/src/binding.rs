@@ -73,9 +73,8 @@ fn slice<'a, T: Element>(array: &'a Array<T>) -> PyResult<&'a [T]> {
 }
 
 fn ragged<'a>(data: &'a [Array<u16>], offset: &'a [Array<u32>]) -> PyResult<Vec<Ragged<'a, u16>>> {
-    let of_mode = |(data, offset): (&'a Array<u16>, &'a Array<u32>)| {
-        Ok(Ragged { data: slice(data)?, offset: slice(offset)? })
-    };
+    let of_mode =
+        |(data, offset): (&'a Array<u16>, &'a Array<u32>)| Ok(Ragged { data: slice(data)?, offset: slice(offset)? });
     data.iter().zip(offset).map(of_mode).collect()
 }
 

@@ -152,7 +152,9 @@ fn collect(
     let mut chosen = vec![];
     let mut cut = levels.len() > depth + 2 && family.elements / family.children() > TASK;
     for flat in 0..family.children() {
-        cut = cut && (!family.rows(flat, &mut chosen) || matches!(levels[depth + 1].node(family.first + flat)?, Node::Cut(_)));
+        cut = cut
+            && (!family.rows(flat, &mut chosen)
+                || matches!(levels[depth + 1].node(family.first + flat)?, Node::Cut(_)));
     }
     if !cut {
         families.push(family);

@@ -10,6 +10,7 @@ mod cells;
 mod chain;
 mod coding;
 mod collect;
+mod contexts;
 mod contract;
 mod cores;
 mod dense;
@@ -17,6 +18,7 @@ mod dictionary;
 mod dots;
 mod element;
 mod elimination;
+mod float16;
 mod gauss_seidel;
 mod gemm;
 mod gram;
@@ -37,13 +39,22 @@ mod part;
 mod permuted;
 mod pick;
 mod places;
+mod range_coder;
 mod real;
 mod reconstruct;
+mod run_code;
+mod run_columns;
+mod run_cores;
+mod run_node;
+mod run_numbers;
 mod scattered;
 mod shared;
 mod shuffle;
 mod small;
 mod sorting;
+mod stage;
+mod stage_code;
+mod stage_whole;
 mod steps;
 mod subspace;
 #[cfg(test)]
@@ -396,6 +407,7 @@ fn _native(module: &Bound<PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(decode_scattered_f32, module)?)?;
     module.add_function(wrap_pyfunction!(decode_scattered_f64, module)?)?;
     module.add_function(wrap_pyfunction!(decode_block, module)?)?;
+    stage_code::register(module)?;
     module.add_function(wrap_pyfunction!(threads::set_threads, module)?)?;
     Ok(())
 }

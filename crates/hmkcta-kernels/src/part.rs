@@ -152,7 +152,9 @@ fn add_lines(requested: &[&Requested], values: &[f32], sizes: &[usize], start: u
         for &(place, count) in &rows.stretches {
             let (stretch, behind) = values.split_at(count as usize);
             // SAFETY: `within` gives places inside, and the caller has the elements alone.
-            let to = unsafe { std::slice::from_raw_parts_mut(out.within(start + place as usize, stretch.len()), stretch.len()) };
+            let to = unsafe {
+                std::slice::from_raw_parts_mut(out.within(start + place as usize, stretch.len()), stretch.len())
+            };
             to.iter_mut().zip(stretch).for_each(|(to, &value)| *to += value);
             values = behind;
         }

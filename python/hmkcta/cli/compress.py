@@ -100,7 +100,7 @@ def compress_command(source: str, output: str, plan: str | None, device: str, re
 def describe(model: Model, array: NDArray[Any], progress: Progress) -> dict[str, Any]:
     """What the model came to, level by level: `bytes` are a level's own, `bytes_upto` all that is read to decode it."""
     levels: list[dict[str, Any]] = []
-    own = level_sizes(model.levels)
+    own = level_sizes(model.metadata, model.stages)
     read = model.nbytes - sum(own)
     for number, quality in enumerate(model.quality, start=1):
         upto, read = model.at_level(number), read + own[number - 1]

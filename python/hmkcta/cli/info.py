@@ -10,7 +10,7 @@ import click
 import numpy as np
 
 from ..axes import format_organisation
-from ..hmkfile import table_bytes
+from ..hmkfile import level_bytes
 from ..model import Model
 from ..model import open as open_model
 from ..packed import PackedLevel, undecomposed_modes
@@ -28,7 +28,7 @@ EXAMPLES = ("hmkcta info wood.hmk", "hmkcta info wood.hmk --json", "hmkcta info 
 @verbose_option
 def info_command(file: str, as_json: bool, verbose: bool) -> None:
     """Show axes, levels, quality and sizes of FILE, whose checksums are verified."""
-    report = describe(open_model(file), os.path.getsize(file), table_bytes(file))
+    report = describe(open_model(file), os.path.getsize(file), level_bytes(file))
     if as_json:
         emit({"file": file, **report})
     else:
@@ -36,11 +36,9 @@ def info_command(file: str, as_json: bool, verbose: bool) -> None:
         click.echo(as_text(report, verbose))
 
 
-def describe(model: Model, size: int, tables: Sequence[int]) -> dict[str, Any]:
-    """The facts of a model whose file has `size` bytes, of which each level's tables take what `tables` says."""
+def describe(model: Model, size: int, sizes: Sequence[int]) -> dict[str, Any]:
+    """The facts of a model whose file has `size` bytes, of which each level takes what `sizes` says."""
     metadata = model.metadata
-    numbers = sum(level.number_bytes for level in model.levels)
-    sizes = [level.number_bytes + own for level, own in zip(model.levels, tables, strict=True)]
     source_bytes = model.size * np.dtype(metadata.source_dtype).itemsize
     return {
         "kind": metadata.kind,
@@ -52,8 +50,7 @@ def describe(model: Model, size: int, tables: Sequence[int]) -> dict[str, Any]:
         "transform": metadata.transform,
         "levels": [_level(model, number, own, size - sum(sizes[number:])) for number, own in enumerate(sizes, 1)],
         "decode_cost": model.decode_cost,
-        "bytes": {"file": size, "numbers": numbers, "tables": sum(tables),
-                  "header": size - numbers - sum(tables)},
+        "bytes": {"file": size, "levels": sum(sizes), "header": size - sum(sizes)},
         "ratio": source_bytes / size,
         "source": metadata.source, "seed": metadata.seed, "writer": metadata.writer,
     }
@@ -65,7 +62,7 @@ def _level(model: Model, number: int, own: int, upto: int) -> dict[str, Any]:
     cells, zero_cells = cells_of(level)
     return {
         "level": number, "R": list(bounds.ranks), "C": list(bounds.clusters), "K": list(bounds.mixture),
-        "bits": number_bits(level), "subdivision": bounds.scheme,
+        "bits": number_bits(level, own), "subdivision": bounds.scheme,
         "nodes": level.nodes, "nodes_that_carry_nothing": int((~level.shape.any(axis=(1, 2))).sum()),
         "clusters": cells, "clusters_that_carry_nothing": zero_cells,
         "bytes": own, "bytes_upto": upto,
@@ -126,9 +123,8 @@ def as_text(report: dict[str, Any], verbose: bool) -> str:
         f"  organisation  {report['organisation']}",
         f"  transform     {transform}",
         f"  decode cost   {multiply_adds(report['decode_cost'])} an element",
-        f"  size          {format_bytes(parts['file'])}, {share(report['ratio'])} the source: numbers "
-        f"{format_bytes(parts['numbers'])}, tables {format_bytes(parts['tables'])}, "
-        f"header {format_bytes(parts['header'])}",
+        f"  size          {format_bytes(parts['file'])}, {share(report['ratio'])} the source: levels "
+        f"{format_bytes(parts['levels'])}, header {format_bytes(parts['header'])}",
         "", levels,
     ]
     if verbose:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..axes import folded
+from ..hmkfile import level_sizes
 from ..model import Model
 from ..offset import HIDDEN
 from ..support.memory import drop_pages
@@ -77,8 +78,8 @@ def _why_large(model: Model, array: NDArray[Any], planned: bool) -> str:
 
 def _each(model: Model) -> str:
     """What a number of the last level takes."""
-    bits = number_bits(model.levels[-1])
-    return "a byte" if bits == 8 else "two bytes" if bits == 16 else f"{shown_bits(bits)} bits"
+    bits = number_bits(model.levels[-1], level_sizes(model.metadata, model.stages)[-1])
+    return "two bytes" if bits == 16 else f"{shown_bits(bits)} bits"
 
 
 def _lost_channels(model: Model, array: NDArray[Any]) -> list[str]:

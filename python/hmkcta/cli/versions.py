@@ -8,7 +8,7 @@ import click
 
 from .._version import __version__
 
-LIBRARIES = ("numpy", "safetensors", "click", "rich", "pillow", "wgpu", "cupy-cuda12x")
+LIBRARIES = ("numpy", "click", "rich", "pillow", "wgpu", "cupy-cuda12x")
 
 
 def versions() -> str:

@@ -6,8 +6,9 @@ import os
 import stat
 
 from ..errors import ForeignFile, HmkctaError
-from .limits import DEFAULT_LIMITS
+from .reasons import REASONS
 
+_MAGIC = b"\x89HMK\r\n\x1a\n"
 _COMPRESS = "hmkcta compress it, or give the .hmk file that was made of it"
 #: First bytes, lower-cased, what they look like, and what to do.
 _STARTS = (
@@ -24,28 +25,18 @@ _STARTS = (
 START = 64
 
 
-#: Where the JSON of a header begins, and the reasons of a length before it that can be none.
-_JSON_AT, _NO_LENGTH = 8, ("header-too-large", "truncated")
+def foreign(start: bytes) -> HmkctaError:
+    """The error of a file that does not begin as an `.hmk` file does, which says what it looks like.
 
-
-def recognised(error: HmkctaError, start: bytes) -> HmkctaError:
-    """The error about a file's header; where the file begins as no `.hmk` file does, one that says what it looks like.
-
-    >>> from .reasons import fault
-    >>> print(recognised(fault("truncated", "header", "a file of 40 bytes", "8 bytes and more"), b"\\x1f\\x8b\\x08"))
+    >>> print(foreign(b"\x1f\x8b\x08"))
     header: found what begins like a file packed by gzip, allowed an .hmk file. Next: unpack it: gunzip. \
-[InsufficientData/truncated]
+[Compatibility/not-hmk]
     """
-    if error.where != "header" or start[_JSON_AT:_JSON_AT + 1] == b"{":
-        return error
     begins = start.lstrip().lower() if start.lstrip().startswith(b"<") else start.lower()
-    found, advice = next(((what, advice) for first, what, advice in _STARTS if begins.startswith(first)), ("", ""))
-    no_length = error.reason in _NO_LENGTH or not any(start[:_JSON_AT])
-    if not found and (not no_length or len(start) <= _JSON_AT):
-        return error
-    found = f"what begins like {found}" if found else "what begins like no .hmk file"
-    return ForeignFile(error.kind, error.reason, error.where, found=found, allowed="an .hmk file",
-                       hint=advice or "check that it is an .hmk file")
+    what, advice = next(((what, advice) for first, what, advice in _STARTS if begins.startswith(first)),
+                        ("no .hmk file", "check that it is an .hmk file"))
+    return ForeignFile(REASONS["not-hmk"].kind, "not-hmk", "header", found=f"what begins like {what}",
+                       allowed="an .hmk file", hint=advice)
 
 
 def is_hmk(path: str | os.PathLike[str]) -> bool:
@@ -60,8 +51,6 @@ def is_hmk(path: str | os.PathLike[str]) -> bool:
         if not stat.S_ISREG(os.stat(path).st_mode):  # a pipe would block on opening
             return False
         with open(path, "rb") as file:
-            start, size = file.read(_JSON_AT + 1), os.fstat(file.fileno()).st_size
+            return file.read(len(_MAGIC)) == _MAGIC
     except (OSError, ValueError):
         return False
-    length = int.from_bytes(start[:_JSON_AT], "little")
-    return start[_JSON_AT:] == b"{" and 2 <= length <= min(size - _JSON_AT, DEFAULT_LIMITS.json_bytes)
