@@ -127,20 +127,21 @@ class Reader:
                     stored(own, payload[coded:])
                 nodes += own
             stages.append(nodes)
-            for node in nodes:
-                node.cluster = [np.array(own, int).reshape(len(own), -1) for own in node.cluster]
-                node.part = [np.array(own, int) for own in node.part]
-                node.children = []
-            below = [CODE["children"](node) for node in nodes]
             if number > 1:
                 self._adopt(stages[-2], nodes)
-            places = [child for own in below for child in own]
+            places = []
+            for node in nodes:
+                node.below = CODE["children"](node)
+                node.children = []
+                places += node.below
+                node.cluster = [np.array(own, int).reshape(len(own), k) for own, k in zip(node.cluster, node.K, strict=True)]
+                node.part = [np.array(own, int) for own in node.part]
         return stages
 
     def _adopt(self, parents: list[Any], nodes: list[Any]) -> None:
         rest = iter(nodes)
         for parent in parents:
-            parent.children = [next(rest) for _ in CODE["children"](parent)]
+            parent.children = [next(rest) for _ in parent.below]
         assert next(rest, None) is None
 
     def element(self, rows: list[int], stages: int) -> float:

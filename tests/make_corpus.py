@@ -126,7 +126,7 @@ def limit_cases() -> Cases:
         case("axes", SMALL, [], "axes-limit", "header.axes", axes=1),
         case("elements", SMALL, [], "elements-limit", "header.axes", elements=11),
         case("stages", MERGED, [], "levels-limit", "header.stages", levels=2),
-        case("nodes", MERGED, [], "nodes-limit", "header.stages", nodes=2),
+        case("nodes", OWN, [], "nodes-limit", "header.stages", nodes=2),
         case("clusters", MERGED, [], "clusters-limit", None, clusters=1),
         case("mixture", OWN, [], "mixture-limit", None, mixture=1),
         case("rank", SMALL, [header("stages", 0, "largest", 2, 0, to=1025)], "rank-limit", "header.stages[0].largest"),
@@ -205,8 +205,8 @@ def _tree_cases() -> Cases:
     nodes, rows = stages[1]["nodes"], stages[1]["rows"]
     more = [header("stages", 1, "nodes", to=nodes + 1), header("stages", 1, "runs", 0, 0, to=stages[1]["runs"][0][0] + 1)]
     return [
-        case("a node too many", HALF, more, "child-count", "stages[0].runs[0]"),
-        case("rows too many", HALF, [header("stages", 1, "rows", 0, to=rows[0] + 1)], "row-count", "stages[0].runs[0]"),
+        case("a node too many", HALF, more, "child-count", "stages[0]"),
+        case("rows too many", HALF, [header("stages", 1, "rows", 0, to=rows[0] + 1)], "row-count", "stages[0]"),
     ]
 
 

@@ -30,7 +30,7 @@ def small_model() -> Model:
     metadata, stages = random_model(np.random.default_rng(7), (4, 3), 1, (1,), axes=axes, coded=1.0,
                                     organisation=(("höhe",), ("t",)), shapes=Shapes(1, 1, 2, zero=0.0))
     exact = LevelQuality(float("inf"), 0.0, 0.0)
-    return replace(metadata, kind="volume", seed=7, quality=(exact,)), stages
+    return replace(metadata, kind="volume", seed=7, quality=(exact,), source={}), stages
 
 
 def merged_model() -> Model:
@@ -56,7 +56,7 @@ def half_model() -> Model:
     """Float16 numbers at one stage, coded ones at the other, after a cut of the root."""
     axes = (Axis("y", 9, "space"), Axis("x", 7, "space"), Axis("t", 2, "time"))
     shapes = Shapes(3, 2, 2, 6, zero=0.1, leaf=0.2)
-    metadata, stages = random_model(np.random.default_rng(11), (63, 2), 3, (1,), axes=axes, cuts=(1,),
+    metadata, stages = random_model(np.random.default_rng(7), (63, 2), 3, (1,), axes=axes, cuts=(1,),
                                     organisation=(("y", "x"), ("t",)), shapes=shapes, coded=0.5)
     return replace(metadata, kind="volume", seed=12), stages
 

@@ -21,6 +21,11 @@ fn refused(fault: Fault) -> PyErr {
     PyValueError::new_err(fault.code())
 }
 
+/// The same, with the number of the run in which it was found.
+fn refused_in((fault, run): (Fault, Option<usize>)) -> PyErr {
+    PyValueError::new_err((fault.code(), run))
+}
+
 /// Where nodes lie, flat.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
@@ -193,11 +198,11 @@ struct Task<'a> {
 
 impl Task<'_> {
     /// `runs`: the bytes of each, and its counts, which the caller has checked to be no more than there is room for.
-    fn decode(&self, runs: &[(&[u8], Vec<u64>)]) -> Result<Whole, Fault> {
+    fn decode(&self, runs: &[(&[u8], Vec<u64>)]) -> Result<Whole, (Fault, Option<usize>)> {
         let order = self.geometry.order();
         let total = |i: usize| -> usize { runs.iter().map(|(_, counts)| counts[i] as usize).sum() };
         if total(0) != self.geometry.nodes() {
-            return Err(Fault::RunCount);
+            return Err((Fault::RunCount, None));
         }
         let (mut core, mut scale) = (vec![0; total(3)], vec![0.0; total(2)]);
         let mut basis: Vec<Vec<u16>> = (0..order).map(|n| vec![0; total(4 + n)]).collect();
@@ -210,7 +215,7 @@ impl Task<'_> {
             let (Some(core), Some(scale), Some(basis)) =
                 (split(&mut cores, counts[3]), split(&mut scales, counts[2]), own)
             else {
-                return Err(Fault::RunCount);
+                return Err((Fault::RunCount, None));
             };
             let nodes = first..first + counts[0] as usize;
             first = nodes.end;
@@ -218,7 +223,10 @@ impl Task<'_> {
             let stated = Stated { geometry, nodes, last, step, largest, children };
             tasks.push(((*bytes, stated, Decoded::new(core, scale, basis)), counts[1] as usize));
         }
-        let decoded = for_runs(tasks, |(task, coded)| decode_run(task, coded, self.raw))?;
+        let done = for_runs(tasks.into_iter().enumerate().collect(), |(run, (task, coded))| {
+            Ok(decode_run(task, coded, self.raw).map_err(|fault| (fault, Some(run))))
+        });
+        let decoded = done.map_err(|fault| (fault, None))?.into_iter().collect::<Result<Vec<_>, _>>()?;
         let mut whole = Tables::new(order);
         decoded.into_iter().for_each(|run| whole.append(run));
         let Tables { shape, children, cluster, part, column, grids } = whole;
@@ -227,7 +235,7 @@ impl Task<'_> {
         } else {
             let part = part.iter().map(Vec::as_slice).collect();
             let parted = Parted { geometry: self.geometry, shape: &shape, children: &children, part };
-            parted.next(Some(self.next), Some(&grids))?
+            parted.next(Some(self.next), Some(&grids)).map_err(|fault| (fault, None))?
         };
         Ok(Whole { core, scale, basis, shape, children, cluster, part, column, next })
     }
@@ -290,7 +298,7 @@ pub fn decode_stage<'py>(
     runs.iter().try_for_each(|(_, counts)| check_length("the counts of a run", counts.len(), 4 + order))?;
     let next = (header.next.0, &header.next.1[..]);
     let task = Task { geometry, last: header.last, step: header.step, raw: header.raw, largest, next };
-    let whole = py.detach(|| task.decode(&runs)).map_err(refused)?;
+    let whole = py.detach(|| task.decode(&runs)).map_err(refused_in)?;
     let out = PyDict::new(py);
     out.set_item("shape", whole.shape.into_pyarray(py))?;
     out.set_item("children", whole.children.into_pyarray(py))?;

@@ -139,8 +139,9 @@ def _children(level: PackedLevel) -> U32:
 
 
 def _as_fault(error: ValueError, name: str) -> Exception:
-    """The refusal that the native coder's reason stands for."""
-    reason = str(error)
+    """The refusal that the native coder's reason stands for, in a run if it says in which."""
+    reason, run, *_ = (*error.args, None)
+    name = name if run is None else f"{name}.runs[{run}]"
     found, allowed = _TOLD.get(reason, (reason, "sound arrays"))
     return fault(reason if reason in _TOLD else "array-shape", name, found, allowed)
 
