@@ -18,7 +18,7 @@ const CORRUPTION = {
   "section-crc": "The CRC-32 of a section is not the one stored behind it.",
   "code-end": "The code of a run ends before all its nodes are read, or does not end with them.",
   "code-range": "A whole number in the code of a run is larger than any that may be there.",
-  "node-shape": "A node has K above C, or is a cut into one part, or into more parts than there are rows.",
+  "node-shape": "A node has K above C, or is a cut into one part.",
   "level-bounds": "C, K and R of a stage in the header are not the largest of its nodes.",
   "run-count": "A run has more or fewer cells, numbers or children than the header says.",
   "child-count": "The children of the nodes of a stage are not as many as the next stage has nodes.",
@@ -41,7 +41,7 @@ const RESOURCE_LIMIT = {
   "clusters-limit": "C of a mode is above the limit.",
   "mixture-limit": "K of a mode is above the limit.",
   "rank-limit": "R of a mode is above the limit, or above the size of an undecomposed mode.",
-  "level-cost-limit": "The product of K R over the decomposed modes of a node is above the limit.",
+  "level-cost-limit": "The product of K R over the decomposed modes of a stage is above the limit.",
   "widened-limit": "The file would take more memory than the limit.",
 };
 

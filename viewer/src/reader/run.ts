@@ -107,7 +107,7 @@ export class RunReader {
     const entries = rows.map((count, n) => count * mixture[n]!);
     arrays.take(cells, cells * product(ranks), entries, entries.map((count, n) => count * (cells / clusters[n]!) * ranks[n]!));
     if (arrays.children !== null && this.parted === 1) {
-      arrays.children.check(cells);
+      arrays.children.check(cells, this.where);
     }
     for (let n = 0; n < this.order; n += 1) {
       if (clusters[n]! > 1) {
@@ -231,7 +231,7 @@ export class RunReader {
     if (product(clusters) < 2) {
       throw fault("node-shape", this.where, "a cut into one part", "two parts or more");
     }
-    arrays.children!.check(product(clusters));
+    arrays.children!.check(product(clusters), this.where);
     this.setShape(s, 0, clusters);
     const none = rows.map(() => 0);
     arrays.take(0, 0, none, none);
