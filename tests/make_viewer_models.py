@@ -292,15 +292,6 @@ def _cases() -> list[Case]:
         Case("material-time", "ageing", Scene(time=1), {"Frame": "1"}),
         Case("merged", "merged", Scene()),
         Case("merged-cloth", "merged", Scene(surface=Surface("cloth")), {"Shape": "cloth"}),
-        Case("painted", "painted", Scene()),
-        Case("painted-as-light", "painted", Scene(surface=Surface(coded=False)), {"Values are sRGB-coded": "false"}),
-        Case("photographs", "photographs", Scene()),
-        Case("photographs-white", "photographs", Scene(tone=Tone(white=120)), {"White, as a number": "120"}),
-        Case("photographs-error", "photographs", Scene(level=1, compare=Compare("heat", 2, gain=64.0)),
-             {"Show": "heat", "With": "2", "Amplify": "6", **low}),
-        Case("photograph", "photograph", Scene(kind="generic")),
-        Case("photograph-error", "photograph", Scene(kind="generic", level=1, compare=Compare("heat", 2, gain=16.0)),
-             {"Show": "heat", "With": "2", "Amplify": "4", **low}),
         Case("grids", "grids", Scene()),
         Case("grids-plane", "grids", Scene(surface=Surface("plane")), {"Shape": "plane"}),
         Case("lightfield", "lightfield", Scene(viewpoint=Viewpoint(0.5, 1.25)), {"Row": "0.5", "Column": "1.25"}),
@@ -326,7 +317,22 @@ def _cases() -> list[Case]:
     ]
 
 
-CASES = _cases()
+def _pictures_of_bytes() -> list[Case]:
+    low = {"Level": "1"}
+    return [
+        Case("painted", "painted", Scene()),
+        Case("painted-as-light", "painted", Scene(surface=Surface(coded=False)), {"Values are sRGB-coded": "false"}),
+        Case("photographs", "photographs", Scene()),
+        Case("photographs-white", "photographs", Scene(tone=Tone(white=120)), {"White, as a number": "120"}),
+        Case("photographs-error", "photographs", Scene(level=1, compare=Compare("heat", 2, gain=64.0)),
+             {"Show": "heat", "With": "2", "Amplify": "6", **low}),
+        Case("photograph", "photograph", Scene(kind="generic")),
+        Case("photograph-error", "photograph", Scene(kind="generic", level=1, compare=Compare("heat", 2, gain=16.0)),
+             {"Show": "heat", "With": "2", "Amplify": "4", **low}),
+    ]
+
+
+CASES = _cases() + _pictures_of_bytes()
 
 
 def _slices(model: Model) -> dict[str, Any]:

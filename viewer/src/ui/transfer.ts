@@ -82,7 +82,8 @@ class TransferEditor implements Control {
     const points = this.get();
     if (points.length < MOST_POINTS) {
       const [one, other] = [points[i]!, points[i + 1] ?? points[i - 1]!];
-      this.knobs[this.add([(one[0] + other[0]) / 2, (one[1] + other[1]) / 2])]?.focus();
+      const added = this.add([(one[0] + other[0]) / 2, (one[1] + other[1]) / 2]);
+      this.knobs[added]?.focus();
     }
   }
 
