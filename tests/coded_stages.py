@@ -53,18 +53,31 @@ def root_places(extents: list[list[int]]) -> dict[str, Array]:
     """Where the only node of the first stage lies, whose modes have these extents."""
     flat = [size for own in extents for size in own]
     ends = np.cumsum([0, *map(len, extents)])
-    return {"rows": np.array([prod(own) for own in extents], np.uint32),
-            "extents": np.array(flat, np.uint32), "ends": ends.astype(np.uint32)}
+    return {
+        "rows": np.array([prod(own) for own in extents], np.uint32),
+        "extents": np.array(flat, np.uint32),
+        "ends": ends.astype(np.uint32),
+    }
 
 
-def random_stage(rng: np.random.Generator, places: dict[str, Array], order: int, *, last: bool, coded: bool = True,
-                 cells: float = 0.6, big: float = 0.05) -> dict[str, Any]:
+def random_stage(
+    rng: np.random.Generator,
+    places: dict[str, Array],
+    order: int,
+    *,
+    last: bool,
+    coded: bool = True,
+    cells: float = 0.6,
+    big: float = 0.05,
+) -> dict[str, Any]:
     """A stage of random nodes at these places; `cells`: how many nodes have numbers, `big`: how many numbers are."""
     stage = Ragged(order)
     rows = places["rows"].reshape(-1, order).astype(int)
     for s in range(len(rows)):
-        own = [places["extents"][slice(*places["ends"][s * order + n:s * order + n + 2])].astype(int).tolist()
-               for n in range(order)]
+        own = [
+            places["extents"][slice(*places["ends"][s * order + n : s * order + n + 2])].astype(int).tolist()
+            for n in range(order)
+        ]
         kind = rng.random()
         if (rows[s] == 0).any():
             _add_empty(stage, rows[s])
@@ -116,7 +129,7 @@ def grid_part(grid: list[int], extents: list[int]) -> Array:
     for segments, extent in zip(grid, extents, strict=True):
         own = np.zeros(extent, int)
         for p in range(segments):
-            own[extent * p // segments:extent * (p + 1) // segments] = p
+            own[extent * p // segments : extent * (p + 1) // segments] = p
         along.append(own)
     return np.array([np.ravel_multi_index(index, grid) for index in product(*along)], int)
 

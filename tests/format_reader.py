@@ -1,4 +1,4 @@
-"""A reader of `.hmk` files by `docs/format.md` alone: nothing of ours but the code in that text, one element at a time."""
+"""A reader of `.hmk` files by `docs/format.md` alone: nothing of ours but the code in it, one element at a time."""
 
 from __future__ import annotations
 
@@ -91,7 +91,9 @@ class Reader:
         self.at = 20 + length
         self.axes = self.header["axes"]
         self.coordinates = [self._coordinates(axis) for axis in self.axes]
-        self.modes: list[list[int]] = [[self.axes[axis]["size"] for axis in mode] for mode in self.header["organisation"]]
+        self.modes: list[list[int]] = [
+            [self.axes[axis]["size"] for axis in mode] for mode in self.header["organisation"]
+        ]
         self.stages = self._stages()
         assert self.at == len(self.data)
 
@@ -117,7 +119,9 @@ class Reader:
             for count, coded, cells, core, *basis in head["runs"]:
                 raw = 4 * cells + 2 * (core + sum(basis)) if "bits" in head else 0
                 payload = self._section(coded + raw)
-                run = CODE["Run"](payload[:coded], len(self.modes), number == len(self.header["stages"]), "step" in head)
+                run = CODE["Run"](
+                    payload[:coded], len(self.modes), number == len(self.header["stages"]), "step" in head
+                )
                 own = [run.node(extents) for extents in places[len(nodes) : len(nodes) + count]]
                 run.end()
                 for node in own if "step" in head else []:
@@ -134,7 +138,9 @@ class Reader:
                 node.below = CODE["children"](node)
                 node.children = []
                 places += node.below
-                node.cluster = [np.array(own, int).reshape(len(own), k) for own, k in zip(node.cluster, node.K, strict=True)]
+                node.cluster = [
+                    np.array(own, int).reshape(len(own), k) for own, k in zip(node.cluster, node.K, strict=True)
+                ]
                 node.part = [np.array(own, int) for own in node.part]
         return stages
 
@@ -151,9 +157,15 @@ class Reader:
     def value(self, index: list[int], level: int) -> float:
         """The value of the source at an index of each axis, up to a level."""
         ends = [n for n, head in enumerate(self.header["stages"], 1) if "step" in head or "bits" in head]
-        rows = [CODE["flat"]([index[axis] for axis in mode], [self.axes[axis]["size"] for axis in mode])
-                for mode in self.header["organisation"]]  # fmt: skip
+        rows = [
+            CODE["flat"]([index[axis] for axis in mode], [self.axes[axis]["size"] for axis in mode])
+            for mode in self.header["organisation"]
+        ]
         y, transform = self.element(rows, ends[level - 1]), self.header.get("transform", {"name": "identity"})
         scale = transform.get("scale", 1.0)
-        return {"identity": lambda: y, "log1p": lambda: scale * float(np.expm1(y)), "asinh": lambda: scale * float(np.sinh(y)),
-                "sqrt": lambda: max(y, 0.0) ** 2}[transform["name"]]()  # fmt: skip
+        return {
+            "identity": lambda: y,
+            "log1p": lambda: scale * float(np.expm1(y)),
+            "asinh": lambda: scale * float(np.sinh(y)),
+            "sqrt": lambda: max(y, 0.0) ** 2,
+        }[transform["name"]]()

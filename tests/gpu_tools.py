@@ -84,11 +84,6 @@ class Kind:
     own: float = 0.0  # chance that a mode is undecomposed in a node
     eight_from: int | None = None  # level from which numbers are stored in eight bits
 
-    @property
-    def levels(self) -> int:
-        """Stages that have numbers."""
-        return self.stages - len(self.cuts)
-
     def model(self, seed: int = 0) -> Model:
         """A random model of this kind, with nodes of different shapes, empty nodes and leaves above the last level."""
         axes = name_axes(self.sizes, AXIS_NAMES[: len(self.sizes)])

@@ -92,8 +92,18 @@ class Case:
 def read_corpus() -> list[Case]:
     """All cases of the corpus."""
     cases = json.loads(CORPUS.read_text(encoding="utf-8"))["cases"]
-    return [Case(case["name"], case["base"], case.get("edits", []), case.get("limits", {}), case["kind"],
-                 case["reason"], case.get("where")) for case in cases]  # fmt: skip
+    return [
+        Case(
+            case["name"],
+            case["base"],
+            case.get("edits", []),
+            case.get("limits", {}),
+            case["kind"],
+            case["reason"],
+            case.get("where"),
+        )
+        for case in cases
+    ]
 
 
 def apply_edit(data: bytes, edit: dict[str, Any]) -> bytes:

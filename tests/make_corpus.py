@@ -21,11 +21,17 @@ def parts_of(name: str) -> Parts:
     return Parts.split((FIXTURES / name).read_bytes())
 
 
-def case(name: str, base: str, edits: list[dict[str, Any]], reason: str, where: str | None = None, **limits: int
-         ) -> dict[str, Any]:  # fmt: skip
+def case(
+    name: str, base: str, edits: list[dict[str, Any]], reason: str, where: str | None = None, **limits: int
+) -> dict[str, Any]:
     """One case; of the kind that its reason has."""
-    told: dict[str, Any] = {"name": name, "base": base, "edits": edits, "kind": REASONS[reason].kind.value[0],
-                            "reason": reason}  # fmt: skip
+    told: dict[str, Any] = {
+        "name": name,
+        "base": base,
+        "edits": edits,
+        "kind": REASONS[reason].kind.value[0],
+        "reason": reason,
+    }
     return {**told, **({"where": where} if where else {}), **({"limits": limits} if limits else {})}
 
 
@@ -42,7 +48,9 @@ def text(old: str, new: str) -> dict[str, Any]:
 def frame_cases() -> Cases:
     """What a file begins with, its length, its checksums."""
     size = len((FIXTURES / SMALL).read_bytes())
-    ends = [case(f"cut to {n} bytes", SMALL, [{"op": "truncate", "size": n}], "truncated", "header") for n in (0, 5, 19, 60)]
+    ends = [
+        case(f"cut to {n} bytes", SMALL, [{"op": "truncate", "size": n}], "truncated", "header") for n in (0, 5, 19, 60)
+    ]
     return [
         *ends,
         case("without its last byte", SMALL, [{"op": "truncate", "size": size - 1}], "truncated", "data"),
@@ -52,11 +60,20 @@ def frame_cases() -> Cases:
         case("version 2", SMALL, [{"op": "bytes", "at": 8, "hex": "02"}], "version-unknown", "header"),
         case("a header of 4 GiB", SMALL, [{"op": "bytes", "at": 12, "hex": "ffffffff"}], "header-too-large", "header"),
         case("a bit of the header", SMALL, [{"op": "bytes", "at": 30, "hex": "00"}], "header-crc", "header"),
-        case("the checksum of the header", SMALL, [{"op": "bytes", "at": 16, "hex": "00000000"}], "header-crc", "header"),
-        case("the last byte", SMALL, [{"op": "bytes", "at": size - 1, "hex": "00"}], "section-crc", "stages[0].runs[0]"),
-        case("a coordinate", MERGED, [{"op": "bytes", "at": len(parts_of(MERGED).text) + 21, "hex": "aa"}], "section-crc",
-             "axes[0].coordinates"),
-    ]  # fmt: skip
+        case(
+            "the checksum of the header", SMALL, [{"op": "bytes", "at": 16, "hex": "00000000"}], "header-crc", "header"
+        ),
+        case(
+            "the last byte", SMALL, [{"op": "bytes", "at": size - 1, "hex": "00"}], "section-crc", "stages[0].runs[0]"
+        ),
+        case(
+            "a coordinate",
+            MERGED,
+            [{"op": "bytes", "at": len(parts_of(MERGED).text) + 21, "hex": "aa"}],
+            "section-crc",
+            "axes[0].coordinates",
+        ),
+    ]
 
 
 def json_cases() -> Cases:
@@ -90,17 +107,36 @@ def field_cases() -> Cases:
         ("a name with a plus", header("axes", 0, "name", to="a+b"), "field-value", "header.axes[0].name"),
         ("a name twice", header("axes", 1, "name", to="höhe"), "field-value", "header.axes[1].name"),
         ("an unknown role", header("axes", 0, "role", to="depth"), "field-value", "header.axes[0].role"),
-        ("too few coordinates", header("axes", 0, "coordinates", to=[1, 2]), "field-value", "header.axes[0].coordinates"),
+        (
+            "too few coordinates",
+            header("axes", 0, "coordinates", to=[1, 2]),
+            "field-value",
+            "header.axes[0].coordinates",
+        ),
         ("coordinates null", header("axes", 0, "coordinates", to=None), "field-type", "header.axes[0].coordinates"),
-        ("coordinates of 17", header("axes", 0, "coordinates", to={"dtype": "F32", "width": 17}), "field-value",
-         "header.axes[0].coordinates.width"),
+        (
+            "coordinates of 17",
+            header("axes", 0, "coordinates", to={"dtype": "F32", "width": 17}),
+            "field-value",
+            "header.axes[0].coordinates.width",
+        ),
         ("an axis in no mode", header("organisation", to=[[0]]), "organisation", "header.organisation"),
         ("an axis twice", header("organisation", to=[[0], [0, 1]]), "organisation", "header.organisation"),
         ("a mode without axes", header("organisation", to=[[0, 1], []]), "field-value", "header.organisation"),
         ("an unknown type", header("dtype", to="float128"), "field-value", "header.dtype"),
         ("an unknown kind", header("kind", to="sound"), "field-value", "header.kind"),
-        ("an unknown transform", header("transform", to={"name": "cube"}), "transform-unknown", "header.transform.name"),
-        ("a scale of 0", header("transform", to={"name": "log1p", "scale": 0}), "field-value", "header.transform.scale"),
+        (
+            "an unknown transform",
+            header("transform", to={"name": "cube"}),
+            "transform-unknown",
+            "header.transform.name",
+        ),
+        (
+            "a scale of 0",
+            header("transform", to={"name": "log1p", "scale": 0}),
+            "field-value",
+            "header.transform.scale",
+        ),
         ("quality of no level", header("quality", to=[]), "field-value", "header.quality"),
         ("null, and errors", header("quality", 0, "rmse", to=1.0), "field-value", "header.quality[0].snr_db"),
         ("no stages", header("stages", to=[]), "field-value", "header.stages"),
@@ -114,7 +150,7 @@ def field_cases() -> Cases:
         ("other rows", header(*root, "rows", 0, to=5), "row-count", "header.stages[0].rows"),
         ("a run without nodes", header(*root, "runs", to=[[0, 4, 0, 0, 0, 0]]), "field-value", "header.stages[0].runs"),
         ("too few counts", header(*root, "runs", 0, to=[1, 4]), "field-value", "header.stages[0].runs[0]"),
-    ]  # fmt: skip
+    ]
     return [case(name, SMALL, [edit], reason, where) for name, edit, reason, where in bad]
 
 
@@ -156,7 +192,10 @@ def _run_case(name: str, coder: Encoder, largest: list[list[int]], reason: str) 
     """The small file with another code, and room for what that asks for."""
     data = coder.finish() + bytes(8)
     # Their lengths go together, so both are changed at once.
-    changes = [header("stages", 0, "runs", 0, to=[1, len(data), 9, 99, 99, 0]), header("stages", 0, "largest", to=largest)]
+    changes = [
+        header("stages", 0, "runs", 0, to=[1, len(data), 9, 99, 99, 0]),
+        header("stages", 0, "largest", to=largest),
+    ]
     return case(name, SMALL, [{"op": "rewrite", "header": changes, "hex": data.hex()}], reason, "stages[0].runs[0]")
 
 
@@ -186,13 +225,30 @@ def run_cases() -> Cases:
         _run_case("a label beyond C", _labels([3], 3, 4)(), wide, "cluster-range"),
         _run_case("a label twice", _labels([1, 1], 3, 3)(), wide, "cluster-order"),
         case("a cell too many", SMALL, [header("stages", 0, "runs", 0, 2, to=2)], "run-count", "stages[0].runs[0]"),
-        case("a number too few", SMALL, [header("stages", 0, "runs", 0, 4, to=parts_of(SMALL).header["stages"][0]["runs"][0][4] - 1)],
-             "run-count", "stages[0].runs[0]"),
-        case("a larger C in the header", SMALL, [header("stages", 0, "largest", 0, 0, to=2)], "level-bounds", "stages[0].largest[0]"),
-        case("an end that is none", SMALL, [{"op": "section", "number": 0, "at": -1, "hex": "55"}], "code-end", "stages[0].runs[0]"),
+        case(
+            "a number too few",
+            SMALL,
+            [header("stages", 0, "runs", 0, 4, to=parts_of(SMALL).header["stages"][0]["runs"][0][4] - 1)],
+            "run-count",
+            "stages[0].runs[0]",
+        ),
+        case(
+            "a larger C in the header",
+            SMALL,
+            [header("stages", 0, "largest", 0, 0, to=2)],
+            "level-bounds",
+            "stages[0].largest[0]",
+        ),
+        case(
+            "an end that is none",
+            SMALL,
+            [{"op": "section", "number": 0, "at": -1, "hex": "55"}],
+            "code-end",
+            "stages[0].runs[0]",
+        ),
         *_tree_cases(),
         *_number_cases(),
-    ]  # fmt: skip
+    ]
 
 
 def _with_end(coder: Encoder) -> Encoder:
@@ -203,7 +259,10 @@ def _with_end(coder: Encoder) -> Encoder:
 def _tree_cases() -> Cases:
     stages = parts_of(HALF).header["stages"]
     nodes, rows = stages[1]["nodes"], stages[1]["rows"]
-    more = [header("stages", 1, "nodes", to=nodes + 1), header("stages", 1, "runs", 0, 0, to=stages[1]["runs"][0][0] + 1)]
+    more = [
+        header("stages", 1, "nodes", to=nodes + 1),
+        header("stages", 1, "runs", 0, 0, to=stages[1]["runs"][0][0] + 1),
+    ]
     return [
         case("a node too many", HALF, more, "child-count", "stages[0]"),
         case("rows too many", HALF, [header("stages", 1, "rows", 0, to=rows[0] + 1)], "row-count", "stages[0]"),
@@ -215,11 +274,18 @@ def _number_cases() -> Cases:
     half = next(t for t, stage in enumerate(parts.header["stages"]) if "bits" in stage)
     number = sum(len(stage["runs"]) for stage in parts.header["stages"][:half])
     return [
-        case("an infinite scale", HALF, [{"op": "section", "number": number, "at": -4, "hex": "0000807f"}], "not-finite"),
+        case(
+            "an infinite scale", HALF, [{"op": "section", "number": number, "at": -4, "hex": "0000807f"}], "not-finite"
+        ),
         case("a huge scale", HALF, [{"op": "section", "number": number, "at": -4, "hex": "ffff7f7f"}], "value-range"),
-        case("a coordinate that is NaN", MERGED, [{"op": "section", "number": 0, "at": 0, "hex": "0000c07f"}], "not-finite",
-             "axes[0].coordinates"),
-    ]  # fmt: skip
+        case(
+            "a coordinate that is NaN",
+            MERGED,
+            [{"op": "section", "number": 0, "at": 0, "hex": "0000c07f"}],
+            "not-finite",
+            "axes[0].coordinates",
+        ),
+    ]
 
 
 def write_corpus() -> None:

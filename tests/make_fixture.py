@@ -27,8 +27,16 @@ Model = tuple[Metadata, tuple[PackedLevel, ...]]
 def small_model() -> Model:
     """Two modes, one stage, one node, one of its modes undecomposed: the least there is."""
     axes = (Axis("höhe", 4, "space", np.array([0.0, 0.5, 1.0, 2.5]), "µm"), Axis("t", 3, "time"))
-    metadata, stages = random_model(np.random.default_rng(7), (4, 3), 1, (1,), axes=axes, coded=1.0,
-                                    organisation=(("höhe",), ("t",)), shapes=Shapes(1, 1, 2, zero=0.0))
+    metadata, stages = random_model(
+        np.random.default_rng(7),
+        (4, 3),
+        1,
+        (1,),
+        axes=axes,
+        coded=1.0,
+        organisation=(("höhe",), ("t",)),
+        shapes=Shapes(1, 1, 2, zero=0.0),
+    )
     exact = LevelQuality(float("inf"), 0.0, 0.0)
     return replace(metadata, kind="volume", seed=7, quality=(exact,), source={}), stages
 
@@ -36,11 +44,24 @@ def small_model() -> Model:
 def merged_model() -> Model:
     """Four axes in three modes, time undecomposed, a cut stage between two with clusters, coordinates as sections."""
     directions = np.random.default_rng(3).normal(size=(24, 3)).astype(np.float32)
-    axes = (Axis("light", 24, "light", directions, "unit vectors"), Axis("texel", 6, "space"),
-            Axis("frame", 2, "time", np.array([0.0, 0.04]), "s"), Axis("rgb", 3, "channel"))
+    axes = (
+        Axis("light", 24, "light", directions, "unit vectors"),
+        Axis("texel", 6, "space"),
+        Axis("frame", 2, "time", np.array([0.0, 0.04]), "s"),
+        Axis("rgb", 3, "channel"),
+    )
     organisation = (("light", "rgb"), ("texel",), ("frame",))
-    metadata, stages = random_model(np.random.default_rng(302), mode_sizes(axes, organisation), 3, (2,), axes=axes,
-                                    organisation=organisation, shapes=Shapes(2, 2, 2, 4, 0.15, 0.25), coded=1.0, cuts=(2,))
+    metadata, stages = random_model(
+        np.random.default_rng(4),
+        mode_sizes(axes, organisation),
+        3,
+        (2,),
+        axes=axes,
+        organisation=organisation,
+        shapes=Shapes(2, 2, 2, 4, 0.15, 0.25),
+        coded=1.0,
+        cuts=(2,),
+    )
     return replace(metadata, kind="svbrdf", source_dtype="float16", source={"file": "a \\ \u00e9.npy"}), stages
 
 
@@ -56,18 +77,30 @@ def half_model() -> Model:
     """Float16 numbers at one stage, coded ones at the other, after a cut of the root."""
     axes = (Axis("y", 9, "space"), Axis("x", 7, "space"), Axis("t", 2, "time"))
     shapes = Shapes(3, 2, 2, 6, zero=0.1, leaf=0.2)
-    metadata, stages = random_model(np.random.default_rng(7), (63, 2), 3, (1,), axes=axes, cuts=(1,),
-                                    organisation=(("y", "x"), ("t",)), shapes=shapes, coded=0.5)
+    metadata, stages = random_model(
+        np.random.default_rng(7),
+        (63, 2),
+        3,
+        (1,),
+        axes=axes,
+        cuts=(1,),
+        organisation=(("y", "x"), ("t",)),
+        shapes=shapes,
+        coded=0.5,
+    )
     return replace(metadata, kind="volume", seed=12), stages
 
 
 MODELS: dict[str, Callable[[], Model]] = {
-    "small": small_model, "merged": merged_model, "own": own_model, "half": half_model,
+    "small": small_model,
+    "merged": merged_model,
+    "own": own_model,
+    "half": half_model,
 }
 
 
 def values_of(metadata: Metadata, stages: tuple[PackedLevel, ...]) -> list[list[float]]:
-    """Some elements of the tensor of modes, stage by stage before the inverse of the transform: indices, then values."""
+    """Some elements of the tensor of modes: indices, then values up to each stage before the inverse transform."""
     sizes = mode_sizes(metadata.axes, metadata.organisation)
     rng = np.random.default_rng(0)
     points = [[int(rng.integers(size)) for size in sizes] for _ in range(20)]

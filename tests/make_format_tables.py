@@ -17,7 +17,9 @@ TEXT = Path(__file__).parent.parent / "docs" / "format.md"
 def table(reasons: dict[str, Reason]) -> str:
     """Rows of a table of reasons."""
     head = "| reason | kind | meaning |\n| --- | --- | --- |\n"
-    return head + "".join(f"| `{code}` | {reason.kind.value[0]} | {reason.sentence} |\n" for code, reason in reasons.items())
+    return head + "".join(
+        f"| `{code}` | {reason.kind.value[0]} | {reason.sentence} |\n" for code, reason in reasons.items()
+    )
 
 
 def dump(data: bytes) -> str:
@@ -35,9 +37,15 @@ def write_tables() -> None:
     text = TEXT.read_text(encoding="utf-8")
     first, second = (table(reasons).replace("\\", "\\\\") for reasons in (REASONS, WRITER_REASONS))
     tables = iter((first, second))
-    text = re.sub(r"\| reason \| kind \| meaning \|\n(\|.*\n|REASONS\n|WRITERS\n)*", lambda _: next(tables).replace("\\\\", "\\"), text)
+    text = re.sub(
+        r"\| reason \| kind \| meaning \|\n(\|.*\n|REASONS\n|WRITERS\n)*",
+        lambda _: next(tables).replace("\\\\", "\\"),
+        text,
+    )
     hexadecimal = dump((FIXTURES / "v1-small.hmk").read_bytes())
-    text = re.sub(r"```text\n0000 .*?```\n|^HEX\n", lambda _: hexadecimal, text, count=1, flags=re.DOTALL | re.MULTILINE)
+    text = re.sub(
+        r"```text\n0000 .*?```\n|^HEX\n", lambda _: hexadecimal, text, count=1, flags=re.DOTALL | re.MULTILINE
+    )
     TEXT.write_text(text, encoding="utf-8")
 
 

@@ -34,7 +34,9 @@ def test_random_files_read_by_the_text_alone(seed: int, tmp_path: Path) -> None:
     sizes = tuple(int(size) for size in rng.integers(1, 7, int(rng.integers(2, 4))))
     stages = int(rng.integers(1, 4))
     shapes = Shapes(3, 3, 3, 8, zero=0.1, leaf=0.2, cut=0.3, own=0.3)
-    metadata, levels = random_model(rng, sizes, stages, shapes=shapes, coded=0.7, cuts=(1,) if stages > 1 and seed % 2 else ())
+    metadata, levels = random_model(
+        rng, sizes, stages, shapes=shapes, coded=0.7, cuts=(1,) if stages > 1 and seed % 2 else ()
+    )
     Model(metadata, levels).save(tmp_path / "a.hmk")
     reader = Reader(tmp_path / "a.hmk")
     for point in rng.integers(0, sizes, (12, len(sizes))).tolist():

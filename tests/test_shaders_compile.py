@@ -130,7 +130,7 @@ def test_tint_decodes_elements(tmp_path: Path) -> None:
     for kind in KINDS:
         model = kind.model()
         indices = random_indices(model, 500)
-        for level in range(1, kind.levels + 1):
+        for level in range(1, len(model.levels) + 1):
             pages, decoder = buffers(model, level)
             head = prelude(tree_of(model.metadata, model.stages), pages)
             code = compose(head, "image", "decode", "elements")
@@ -149,7 +149,7 @@ def test_tint_decodes_weighted_sums(tmp_path: Path, channels: int) -> None:
         model = kind.model(seed=4)
         counts = fitting(model, 2) if channels == 1 else (3, 1, 2, 1, 3, 1)[: model.ndim]
         picks = random_picks(model, counts, 100, channel=4 if channels == 3 else None)
-        pages, decoder = buffers(model, kind.levels)
+        pages, decoder = buffers(model, len(model.levels))
         head = prelude(plain_tree(model), pages, Options(counts, channels))
         wanted = picked_words(picks, max(counts))
         lists = [("read-only-storage", wanted.tobytes()), ("storage", bytes(400 * channels))]

@@ -75,7 +75,7 @@ def test_contracted_modes_change_nothing(kind: Kind) -> None:
         buffers.contract(fixed(picks, still))
         code = compose_picked(buffers.prelude(), "picked")
         decode = ListPass(adapter(), buffers, "decode_sums", code)
-        for level in (1, kind.levels):
+        for level in (1, len(model.levels)):
             assert close(decode.run(picked_words(picks, 2), buffers.bind_group(level)), model, picks, level)
     assert tried
 
@@ -138,7 +138,7 @@ def test_tint_contracts_the_same(tmp_path: Path, name: str) -> None:
     tree = replace(tree_of(metadata, model.stages), uniform=())
     options = Options(fitting(model, 2), contracted=contractable(model, still))
     image = pack_image(model.stages)
-    group = [("uniform", decoder_uniform(metadata, kind.levels)), ("read-only-storage", image.words.tobytes())]
+    group = [("uniform", decoder_uniform(metadata, len(model.levels))), ("read-only-storage", image.words.tobytes())]
     constants = contraction_constants(tree, model.stages, image, options)
     starts = core_starts(model.stages, options.contracted)
     device = adapter()

@@ -22,7 +22,7 @@ LAYERS = (
     ("core_parameters", "parameters", "support"),
     ("axes", "conventions", "goals", "grids", "transform", "indexing"),
     ("plan", "packed"),
-    ("plan_checks",),
+    ("plan_checks", "planned"),
     ("cells", "hmkfile", "_example"),
     ("backends",),
     ("decode", "journal_cells", "streaming"),

@@ -20,8 +20,9 @@ from .errors import expect, invalid
 from .goals import memory_given
 from .hmkfile import DEFAULT_LIMITS, Limits, encoded_size, load, save
 from .indexing import Index, Selection, cut, occurring, positions, select
-from .packed import LevelBounds, LevelQuality, Metadata, PackedLevel, level_ends, undecomposed_modes
-from .plan import AUTO, SCHEMES, LevelSpec, Plan, multiply_adds
+from .packed import LevelBounds, LevelQuality, Metadata, PackedLevel, level_ends
+from .plan import Plan, multiply_adds
+from .planned import plan_of
 from .support.memory import available_memory, check_memory, format_bytes
 from .support.slabs import slabs
 from .transform import from_json, nearest
@@ -50,8 +51,7 @@ class Model:
 
     Args:
         metadata: axes, organisation, value transform, quality; kept as the attribute `metadata`.
-        stages: the packed stages, one for each in `metadata.stages`; kept as the attribute `stages`, a tuple. Those with
-            numbers are the levels.
+        stages: one for each in `metadata.stages`; kept as the attribute `stages`. Those with numbers are the levels.
 
     Raises:
         HmkctaError: reason ``level-count``: there are no stages, not as many as the metadata say, or the last is a cut.
@@ -132,24 +132,12 @@ class Model:
     @property
     def plan(self) -> Plan:
         """The plan that the levels follow, with the largest R, C and K of any node; blocks are named as clusters."""
-        whole, levels = undecomposed_modes(self.stages), list[LevelSpec]()
-        cuts = [1] * len(self._sizes)
-        for bounds in self.metadata.stages:
-            clusters = [cut * c for cut, c in zip(cuts, bounds.clusters, strict=True)]
-            cuts = clusters if bounds.is_cut else [1] * len(cuts)
-            if bounds.is_cut or not all(bounds.clusters):
-                continue
-            ranks = (None if n in whole and clusters[n] == 1 else r for n, r in enumerate(bounds.ranks))
-            levels.append(LevelSpec(tuple(ranks), tuple(clusters), tuple(max(1, k) for k in bounds.mixture),
-                                    bounds.scheme if bounds.scheme in SCHEMES else AUTO))
-        return Plan(self.metadata.organisation, tuple(levels))
+        return plan_of(self.metadata, self.stages)
 
     @property
     def decode_cost(self) -> int:
         """Multiply-adds for one scattered element: over levels, the sum of the largest prod R_n K_n of any node."""
-        costs = ((stage.shape[:, 1] * stage.shape[:, 2].astype(np.int64), stage) for stage in self.stages)
-        return sum(int((np.where(stage.undecomposed, 1, cost).prod(axis=1) * stage.has_cells).max(initial=0))
-                   for cost, stage in costs)
+        return sum(stage.decode_cost for stage in self.stages)
 
     def __repr__(self) -> str:
         axes = " ".join(f"{axis.name}={axis.size}" for axis in self.metadata.axes)

@@ -40,8 +40,9 @@ def _pack(nodes: Sequence[Node], undecomposed: Sequence[int], unit: float, *, la
     core, core_offset = _joined([numbers for numbers, _ in rounded], np.float16), _offsets(counts)
     scale, cell_offset = _joined([factors for _, factors in rounded], np.float32), _offsets(cells)
     scale = (scale * unit).astype(np.float32)
-    cluster = [_ragged([_members(node, n) for node in nodes if stored[n]] or _none(nodes), np.uint16) for n in range(order)]
-    basis = [_ragged([_basis(node, n) for node in nodes if stored[n]] or _none(nodes), np.float16) for n in range(order)]
+    none: Ragged = [np.zeros(0)] * len(nodes)
+    cluster = [_ragged([_members(node, n) for node in nodes] if stored[n] else none, np.uint16) for n in range(order)]
+    basis = [_ragged([_basis(node, n) for node in nodes] if stored[n] else none, np.float16) for n in range(order)]
     return PackedLevel(
         shape=shape,
         child=None if last else _offsets([len(node.children) for node in nodes]),
@@ -57,11 +58,6 @@ def _pack(nodes: Sequence[Node], undecomposed: Sequence[int], unit: float, *, la
         part=tuple(None if last else _joined([_part(node, n) for node in nodes], np.uint16) for n in range(order)),
         local=tuple(None if last else _joined([_local(node, n) for node in nodes], np.uint32) for n in range(order)),
     )
-
-
-def _none(nodes: Sequence[Node]) -> Ragged:
-    """No entries of any node."""
-    return [np.zeros(0)] * len(nodes)
 
 
 def _members(node: Node, n: int) -> NDArray[np.uint16]:

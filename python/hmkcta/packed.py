@@ -81,6 +81,13 @@ class PackedLevel:
         """Which modes are undecomposed in each node, [S, N]."""
         return (self.shape[:, 1] == 0) & (self.shape[:, 2] > 0)
 
+    @property
+    def decode_cost(self) -> int:
+        """Multiply-adds for one scattered element: the largest prod R_n K_n of any node, of its decomposed modes."""
+        _, mixture, ranks = self.shape.astype(np.int64).transpose(1, 0, 2)
+        costs = np.where(self.undecomposed, 1, mixture * ranks).prod(axis=1)
+        return int((costs * self.has_cells).max(initial=0))
+
     def numbers(self) -> int:
         """Core and basis numbers stored; the paper counts 2 bytes each."""
         return self.core.size + sum(basis.size for basis in self.basis)

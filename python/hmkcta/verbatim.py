@@ -82,8 +82,9 @@ def _level(core: NDArray[np.float16], scale: float) -> PackedLevel:
     return PackedLevel(
         shape=np.array([_bounds(core.shape)], np.uint32), child=None,
         row_offset=tuple(_offsets(size) for size in core.shape), core=core.reshape(-1), core_offset=_offsets(core.size),
-        core_scale=np.array([scale], np.float32), cell_offset=_offsets(1), cluster=(np.zeros(0, np.uint16),) * core.ndim,
-        cluster_offset=empty, basis=(np.zeros(0, np.float16),) * core.ndim, basis_offset=empty, part=none, local=none,
+        core_scale=np.array([scale], np.float32), cell_offset=_offsets(1),
+        cluster=(np.zeros(0, np.uint16),) * core.ndim, cluster_offset=empty,
+        basis=(np.zeros(0, np.float16),) * core.ndim, basis_offset=empty, part=none, local=none,
     )
 
 

@@ -33,6 +33,38 @@ impl Requested {
         let stretches = together.map(|places| (places[0], places.len() as u32)).collect();
         Requested { pos, place, stretches }
     }
+
+    /// Add a value to the element of each row behind `start`, which nobody else uses meanwhile.
+    #[inline(always)]
+    fn add(&self, values: &[f32], start: usize, out: Shared) {
+        if 2 * self.stretches.len() > self.place.len() {
+            for (&place, &value) in self.place.iter().zip(values) {
+                // SAFETY: `within` gives places inside, and the caller has the elements alone; here and below.
+                unsafe { *out.within(start + place as usize, 1) += value };
+            }
+            return;
+        }
+        let mut values = values;
+        for &(place, count) in &self.stretches {
+            let count = count as usize;
+            let (stretch, behind) = values.split_at(count);
+            let to = unsafe { std::slice::from_raw_parts_mut(out.within(start + place as usize, count), count) };
+            add_all(stretch, to);
+            values = behind;
+        }
+    }
+}
+
+/// Add some numbers, mostly few.
+#[inline(always)]
+fn add_all(values: &[f32], to: &mut [f32]) {
+    let ((to, rest_to), (values, rest)) = (to.as_chunks_mut::<8>(), values.as_chunks::<8>());
+    for (to, values) in to.iter_mut().zip(values) {
+        for (to, &value) in to.iter_mut().zip(values) {
+            *to += value;
+        }
+    }
+    rest_to.iter_mut().zip(rest).for_each(|(to, &value)| *to += value);
 }
 
 pub struct Part<'p> {
@@ -148,17 +180,7 @@ fn add_lines(requested: &[&Requested], values: &[f32], sizes: &[usize], start: u
     let Some((rows, others)) = requested.split_first() else { return };
     let start = start * sizes[0];
     if others.is_empty() {
-        let mut values = values;
-        for &(place, count) in &rows.stretches {
-            let (stretch, behind) = values.split_at(count as usize);
-            // SAFETY: `within` gives places inside, and the caller has the elements alone.
-            let to = unsafe {
-                std::slice::from_raw_parts_mut(out.within(start + place as usize, stretch.len()), stretch.len())
-            };
-            to.iter_mut().zip(stretch).for_each(|(to, &value)| *to += value);
-            values = behind;
-        }
-        return;
+        return rows.add(values, start, out);
     }
     let each = (values.len() / rows.place.len()).max(1);
     for (values, &place) in values.chunks_exact(each).zip(&rows.place) {

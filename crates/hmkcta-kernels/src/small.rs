@@ -10,8 +10,6 @@ use pulp::{Simd, WithSimd};
 
 /// Elements of a block at most: with what is on the way to them they fit a level 2 cache.
 const MOST: usize = 1 << 16;
-/// Columns of a basis that are multiplied in one turn.
-const TURN: usize = 4;
 
 /// Buffers kept from one node to the next.
 #[derive(Default)]
@@ -108,31 +106,30 @@ impl Task<'_> {
 #[inline(always)]
 fn multiply<const FUSED: bool>(a: &[f32], b: &[f32], y: &mut [f32], (lines, inner, columns): (usize, usize, usize)) {
     for (a, y) in a.chunks_exact(inner).zip(y.chunks_exact_mut(columns)).take(lines) {
-        let mut turns = a.chunks_exact(TURN).zip(b.chunks_exact(TURN * columns));
-        let rest = inner % TURN;
-        let from = inner - rest;
-        let mut begun = false;
-        for (a, b) in turns.by_ref() {
-            let (b0, b) = b.split_at(columns);
-            let (b1, b) = b.split_at(columns);
-            let (b2, b3) = b.split_at(columns);
-            for (t, y) in y.iter_mut().enumerate() {
-                let sum = if begun { added::<FUSED>(a[0], b0[t], *y) } else { a[0] * b0[t] };
-                let sum = added::<FUSED>(a[1], b1[t], sum);
-                *y = added::<FUSED>(a[3], b3[t], added::<FUSED>(a[2], b2[t], sum));
-            }
-            begun = true;
-        }
-        for r in from..inner {
-            let (a, b) = (a[r], &b[r * columns..][..columns]);
-            if begun {
-                y.iter_mut().zip(b).for_each(|(y, &b)| *y = added::<FUSED>(a, b, *y));
-            } else {
-                y.iter_mut().zip(b).for_each(|(y, &b)| *y = a * b);
-            }
-            begun = true;
-        }
+        let mut done = stretch::<32, FUSED>(a, b, y, 0);
+        done = stretch::<8, FUSED>(a, b, y, done);
+        done = stretch::<4, FUSED>(a, b, y, done);
+        stretch::<1, FUSED>(a, b, y, done);
     }
+}
+
+/// A line of `y` from one column on, as far as `P` columns at a time go.
+#[inline(always)]
+fn stretch<const P: usize, const FUSED: bool>(a: &[f32], b: &[f32], y: &mut [f32], from: usize) -> usize {
+    let columns = y.len();
+    let mut at = from;
+    while at + P <= columns {
+        let mut sums = [0.0; P];
+        for (&a, b) in a.iter().zip(b.chunks_exact(columns)) {
+            let b: &[f32; P] = b[at..at + P].try_into().expect("P columns");
+            for (sum, &b) in sums.iter_mut().zip(b) {
+                *sum = added::<FUSED>(a, b, *sum);
+            }
+        }
+        y[at..at + P].copy_from_slice(&sums);
+        at += P;
+    }
+    at
 }
 
 #[inline(always)]
@@ -152,5 +149,76 @@ fn pick(node: &NodeView, requested: &[&Requested], n: usize, at: usize, halves: 
         (0..rank).for_each(|r| pick(node, requested, n + 1, at + r * stride, halves));
     } else {
         requested[n].pos.iter().for_each(|&row| pick(node, requested, n + 1, at + row as usize * stride, halves));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::machine::tests::on_all_machines;
+    use crate::packed::MOST_MODES;
+    use crate::testing::close;
+
+    #[test]
+    fn products_are_those_of_single_elements() {
+        on_all_machines(|| {
+            for (ranks, rows, decomposed) in [
+                ([2, 3, 2], [5, 9, 4], [true, true, true]),
+                ([2, 9, 5], [5, 9, 40], [true, false, true]),
+                ([6, 3, 4], [6, 3, 4], [false, false, false]),
+                ([1, 1, 4], [3, 1, 4], [true, true, false]),
+            ] {
+                compare(&ranks, &rows, &decomposed);
+            }
+        });
+    }
+
+    fn compare(ranks: &[usize; 3], rows: &[usize; 3], decomposed: &[bool; 3]) {
+        // Float16 from 1 to 2.
+        let bits = |count: usize, seed: usize| {
+            (0..count).map(|i| 0x3c00 + ((i * 37 + seed) % 1024) as u16).collect::<Vec<_>>()
+        };
+        let core = bits(ranks.iter().product(), 5);
+        let bases: Vec<Vec<u16>> = (0..3).map(|n| bits(rows[n] * ranks[n], n)).collect();
+        let mut node = NodeView {
+            order: 3,
+            clusters: [1; MOST_MODES],
+            mixture: [1; MOST_MODES],
+            ranks: [1; MOST_MODES],
+            rows: [0; MOST_MODES],
+            core: &core,
+            scale: &[0.5],
+            cluster: [&[]; MOST_MODES],
+            basis: [&[]; MOST_MODES],
+            decomposed: [false; MOST_MODES],
+        };
+        for n in 0..3 {
+            (node.ranks[n], node.rows[n], node.decomposed[n]) = (ranks[n], rows[n], decomposed[n]);
+            node.basis[n] = if decomposed[n] { &bases[n] } else { &[] };
+        }
+        let wanted: Vec<Requested> = rows
+            .iter()
+            .map(|&rows| Requested::new((0..rows as u32).rev().collect(), (0..rows as u32).collect()))
+            .collect();
+        let mut products = Products::default();
+        let requested: Vec<&Requested> = wanted.iter().collect();
+        let found = products.block(&node, &requested).unwrap();
+        for (at, &value) in found.iter().enumerate() {
+            let place = [at / (rows[1] * rows[2]), at / rows[2] % rows[1], at % rows[2]];
+            let row: [usize; 3] = std::array::from_fn(|n| rows[n] - 1 - place[n]);
+            let weight = |n: usize, r: usize| match decomposed[n] {
+                true => f64::widen(bases[n][row[n] * ranks[n] + r]),
+                false => f64::from(u8::from(r == row[n])),
+            };
+            let expected: f64 = (0..core.len())
+                .map(|c| {
+                    let r = [c / (ranks[1] * ranks[2]), c / ranks[2] % ranks[1], c % ranks[2]];
+                    0.5 * f64::widen(core[c]) * (0..3).map(|n| weight(n, r[n])).product::<f64>()
+                })
+                .sum();
+            close(value / expected as f32, 1.0);
+        }
+        let outside = Requested::new(vec![rows[0] as u32], vec![0]);
+        assert!(products.block(&node, &[&outside, &wanted[1], &wanted[2]]).is_err());
     }
 }

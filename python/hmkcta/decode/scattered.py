@@ -138,7 +138,8 @@ def node_values(
     others = clusters.prod(axis=0) // clusters  # [N, b]: PC_-n
     decomposed = [n for n, k in enumerate(mixture) if k]
     ids = {n: cluster_ids(level, n, mixture[n], node, pos[n]) for n in decomposed}
-    rows = {n: level.basis_offset[n][node].astype(np.intp) + pos[n] * mixture[n] * others[n] * ranks[n] for n in decomposed}
+    rows = {n: level.basis_offset[n][node].astype(np.intp) + pos[n] * mixture[n] * others[n] * ranks[n]
+            for n in decomposed}
     cores, cells = level.core_offset[node].astype(np.intp), level.cell_offset[node].astype(np.intp)
     address = _core_addresses(ranks, decomposed)
     for n, k in enumerate(mixture):

@@ -39,30 +39,40 @@ def header_end(start: bytes, size: int, limits: Limits) -> int:
     >>> header_end(MAGIC + bytes([1, 0, 0, 0, 2, 0, 0, 0, 0, 0, 0, 0]), 30, Limits())
     22
     """
-    if not start[:len(MAGIC)] == MAGIC[:size]:
+    if not start[: len(MAGIC)] == MAGIC[:size]:
         raise foreign(start[:START])
     if size < PREFIX_BYTES:
         raise fault("truncated", "header", f"a file of {size} bytes", f"{PREFIX_BYTES} bytes and more", _REFETCH)
-    version, length = (int.from_bytes(start[at:at + 4], "little") for at in (len(MAGIC), len(MAGIC) + 4))
+    version, length = (int.from_bytes(start[at : at + 4], "little") for at in (len(MAGIC), len(MAGIC) + 4))
     if version != VERSION:
         raise fault("version-unknown", "header", version, VERSION, "update hmkcta")
     if length > limits.json_bytes:
-        raise fault("header-too-large", "header", f"{length} bytes", f"at most {limits.json_bytes}",
-                    "check that it is an .hmk file")
+        raise fault(
+            "header-too-large",
+            "header",
+            f"{length} bytes",
+            f"at most {limits.json_bytes}",
+            "check that it is an .hmk file",
+        )
     if PREFIX_BYTES + length > size:
-        raise fault("truncated", "header", f"a file of {size} bytes", f"a header up to byte {PREFIX_BYTES + length}",
-                    _REFETCH)
+        raise fault(
+            "truncated", "header", f"a file of {size} bytes", f"a header up to byte {PREFIX_BYTES + length}", _REFETCH
+        )
     return PREFIX_BYTES + length
 
 
 def header_text(view: memoryview, end: int) -> str:
     """The text of the header, which ends at `end`."""
     raw = bytes(view[PREFIX_BYTES:end])
-    stated = int.from_bytes(view[PREFIX_BYTES - 4:PREFIX_BYTES], "little")
+    stated = int.from_bytes(view[PREFIX_BYTES - 4 : PREFIX_BYTES], "little")
     _check_sum("header-crc", "header", raw, stated)
     if found := _CONTROL.search(raw) or (_UPPER_CASE.search(raw) if b"\\u" in raw else None):
-        raise fault("header-bytes", "header", f"{found[0]!r} at byte {PREFIX_BYTES + found.start()}",
-                    "no control characters, lower-case digits in \\u escapes")
+        raise fault(
+            "header-bytes",
+            "header",
+            f"{found[0]!r} at byte {PREFIX_BYTES + found.start()}",
+            "no control characters, lower-case digits in \\u escapes",
+        )
     try:
         return raw.decode("utf-8")
     except UnicodeDecodeError as error:
@@ -76,14 +86,19 @@ def lay_out(begin: int, lengths: Sequence[tuple[str, int]], size: int) -> list[S
         sections.append(Section(name, begin, begin := begin + length + CHECKSUM_BYTES))
     if begin != size:
         short = begin > size
-        raise fault("truncated" if short else "trailing-bytes", "data", f"a file of {size} bytes", f"{begin} bytes",
-                    _REFETCH if short else "")
+        raise fault(
+            "truncated" if short else "trailing-bytes",
+            "data",
+            f"a file of {size} bytes",
+            f"{begin} bytes",
+            _REFETCH if short else "",
+        )
     return sections
 
 
 def payload(view: memoryview, section: Section, *, verify: bool = True) -> memoryview:
     """The payload of a section, compared with its checksum."""
-    own, stated = view[section.begin:section.end - CHECKSUM_BYTES], view[section.end - CHECKSUM_BYTES:section.end]
+    own, stated = view[section.begin : section.end - CHECKSUM_BYTES], view[section.end - CHECKSUM_BYTES : section.end]
     if verify:
         _check_sum("section-crc", section.name, own, int.from_bytes(stated, "little"))
     return own
@@ -92,8 +107,13 @@ def payload(view: memoryview, section: Section, *, verify: bool = True) -> memor
 def _check_sum(reason: str, where: str, data: bytes | memoryview, stated: int) -> None:
     found = zlib.crc32(data)
     if found != stated:
-        raise fault(reason, where, f"bytes whose checksum (CRC-32) is {found:#010x}",
-                    f"{stated:#010x}, as the file says", _REFETCH)
+        raise fault(
+            reason,
+            where,
+            f"bytes whose checksum (CRC-32) is {found:#010x}",
+            f"{stated:#010x}, as the file says",
+            _REFETCH,
+        )
 
 
 def prefix_of(header: bytes) -> bytes:

@@ -75,7 +75,7 @@ REASONS: dict[str, Reason] = {
     **{code: Reason(Kind.RESOURCE_LIMIT, sentence) for code, sentence in _RESOURCE_LIMIT.items()},
 }
 
-#: Why a writer refuses a path, or a model that no file can hold; for other faults of a model it uses the reader's codes.
+#: Why a writer refuses a path, or a model that no file can hold; else it uses the reader's codes.
 WRITER_REASONS: dict[str, Reason] = {
     "array-dtype": Reason(Kind.INVALID_ARGUMENT, "An array of the model has the wrong number type."),
     "array-shape": Reason(Kind.INVALID_ARGUMENT, "An array of the model has the wrong shape, or does not fit others."),

@@ -72,8 +72,14 @@ def stage_to_json(stage: Stage) -> dict[str, Any]:
     if stage.step is not None:
         numbers = {"step": float(str(np.float32(stage.step)))}
     scheme = {} if stage.bounds.scheme == NO_SCHEME else {"scheme": stage.bounds.scheme}
-    return {"nodes": stage.nodes, **numbers, **scheme, "largest": stage.largest, "rows": list(stage.rows),
-            "runs": [run.counts for run in stage.runs]}
+    return {
+        "nodes": stage.nodes,
+        **numbers,
+        **scheme,
+        "largest": stage.largest,
+        "rows": list(stage.rows),
+        "runs": [run.counts for run in stage.runs],
+    }
 
 
 def parse_stages(value: Json, where: str, sizes: Sequence[int], size: int, limits: Limits) -> tuple[Stage, ...]:
@@ -93,9 +99,13 @@ def parse_stages(value: Json, where: str, sizes: Sequence[int], size: int, limit
     widened = sum(_widened_bytes(stage, last=stage is stages[-1]) for stage in stages)
     if widened > limits.widened + 64 * size:
         most = widened - 64 * size
-        raise fault("widened-limit", where, f"{-(-widened >> 20) or 1} MiB of memory",
-                    f"at most {(limits.widened + 64 * size) >> 20} MiB for a file of {size} bytes",
-                    f"if you trust the file, hmkcta.open(path, limits=hmkcta.Limits(widened={most}))")
+        raise fault(
+            "widened-limit",
+            where,
+            f"{-(-widened >> 20) or 1} MiB of memory",
+            f"at most {(limits.widened + 64 * size) >> 20} MiB for a file of {size} bytes",
+            f"if you trust the file, hmkcta.open(path, limits=hmkcta.Limits(widened={most}))",
+        )
     return tuple(stages)
 
 
@@ -110,8 +120,9 @@ def _stage(value: Json, where: str, sizes: Sequence[int], limits: Limits) -> Sta
     step = _step(fields["step"], f"{where}.step") if "step" in fields else None
     half = "bits" in fields and as_integer(fields["bits"], f"{where}.bits", 16, 16) == 16
     scheme = as_text(fields.get("scheme", NO_SCHEME), f"{where}.scheme", (NO_SCHEME, *SCHEMES))
-    runs = tuple(_run(item, f"{where}.runs[{i}]", len(sizes)) for i, item in
-                 enumerate(as_list(fields["runs"], f"{where}.runs")))
+    runs = tuple(
+        _run(item, f"{where}.runs[{i}]", len(sizes)) for i, item in enumerate(as_list(fields["runs"], f"{where}.runs"))
+    )
     bounds = LevelBounds(largest[0], largest[1], largest[2], scheme)
     stage = Stage(nodes, bounds, step, half, counts(fields["rows"], f"{where}.rows"), runs)
     _check_bounds(stage, where, sizes, limits)
@@ -128,8 +139,9 @@ def _step(value: Json, where: str) -> float:
 
 
 def _run(value: Json, where: str, order: int) -> Run:
-    nodes, coded, cells, core, *basis = (as_integer(item, where, 0, MAX_U32) for item in
-                                         as_list(value, where, 4 + order))
+    nodes, coded, cells, core, *basis = (
+        as_integer(item, where, 0, MAX_U32) for item in as_list(value, where, 4 + order)
+    )
     return Run(nodes, coded, cells, core, tuple(basis))
 
 
@@ -139,7 +151,7 @@ def _check_bounds(stage: Stage, where: str, sizes: Sequence[int], limits: Limits
     if stage.step is not None and stage.half:
         raise fault("field-value", f"{where}.bits", "bits and a step", "one of them")
     has_numbers = stage.step is not None or stage.half
-    if has_numbers == bounds.is_cut or not has_numbers and any(bounds.mixture):
+    if has_numbers == bounds.is_cut or (not has_numbers and any(bounds.mixture)):
         raise fault("field-value", path, stage.largest, "C > 0 = K = R if and only if there is neither step nor bits")
     for n, size in enumerate(sizes):
         check_limit("clusters-limit", path, bounds.clusters[n], limits.clusters)

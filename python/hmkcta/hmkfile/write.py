@@ -84,7 +84,7 @@ def _coded(metadata: Metadata, levels: Sequence[PackedLevel]) -> list[list[tuple
         _check_rows(level, places["rows"].reshape(-1, level.order), name)
         coded.append(encode_stage(level, places, name))
         if level is not levels[-1]:
-            places = following(level, places)
+            places = following(level, places, name)
     return coded
 
 
@@ -115,6 +115,8 @@ def _check_arrays(level: PackedLevel, name: str, *, last: bool) -> None:
             if (array is None) != absent:
                 raise fault("array-shape", f"{name}.{field}", "no array" if array is None else "an array",
                             "none" if absent else "an array")
+            if array is not None and field != "shape" and array.ndim != 1:
+                raise fault("array-shape", f"{name}.{field}", f"{array.ndim} dimensions", 1)
             if array is not None and array.dtype != dtype:
                 raise fault("array-dtype", f"{name}.{field}", array.dtype, np.dtype(dtype))
 

@@ -62,9 +62,11 @@ def contraction_constants(tree: Tree, stages: Sequence[PackedLevel], image: Imag
     """The constants that `contract.wgsl` needs beside the prelude of the same model with nothing contracted."""
     room = rooms(tree.metadata, options)
     most = max((int(count) for stage in stages for count in _numbers(stage, options.contracted)), default=1)
+    folded = sum(tree.most(n, room[n]) for n in options.contracted)
     lanes = min(_GROUP, 1 << max(0, most - 1).bit_length())
-    return {"FOLDED": sum(1 << n for n in options.contracted), "FOLD_SUM": max(1, sum(tree.most(n, room[n]) for n in options.contracted)), "LANES": lanes,
-            "FOLD_CHANNELS": fold_channels(tree.metadata, options), "SET_NUMBERS": set_numbers(stages, options.contracted),
+    return {"FOLDED": sum(1 << n for n in options.contracted), "FOLD_SUM": max(1, folded), "LANES": lanes,
+            "FOLD_CHANNELS": fold_channels(tree.metadata, options),
+            "SET_NUMBERS": set_numbers(stages, options.contracted),
             "NODES": sum(stage.nodes for stage in stages), "SCALES": image.scales,
             "CELLS": image.coefficients[0] - image.scales}
 

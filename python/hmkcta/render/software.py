@@ -94,7 +94,8 @@ def _entries(level: PackedLevel, rows: Sequence[int]) -> NDArray[np.int64]:
     return np.where(level.undecomposed, np.array(rows, np.int64), level.shape[:, 2])
 
 
-def _together(level: PackedLevel, mixture: Sequence[int], rows: Sequence[int], groups: Sequence[int], cells: int) -> int:
+def _together(level: PackedLevel, mixture: Sequence[int], rows: Sequence[int], groups: Sequence[int], cells: int
+              ) -> int:
     """Turns of `picked_value` in all nodes of a level."""
     entries = _entries(level, rows).max(axis=0, initial=0).tolist()
     contraction = sum(prod(entries[: n + 1]) for n in range(len(rows)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 
-from .range_coder import Coder, CodeError
+from .range_coder import CodeError, Coder
 
 #: The largest magnitude of a stored whole number, and the largest k of a column.
 MOST_MAGNITUDE, MOST_K = 2**24 - 1, 63

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .contexts import code_integer, code_label
-from .range_coder import Coder, CodeError, Decoder, Encoder
+from .range_coder import CodeError, Coder, Decoder, Encoder
 from .run_numbers import code_numbers
 
 EMPTY, CELLS, CUT = 0, 1, 2

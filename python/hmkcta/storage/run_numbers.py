@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .contexts import MOST_K, code_integer, code_magnitude, size_of
-from .range_coder import Coder, CodeError
+from .range_coder import CodeError, Coder
 
 if TYPE_CHECKING:
     from .run_code import Node, Place
@@ -53,7 +53,9 @@ def _code_steps(coder: Coder, n: int, own: Array, before: list[int]) -> None:
         else:
             known = before[0] if r == 0 else before[-1]
             less = known - int(own[r])
-            zigzag = code_integer(coder, ("k", n, r > 0), 0 if coder.decodes else 2 * less if less >= 0 else -2 * less - 1)
+            zigzag = code_integer(
+                coder, ("k", n, r > 0), 0 if coder.decodes else 2 * less if less >= 0 else -2 * less - 1
+            )
             k = known - (zigzag // 2 if zigzag % 2 == 0 else -(zigzag + 1) // 2)
         if not 0 <= k <= MOST_K:
             raise CodeError("code-range")
@@ -109,7 +111,7 @@ def _code_core(coder: Coder, node: Node, place: Place, flat: int, free: list[int
     base = _base(node, place, flat, free)
     for index in product(*map(range, sizes)):
         t = base + sum(int(node.columns[n][flat, i]) for n, i in zip(modes, index, strict=True) if n in free)
-        near = {a: int(core[(*index[:a], i - 1, *index[a + 1:])]) for a, i in enumerate(index) if i > 0}
+        near = {a: int(core[(*index[:a], i - 1, *index[a + 1 :])]) for a, i in enumerate(index) if i > 0}
         given = int(core[index])
         magnitude = code_magnitude(coder, "core", size_of(t, 96, 40), list(near.values()), given)
         negative = 0
