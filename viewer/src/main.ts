@@ -159,11 +159,14 @@ class Page {
     try {
       await load(source, {
         onStart: (reading) => this.begin(reading, signal),
-        onLevel: async (_, level) => {
+        onLevel: async ({ arrived }, level) => {
           signal.throwIfAborted();
           await this.app!.addLevel();
           signal.throwIfAborted();
           this.mark(`level-${level}`);
+          if (level < arrived) { // the next one is there
+            return;
+          }
           // Let it be drawn before the next one is checked; a page that nobody sees is not drawn.
           await Promise.race([this.app!.drawn, new Promise((resolve) => setTimeout(resolve, FIRST_FRAME))]);
           await new Promise((resolve) => setTimeout(resolve));

@@ -1,111 +1,149 @@
-/** Cases of the shared corpus (`tests/corpus`), read by this reader: the same reasons at the same places as in Python. */
+/** The reader against the corpus of cases shared with Python (`tests/corpus`). */
 
 import { readFileSync } from "node:fs";
-import { describe, expect, test } from "vitest";
+import { join } from "node:path";
+import { describe, expect, it } from "vitest";
 import { DEFAULT_LIMITS } from "../src/reader/limits";
 import { loads } from "../src/reader/read";
-import { HmkError } from "../src/reader/reasons";
+import { HmkError, REASONS } from "../src/reader/reasons";
 import { assemble } from "./files";
 
+const TESTS = join(import.meta.dirname, "..", "..", "tests");
+const PYTHON = join(TESTS, "..", "python", "hmkcta", "hmkfile");
+
 type Path = (string | number)[];
-interface Edit { op: string; at?: number; size?: number; number?: number; hex?: string; from?: string; path?: Path; to?: unknown; header?: Edit[] }
-interface Case { name: string; base: string; edits: Edit[]; kind: string; reason: string; where?: string; limits?: Record<string, number> }
 
-const TESTS = new URL("../../tests/", import.meta.url);
-const { cases } = JSON.parse(readFileSync(new URL("corpus/cases.json", TESTS), "utf8")) as { cases: Case[] };
-/** JSON here makes 4 of 4.0: these cases are of the other reader. */
-const PYTHON_ONLY = new Set(["a size of 4.0"]);
+interface Change {
+  path: Path;
+  to?: unknown;
+}
 
-interface Parts { text: Buffer; sections: Buffer[] }
+interface Edit {
+  op: "append" | "truncate" | "bytes" | "text" | "rewrite" | "section" | "header";
+  hex?: string;
+  size?: number;
+  at?: number;
+  number?: number;
+  from?: string;
+  header?: Change[];
+  path?: Path;
+  to?: unknown;
+}
 
-function split(data: Buffer): Parts {
-  const length = data.readUInt32LE(12);
-  const text = data.subarray(20, 20 + length);
-  let at = 20 + length;
-  const sections = lengths(JSON.parse(text.toString()) as Header).map((size) => {
-    at += size + 4;
-    return data.subarray(at - size - 4, at - 4);
+interface Case {
+  name: string;
+  base: string;
+  edits?: Edit[];
+  limits?: Record<string, number>;
+  kind: string;
+  reason: string;
+  where?: string;
+}
+
+const { cases: CASES } = JSON.parse(readFileSync(join(TESTS, "corpus", "cases.json"), "utf-8")) as { cases: Case[] };
+
+interface Header {
+  axes: { size: number; coordinates?: { dtype: string; width: number } | number[] }[];
+  stages: { bits?: number; runs: number[][] }[];
+}
+
+/** A sound file's header text, and the payloads of its sections. */
+function split(data: Buffer): { text: Buffer; sections: Buffer[] } {
+  const end = 20 + data.readUInt32LE(12);
+  const text = data.subarray(20, end);
+  const { axes, stages } = JSON.parse(text.toString("utf-8")) as Header;
+  const coordinates = axes.flatMap(({ size, coordinates: given }) => (given === undefined || Array.isArray(given) ? []
+    : [size * Math.max(1, given.width) * (given.dtype === "F32" ? 4 : 8)]));
+  const runs = stages.flatMap((stage) => stage.runs.map(([, coded, cells, core, ...basis]) =>
+    coded! + (stage.bits === undefined ? 0 : 4 * cells! + 2 * basis.reduce((sum, each) => sum + each, core!))));
+  let at = end;
+  const sections = [...coordinates, ...runs].map((length) => {
+    at += length + 4;
+    return data.subarray(at - length - 4, at - 4);
   });
   return { text, sections };
 }
 
-interface Header {
-  axes: { size: number; coordinates?: { dtype: string; width: number } | unknown[] }[];
-  stages: { runs: number[][]; bits?: number }[];
-}
-
-function lengths({ axes, stages }: Header): number[] {
-  const coordinates = axes.flatMap(({ size, coordinates: given }) =>
-    given === undefined || Array.isArray(given) ? [] : [size * Math.max(1, given.width) * (given.dtype === "F32" ? 4 : 8)]);
-  const runs = stages.flatMap(({ runs: own, bits }) => own.map(([, coded, cells, ...numbers]) =>
-    coded! + (bits === undefined ? 0 : 4 * cells! + 2 * numbers.reduce((all, each) => all + each, 0))));
-  return [...coordinates, ...runs];
-}
-
-function changed(value: unknown, [first, ...rest]: Path, edit: Edit): unknown {
-  if (first === undefined) {
-    return edit.to;
+function changed(value: unknown, change: Change): unknown {
+  if (change.path.length === 0) {
+    return change.to;
   }
-  const inner = value as Record<string | number, unknown>;
-  if (rest.length === 0 && !("to" in edit)) {
-    delete inner[first];
+  const copy = structuredClone(value) as Record<string | number, unknown>;
+  const last = change.path.at(-1)!;
+  const parent = change.path.slice(0, -1).reduce((at, key) => at[key] as Record<string | number, unknown>, copy);
+  if ("to" in change) {
+    parent[last] = change.to;
+  } else if (Array.isArray(parent)) {
+    parent.splice(Number(last), 1);
   } else {
-    inner[first] = changed(inner[first], rest, edit);
+    delete parent[last];
   }
-  return inner;
+  return copy;
 }
 
-function withHeader(text: Buffer, edits: Edit[]): Buffer {
-  const header = edits.reduce<unknown>((value, edit) => changed(value, edit.path!, edit), JSON.parse(text.toString()));
-  return Buffer.from(JSON.stringify(header));
-}
-
-function apply(data: Buffer, edit: Edit): Buffer {
-  const fresh = Buffer.from(edit.hex ?? "", "hex");
-  const patched = (whole: Buffer, at: number): Buffer => {
-    const start = at < 0 ? at + whole.length : at;
-    return Buffer.concat([whole.subarray(0, start), fresh, whole.subarray(start + fresh.length)]);
+function applied(data: Buffer, edit: Edit): Buffer {
+  const hex = Buffer.from(edit.hex ?? "", "hex");
+  const put = (into: Buffer, at: number): Buffer => {
+    const from = at < 0 ? into.length + at : at;
+    return Buffer.concat([into.subarray(0, from), hex, into.subarray(from + hex.length)]);
   };
   switch (edit.op) {
-    case "append": return Buffer.concat([data, fresh]);
+    case "append": return Buffer.concat([data, hex]);
     case "truncate": return data.subarray(0, edit.size);
-    case "bytes": return patched(data, edit.at!);
+    case "bytes": return put(data, edit.at!);
   }
-  const { text, sections } = split(data);
+  let { text, sections } = split(data);
+  const withHeader = (changes: Change[]): Buffer =>
+    Buffer.from(JSON.stringify(changes.reduce<unknown>(changed, JSON.parse(text.toString("utf-8")))));
   if (edit.op === "text") {
-    const old = Buffer.from(edit.from!, "hex");
-    const at = text.indexOf(old);
-    return Buffer.from(assemble(Buffer.concat([text.subarray(0, at), fresh, text.subarray(at + old.length)]), sections));
+    const from = Buffer.from(edit.from!, "hex");
+    const at = text.indexOf(from);
+    text = at < 0 ? text : Buffer.concat([text.subarray(0, at), hex, text.subarray(at + from.length)]);
+  } else if (edit.op === "rewrite") {
+    text = withHeader(edit.header!);
+    sections = [hex, ...sections.slice(1)];
+  } else if (edit.op === "section") {
+    sections = sections.map((own, n) => (n !== edit.number ? own : edit.at === undefined ? hex : put(own, edit.at)));
+  } else {
+    text = withHeader([edit as Change]);
   }
-  if (edit.op === "section") {
-    sections[edit.number!] = patched(sections[edit.number!]!, edit.at!);
-    return Buffer.from(assemble(text, sections));
-  }
-  if (edit.op === "rewrite") {
-    return Buffer.from(assemble(withHeader(text, edit.header!), [fresh, ...sections.slice(1)]));
-  }
-  return Buffer.from(assemble(withHeader(text, [edit]), sections));
+  return Buffer.from(assemble(text, sections, data.readUInt32LE(8)));
 }
 
-describe("corpus", () => {
-  test.each(cases.filter(({ name }) => !PYTHON_ONLY.has(name)))("$name", ({ base, edits, kind, reason, where, limits }) => {
-    const start = base === "" ? Buffer.alloc(0) : readFileSync(new URL(`fixtures/${base}`, TESTS));
-    const data = new Uint8Array(edits.reduce(apply, start));
+function build({ base, edits = [] }: Case): Uint8Array<ArrayBuffer> {
+  const data = base === "" ? Buffer.alloc(0) : readFileSync(join(TESTS, "fixtures", base));
+  return new Uint8Array(edits.reduce(applied, data));
+}
+
+it.each(["small", "merged", "own", "half"])("the fixture %s has the shapes that were written down beside it", (name) => {
+  const expected = JSON.parse(readFileSync(join(TESTS, "fixtures", `v1-${name}.json`), "utf-8")) as { shape: number[][][][] };
+  const { stages } = loads(new Uint8Array(readFileSync(join(TESTS, "fixtures", `v1-${name}.hmk`))));
+  expect(stages.map(({ shape }) => [...shape])).toEqual(expected.shape.map((shape) => shape.flat(2)));
+});
+
+describe("the corpus", () => {
+  it.each(CASES)("$reason: $name", (each) => {
+    let found: unknown = null;
     try {
-      loads(data, { ...DEFAULT_LIMITS, ...limits });
+      loads(build(each), { ...DEFAULT_LIMITS, ...each.limits });
     } catch (error) {
-      expect(error).toBeInstanceOf(HmkError);
-      const told = error as HmkError;
-      expect([told.kind, told.reason], told.message).toEqual([kind, reason]);
-      expect(where === undefined || told.where === where, `${told.where} in place of ${where}`).toBe(true);
-      return;
+      found = error;
     }
-    expect.fail("it was taken");
+    expect(found).toBeInstanceOf(HmkError);
+    const { kind, reason, where } = found as HmkError;
+    expect([kind, reason, where], (found as HmkError).message).toEqual([each.kind, each.reason, each.where ?? where]);
   });
 
-  test.each(["small", "merged", "own", "half"])("the fixture %s is read", (name) => {
-    const expected = JSON.parse(readFileSync(new URL(`fixtures/v1-${name}.json`, TESTS), "utf8")) as { shape: number[][][][] };
-    const { stages } = loads(new Uint8Array(readFileSync(new URL(`fixtures/v1-${name}.hmk`, TESTS))));
-    expect(stages.map(({ shape }) => [...shape])).toEqual(expected.shape.map((shape) => shape.flat(2)));
+  it("exercises every reason, but for a path that cannot be read", () => {
+    expect(new Set([...CASES.map(({ reason }) => reason), "unreadable"])).toEqual(new Set(REASONS.keys()));
   });
+});
+
+it("has the reasons of Python, in the same words", () => {
+  const text = readFileSync(join(PYTHON, "reasons.py"), "utf-8");
+  const said = text.slice(0, text.indexOf("WRITER_REASONS"));
+  const sentences = [...said.matchAll(/^ {4}"([a-z0-9-]+)": (?:Reason\([\w.]+, )?"((?:[^"\\]|\\.)*)"/gm)]
+    .map(([, code, sentence]) => [code, sentence!.replaceAll("\\\\", "\\")]);
+  expect(sentences.length).toBeGreaterThan(30);
+  expect(new Map(sentences as [string, string][])).toEqual(new Map(Array.from(REASONS, ([code, { sentence }]) => [code, sentence])));
 });

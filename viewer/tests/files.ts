@@ -81,7 +81,8 @@ export function randomContent(draw: Draw, axes: number[][], wishes: Wish[]): Con
   const trees = randomTree(draw, axes, wishes);
   const end = trees.findIndex((nodes) => nodes.length === 0); // where all nodes before are leaves
   const stages = trees.slice(0, end < 0 ? undefined : end).map((nodes, t): StageContent => {
-    const { kind } = wishes[t]!;
+    const isCut = nodes.some((node) => node.kind === "cut") && !nodes.some((node) => node.kind === "cells");
+    const kind = isCut ? "cut" : wishes[t]!.kind;
     const step = kind === "coded" ? Math.fround(2 ** (draw(8) - 4) * 0.7) : null;
     const runs: number[] = [];
     for (let left = nodes.length; left > 0; left -= runs.at(-1)!) {

@@ -145,8 +145,8 @@ describe("opening", () => {
 
   it("decodes on the CPU what takes too long in a shader", async () => {
     const model = await small();
-    const { metadata } = (model as unknown as { reading: Reading }).reading;
-    Object.assign(metadata.levels[1]!, { mixture: [800, 800], ranks: [600, 600] });
+    const { stages } = (model as unknown as { reading: Reading }).reading;
+    stages[1]!.shape.set([1, 1, 800, 800, 600, 600]);
     expect(() => model.onGpu({} as GPUDevice)).toThrow(/A level takes \d+ multiply-adds an element; shaders do up to 262144/);
   });
 

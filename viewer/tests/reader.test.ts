@@ -1,6 +1,9 @@
 /** The reader against what breaks the format, damage, and files that come in parts. */
 
+import { readFileSync, readdirSync } from "node:fs";
+import { join } from "node:path";
 import { describe, expect, it } from "vitest";
+import { decodeRows } from "../src/decode/element";
 import { asProblem } from "../src/problem";
 import { halfBits, halfValues } from "../src/reader/half";
 import { DEFAULT_LIMITS, type Limits } from "../src/reader/limits";
@@ -147,6 +150,7 @@ const CASES: [string, string, () => Uint8Array<ArrayBuffer>, Partial<Limits>?][]
   ["field-value", "a step and bits", () => withHeader(small(), stage(0, "bits"), 16)],
   ["field-value", "other bits", () => withHeader(merged(), stage(2, "bits"), 8)],
   ["field-value", "a last stage without numbers", () => withHeader(small(), stage(1, "step"))],
+  ["field-value", "a cut with a step", () => cut(same, stage(0, "step"), 1)],
   ["field-value", "numbers without a step", () => withHeader(small(), stage(0, "step"))],
   ["field-value", "two roots", () => withHeader(small(), stage(0, "nodes"), 2)],
   ["field-value", "runs of other nodes", () => withHeader(small(), stage(1, "nodes"), 1000)],
@@ -210,7 +214,7 @@ describe("refusals", () => {
     const rows = withHeader(small(), ["axes", 0, "size"], 2 ** 32 - 1);
     expect(verdict(() => loads(rows))).not.toBeNull();
     const huge = withNode(same, stage(0, "runs", 0, 3), 2 ** 32 - 1);
-    expect(verdict(() => loads(huge))?.message).toMatch(/found \d+, allowed at most \d+/);
+    expect(verdict(() => loads(huge))?.message).toMatch(/found \d+ MiB of memory, allowed at most 64 MiB for a file of \d+ bytes\. Next: .* the limit widened: \d+/);
   });
 });
 
@@ -287,6 +291,26 @@ describe.each([["small", small], ["merged", merged]])("reading in parts: %s", (_
     const error = verdict(() => reading.readNext(part));
     expect(error?.reason).toBe("section-crc");
     expect(error?.message).toMatch(/bytes whose checksum \(CRC-32\) is 0x[0-9a-f]{8}, allowed 0x[0-9a-f]{8}, as the file says\. Next: fetch the file again\./);
+  });
+});
+
+describe("fixtures", () => {
+  const folder = join(import.meta.dirname, "..", "..", "tests", "fixtures");
+  const names = readdirSync(folder).filter((name) => name.endsWith(".hmk"));
+
+  it.each(names)("%s has the elements that were written down beside it", (name) => {
+    const { metadata, stages } = loads(new Uint8Array(readFileSync(join(folder, name))));
+    const { elements } = JSON.parse(readFileSync(join(folder, name.replace(".hmk", ".json")), "utf-8")) as { elements: number[][] };
+    const order = metadata.modeSizes.length;
+    expect(elements.length).toBeGreaterThan(9);
+    for (const element of elements) {
+      expect(element).toHaveLength(order + stages.length);
+      stages.forEach((_, t) => {
+        const expected = element[order + t]!;
+        const off = Math.abs(decodeRows(stages, element.slice(0, order), t + 1) - expected);
+        expect(off, `stage ${t} of ${element.slice(0, order).join()}`).toBeLessThan(1e-6 * Math.max(1, Math.abs(expected)));
+      });
+    }
   });
 });
 

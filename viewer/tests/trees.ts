@@ -76,7 +76,7 @@ function cut(draw: Draw, node: Node, wish: Wish): Place[] {
   do {
     node.rows.forEach((rows, n) => {
       const most = wish.clusters ?? 3;
-      node.grid[n] = draw(2) === 0 ? null : node.extents[n]!.map(() => 1 + draw(most));
+      node.grid[n] = draw(2) === 0 ? null : node.extents[n]!.map((extent) => 1 + draw(Math.min(most, extent)));
       node.clusters[n] = node.grid[n] === null ? 1 + draw(most) : productOf(node.grid[n]!);
       const count = node.clusters[n]!;
       node.part[n] = list(rows, () => draw(count));

@@ -7,7 +7,8 @@ import { decodeElement, decodeRows, sourceValue, valueRange } from "../src/decod
 import { contractable, contractionConstants, coreStarts, fixedRows, foldChannels, parentTable } from "../src/gpu/frameContraction";
 import { pixelCost } from "../src/gpu/payingModes";
 import { eachCoefficients, layOutImage, packTables } from "../src/gpu/image";
-import { decoderUniform, prelude } from "../src/gpu/prelude";
+import { pickedPrelude } from "../src/gpu/picked";
+import { decoderUniform } from "../src/gpu/prelude";
 import { treeOf } from "../src/gpu/tree";
 import { UniformLayout } from "../src/gpu/uniform";
 import { crc32 } from "../src/reader/digests";
@@ -101,7 +102,7 @@ describe("shader heads and images", () => {
       metadata: { ...metadata, stages: metadata.stages.map((stage) => ({ ...stage, ranks: stage.ranks.map(() => rank) })) },
     };
     const tree = { ...found, uniform: each.taken, ...same };
-    expect(prelude(tree, each.pages, options)).toBe(each.text);
+    expect(pickedPrelude(tree, each.pages, options)).toBe(each.text);
     expect(picks === null ? null : pixelCost(tree, options)).toBe(each.cost);
     const layout = layOutImage(stages);
     expect([layout.rows[0]?.[0], layout.scales[0], layout.coefficients]).toEqual([each.rows, each.scales, each.coefficients]);
@@ -121,7 +122,7 @@ describe("heads of one cell", () => {
       metadata: { ...metadata, stages: [bounds], levels: [bounds] }, undecomposed, mixed: [], cuts: false, uniform: [0], ranks: kept,
       whole: metadata.modeSizes.map((_, n) => n),
     };
-    expect(prelude(tree, 1, options)).toBe(text);
+    expect(pickedPrelude(tree, 1, options)).toBe(text);
     expect(pixelCost(tree, options)).toBe(cost);
   });
 });

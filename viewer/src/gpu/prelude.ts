@@ -1,15 +1,13 @@
 /**
  * The head of a shader: the constants of one model, the pages of its image, and the contraction of a core.
  *
- * The same text as `hmkcta.render.prelude` makes; `tests/corpus-render/prelude.json` holds the two together.
+ * With `picked.ts` the same text as `hmkcta.render.prelude` makes; `tests/corpus-render/prelude.json` holds the two together.
  */
 
 import { axisPlaces } from "../decode/element";
 import { Problem } from "../problem";
 import { type Metadata, levelEnds } from "../reader/metadata";
-import { pickedCells } from "./cellLoops";
 import { contraction } from "./coreSums";
-import { isSingle, singleCell } from "./singleCell";
 import { type Tree, mostWeights } from "./tree";
 
 /** Words of a page by its logarithm: 128 MiB, the storage buffer binding that WebGPU guarantees. */
@@ -40,7 +38,7 @@ export function picksFit(metadata: Metadata, picks: number[]): boolean {
   return rooms(metadata, picks).every((rows) => rows <= MOST_ROWS);
 }
 
-/** The constants and generated functions that the files of `hmkcta/shaders` are written against. */
+/** The constants and generated functions that the files of `hmkcta/shaders` are written against, but for `weighted.wgsl`. */
 export function prelude(tree: Tree, pages: number, options: Options = {}): string {
   const { metadata } = tree;
   const { picks = metadata.axes.map(() => 1), channels = 1, contracted = [], pageShift = PAGE_SHIFT } = options;
@@ -83,8 +81,6 @@ export function prelude(tree: Tree, pages: number, options: Options = {}): strin
     `const COLOUR_RANKS = ${colour === undefined ? 1 : Math.max(taken[colour]!, 1)}u;`,
     ...pageLines(pages, pageShift),
     ...contraction(tree, taken, colour, contracted, tinted),
-    ...(options.picks === undefined ? [] : isSingle(tree) ? singleCell(tree, places, colour, contracted, tinted)
-      : pickedCells(tree, room, colour, contracted, tinted)),
   ].join("\n")}\n`;
 }
 

@@ -5,10 +5,10 @@ import image from "../../../python/hmkcta/shaders/image.wgsl?raw";
 import { Decoder } from "../gpu/decoder";
 import { prelude } from "../gpu/prelude";
 import { Problem } from "../problem";
+import { largestCost } from "../reader/check";
 import { ON_GPU } from "../reader/limits";
 import { upto } from "../reader/metadata";
 import type { Reading } from "../reader/read";
-import { levelCost } from "../reader/stages";
 
 export class OnGpu {
   /**
@@ -21,7 +21,7 @@ export class OnGpu {
   private readonly decoder: Decoder;
 
   constructor(device: GPUDevice, { metadata, stages, arrived }: Reading) {
-    const cost = Math.max(...metadata.levels.map(levelCost));
+    const cost = Math.max(...stages.map(largestCost));
     if (cost > ON_GPU) {
       throw new Problem(`A level takes ${cost} multiply-adds an element; shaders do up to ${ON_GPU}.`);
     }

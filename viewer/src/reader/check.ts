@@ -23,6 +23,20 @@ export function checkLargest(level: PackedLevel, stage: LevelBounds, where: stri
   });
 }
 
+/** Multiply-adds of one element at most, in any node of a stage. */
+export function largestCost({ nodes, order, shape }: PackedLevel): number {
+  let largest = 0;
+  for (let s = 0; s < nodes; s += 1) {
+    let cost = 1;
+    for (let n = 0; n < order; n += 1) {
+      const k = shape[(3 * s + 1) * order + n]!;
+      cost *= k === 0 ? 1 : k * shape[(3 * s + 2) * order + n]!;
+    }
+    largest = Math.max(largest, cost);
+  }
+  return largest;
+}
+
 /**
  * A bound on all values of a stage, whose numbers must be finite: the largest scale times the largest core number times,
  * for every mode, the largest K R of a node in which it is decomposed times the largest basis number; no factor below 1.

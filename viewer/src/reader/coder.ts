@@ -7,7 +7,8 @@ const FRESH = 32768;
 const [LEAST, MOST] = [32, 65504];
 const COUNTED = 254;
 const RATES = Int32Array.from({ length: COUNTED + 1 }, (_, seen) => Math.floor(65536 / (seen + 2)));
-const NORMAL = 2 ** 24; // the range is never smaller between two bits
+/** Range and code are kept as signed words, which engines need no memory for: with this bit turned they compare as unsigned ones. */
+const TURN = -(2 ** 31);
 
 const LONGEST = 31; // digits behind the first one of a whole number
 const [FIRST, SECOND] = [LONGEST + 1, 2 * (LONGEST + 1)];
@@ -23,7 +24,7 @@ export const LARGEST = 2 ** 24 - 1;
 
 export class Coder {
   private readonly models: Int32Array;
-  private readonly state = new Uint32Array(2); // range, code
+  private readonly state = new Int32Array(2); // range, code
   private bytes: Uint8Array = new Uint8Array(0);
   private at = 0;
   private end = 0;
@@ -37,7 +38,7 @@ export class Coder {
   begin(bytes: Uint8Array, where: string): void {
     [this.bytes, this.at, this.end, this.where] = [bytes, 0, bytes.length, where];
     this.models.fill(FRESH);
-    this.state[0] = 2 ** 32 - 1;
+    this.state[0] = -1; // 2^32 - 1
     let code = 0;
     for (let i = 0; i < 4; i += 1) {
       code = (code << 8) | this.next();
@@ -48,7 +49,7 @@ export class Coder {
   /** Refuse what is left when all is decoded. */
   finish(): void {
     if (this.at < this.end || this.state[1] !== 0) {
-      throw fault("code-end", this.where, `${this.end - this.at} bytes more, code ${this.state[1]}`, "the end of the code");
+      throw fault("code-end", this.where, `${this.end - this.at} bytes more, code ${this.state[1]! >>> 0}`, "the end of the code");
     }
   }
 
@@ -72,24 +73,24 @@ export class Coder {
     const seen = model >>> 16;
     const rate = RATES[seen]!;
     let [range, code] = [state[0]!, state[1]!];
-    const bound = Math.imul(range >>> 16, zero) >>> 0;
+    const bound = Math.imul(range >>> 16, zero);
     const count = (seen < COUNTED ? seen + 1 : seen) << 16;
     let bit: number;
-    if (code < bound) {
+    if ((code ^ TURN) < (bound ^ TURN)) {
       bit = 0;
       range = bound;
       const after = zero + (Math.imul(65536 - zero, rate) >> 16);
       models[at] = (after > MOST ? MOST : after) | count;
     } else {
       bit = 1;
-      code = (code - bound) >>> 0;
-      range = (range - bound) >>> 0;
+      code = (code - bound) | 0;
+      range = (range - bound) | 0;
       const after = zero - (Math.imul(zero, rate) >> 16);
       models[at] = (after < LEAST ? LEAST : after) | count;
     }
-    while (range < NORMAL) {
-      range = (range << 8) >>> 0;
-      code = ((code << 8) | this.next()) >>> 0;
+    while (range >>> 24 === 0) { // below 2^24
+      range <<= 8;
+      code = (code << 8) | this.next();
     }
     state[0] = range;
     state[1] = code;
@@ -104,13 +105,13 @@ export class Coder {
     for (let i = 0; i < bits; i += 1) {
       range >>>= 1;
       value *= 2;
-      if (code >= range) {
-        code = (code - range) >>> 0;
+      if ((code ^ TURN) >= (range ^ TURN)) {
+        code = (code - range) | 0;
         value += 1;
       }
-      while (range < NORMAL) {
-        range = (range << 8) >>> 0;
-        code = ((code << 8) | this.next()) >>> 0;
+      while (range >>> 24 === 0) {
+        range <<= 8;
+        code = (code << 8) | this.next();
       }
     }
     state[0] = range;
@@ -174,24 +175,24 @@ export class Coder {
       const seen = model >>> 16;
       const rate = RATES[seen]!;
       const count = seen < COUNTED ? (model & 0xff0000) + 0x10000 : COUNTED << 16;
-      const bound = Math.imul(range >>> 16, zero) >>> 0;
-      if (code < bound) {
+      const bound = Math.imul(range >>> 16, zero);
+      if ((code ^ TURN) < (bound ^ TURN)) {
         range = bound;
         const after = zero + (Math.imul(65536 - zero, rate) >> 16);
         models[context + high] = (after > MOST ? MOST : after) | count;
-        while (range < NORMAL) {
-          range = (range << 8) >>> 0;
-          code = ((code << 8) | this.next()) >>> 0;
+        while (range >>> 24 === 0) {
+          range <<= 8;
+          code = (code << 8) | this.next();
         }
         break;
       }
-      code = (code - bound) >>> 0;
-      range = (range - bound) >>> 0;
+      code = (code - bound) | 0;
+      range = (range - bound) | 0;
       const after = zero - (Math.imul(zero, rate) >> 16);
       models[context + high] = (after < LEAST ? LEAST : after) | count;
-      while (range < NORMAL) {
-        range = (range << 8) >>> 0;
-        code = ((code << 8) | this.next()) >>> 0;
+      while (range >>> 24 === 0) {
+        range <<= 8;
+        code = (code << 8) | this.next();
       }
       high += 1;
       if (high === UNARY) {

@@ -12,7 +12,7 @@ export interface Limits {
   clusters: number; // C_n
   mixture: number; // K_n
   rank: number; // R_n of a decomposed mode
-  level_cost: number; // product of K_n R_n over the decomposed modes, for the largest values of a stage
+  level_cost: number; // product of K_n R_n over the decomposed modes of a node
   widened: number; // bytes of the arrays of all stages, beyond 64 a byte of the file
   json_bytes: number; // the header
   json_depth: number;

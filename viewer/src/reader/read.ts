@@ -98,7 +98,7 @@ export class Reading {
     this.arrays ??= this.begin();
     const { stage } = this.arrays;
     const run = stage.runs[this.run]!;
-    this.arrays.begin(run);
+    this.arrays.begin(run, where);
     this.runs ??= new RunReader(this.metadata.modeSizes.length, this.extents, this.limits);
     this.runs.read(this.arrays, bytes.subarray(0, run.bytes), run.nodes, where);
     this.arrays.end();

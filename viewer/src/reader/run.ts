@@ -2,7 +2,7 @@
 
 import { Coder, LABEL, WHOLE } from "./coder";
 import { CELLS, CUT, Contexts, EMPTY, MEMBER_CLASSES, type ModeContexts, RANK_CLASSES } from "./contexts";
-import type { Limits } from "./limits";
+import { type Limits, checkLimit } from "./limits";
 import { Numbers } from "./numbers";
 import { fault } from "./reasons";
 import type { Arrays } from "./stage";
@@ -101,12 +101,13 @@ export class RunReader {
       this.modeShape(n, shape);
     }
     const { clusters, mixture, ranks } = shape;
+    checkLimit("level-cost-limit", this.where, product(ranks.map((rank, n) => (mixture[n] === 0 ? 1 : mixture[n]! * rank))), this.limits.level_cost);
     [clusters, mixture, ranks].forEach((values, which) => this.setShape(s, which, values));
     const cells = product(clusters);
     const entries = rows.map((count, n) => count * mixture[n]!);
     arrays.take(cells, cells * product(ranks), entries, entries.map((count, n) => count * (cells / clusters[n]!) * ranks[n]!));
     if (arrays.children !== null && this.parted === 1) {
-      arrays.children.check(cells);
+      arrays.children.check(cells, this.where);
     }
     for (let n = 0; n < this.order; n += 1) {
       if (clusters[n]! > 1) {
@@ -141,9 +142,7 @@ export class RunReader {
       }
       r = 1 + coder.whole(mode.rank + this.rank[n]! * WHOLE);
       this.rank[n] = Math.min(32 - Math.clz32(r), RANK_CLASSES - 1);
-      if (r > this.limits.rank) {
-        throw fault("rank-limit", this.where, r, `at most ${this.limits.rank}`);
-      }
+      checkLimit("rank-limit", this.where, r, this.limits.rank);
     }
     this.bounded("R", n, r, stage.ranks[n]!);
     clusters.push(c);
@@ -216,7 +215,13 @@ export class RunReader {
     for (let n = 0; n < this.order; n += 1) {
       const mode = this.modes[n]!;
       const isGrid = coder.bit(mode.rule) === 0;
-      const counts = (isGrid ? extents[n]! : [0]).map(() => 1 + coder.whole(mode.grid));
+      const counts = (isGrid ? extents[n]! : [rows[n]!]).map((extent) => {
+        const parts = 1 + coder.whole(mode.grid);
+        if (isGrid && parts > extent) {
+          throw fault("node-shape", this.where, `${parts} parts of ${extent} rows in mode ${n}`, "no more parts than rows");
+        }
+        return parts;
+      });
       const most = arrays.stage.clusters[n]!;
       const count = counts.reduce((all, each) => Math.min(all * each, 2 * most + 1), 1);
       this.bounded("C", n, count, most);
@@ -226,7 +231,7 @@ export class RunReader {
     if (product(clusters) < 2) {
       throw fault("node-shape", this.where, "a cut into one part", "two parts or more");
     }
-    arrays.children!.check(product(clusters));
+    arrays.children!.check(product(clusters), this.where);
     this.setShape(s, 0, clusters);
     const none = rows.map(() => 0);
     arrays.take(0, 0, none, none);

@@ -21,6 +21,7 @@ export class Arrays {
   /** Nodes that are done, and what the runs up to the one at hand may fill. */
   done = 0;
   share: Share;
+  private run = "";
 
   /** `below`: the next stage, if there is one. */
   constructor(readonly stage: Stage, readonly nodes: Nodes, private readonly below: Stage | null, readonly where: string) {
@@ -46,7 +47,8 @@ export class Arrays {
   }
 
   /** Let the next run fill its share. */
-  begin(run: Run): void {
+  begin(run: Run, where: string): void {
+    this.run = where;
     const { nodes, cells, core, basis } = this.share;
     this.share = {
       nodes: nodes + run.nodes, cells: cells + run.cells, core: core + run.core,
@@ -93,7 +95,7 @@ export class Arrays {
   }
 
   private miscounted(found: string): Error {
-    return fault("run-count", this.where, `${found} than the header says of a run`, "as many");
+    return fault("run-count", this.run, `${found} than the header says of a run`, "as many");
   }
 
   /** All runs are read: what the nodes of the next stage are. */

@@ -38,6 +38,11 @@ export function hasNumbers({ step, isHalf }: Stage): boolean {
   return step !== null || isHalf;
 }
 
+/** Whether the largest shapes are those of cuts. */
+function isCut({ clusters, ranks }: LevelBounds): boolean {
+  return clusters.some((each) => each > 0) && !ranks.some((each) => each > 0);
+}
+
 /** Bytes of a run's numbers that are stored as they are. */
 export function storedBytes({ isHalf }: Stage, { cells, core, basis }: Run): number {
   return isHalf ? 4 * cells + 2 * basis.reduce((all, each) => all + each, core) : 0;
@@ -66,7 +71,11 @@ export function parseStages(value: Json, where: string, sizes: number[], size: n
   }
   checkLimit("nodes-limit", where, stages.reduce((sum, { nodes }) => sum + nodes, 0), limits.nodes);
   const bytes = stages.reduce((sum, stage, t) => sum + widenedBytes(stage, t === stages.length - 1), 0);
-  checkLimit("widened-limit", where, bytes, limits.widened + 64 * size);
+  const most = limits.widened + 64 * size;
+  if (bytes > most) {
+    throw fault("widened-limit", where, `${Math.ceil(bytes / 2 ** 20)} MiB of memory`,
+      `at most ${Math.floor(most / 2 ** 20)} MiB for a file of ${size} bytes`, `if you trust the file, open it with the limit widened: ${bytes - 64 * size}`);
+  }
   return stages;
 }
 
@@ -102,26 +111,21 @@ function parseRun(value: Json, where: string, order: number): Run {
   return { nodes: nodes!, bytes: bytes!, cells: cells!, core: core!, basis };
 }
 
-/** Limits of a stage; its nodes are held against these bounds later. */
+/** Limits of a stage; its nodes are held against these bounds later, and what holds in decomposed modes alone is checked then. */
 function checkBounds(stage: Stage, where: string, sizes: number[], limits: Limits): void {
   const path = `${where}.largest`;
   if (stage.step !== null && stage.isHalf) {
     throw fault("field-value", `${where}.bits`, "bits and a step", "one of them");
   }
-  if (!hasNumbers(stage) && [...stage.mixture, ...stage.ranks].some((each) => each > 0)) {
-    throw fault("field-value", path, "K and R above 0", "zeros, as the stage has no numbers");
+  if (hasNumbers(stage) === isCut(stage) || (!hasNumbers(stage) && stage.mixture.some((each) => each > 0))) {
+    const found = [stage.clusters, stage.mixture, stage.ranks].map((each) => `[${each.join()}]`).join();
+    throw fault("field-value", path, `[${found}]`, "C > 0 = K = R if and only if there is neither step nor bits");
   }
   sizes.forEach((size, n) => {
     checkLimit("clusters-limit", path, stage.clusters[n]!, limits.clusters);
     checkLimit("mixture-limit", path, stage.mixture[n]!, limits.mixture);
     checkLimit("rank-limit", path, stage.ranks[n]!, stage.mixture[n] === 0 ? size : Math.max(size, limits.rank));
   });
-  checkLimit("level-cost-limit", path, levelCost(stage), limits.level_cost);
-}
-
-/** Multiply-adds of one element at a stage, in a node of the largest K and R. */
-export function levelCost({ mixture, ranks }: LevelBounds): number {
-  return mixture.reduce((all, k, n) => (k === 0 ? all : all * k * ranks[n]!), 1);
 }
 
 /** What the runs hold together must be what the stage does, and few enough to be counted. */

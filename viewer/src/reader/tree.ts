@@ -58,17 +58,16 @@ export class Children {
     this.nodes = { rows: table(), extents: table() };
   }
 
-  /** Whether there is room for so many more. */
-  check(children: number): void {
+  /** Refuse more than there is room for. */
+  check(children: number, where: string): void {
     if (this.made + children > this.count) {
-      throw fault("run-count", this.where, `${this.made + children} children and more`, `${this.count}, the nodes of the next stage`);
+      throw fault("run-count", where, `${this.made + children} children and more`, `${this.count}, the nodes of the next stage`);
     }
   }
 
-  /** Add the children of node s, for all combinations of the parts of each mode. */
+  /** Add the children of node s, for all combinations of the parts of each mode; `check` has found that there is room. */
   add(s: number, parts: Parts[]): void {
     const count = parts.reduce((all, { rows }) => all * rows.length, 1);
-    this.check(count);
     let stride = count;
     parts.forEach(({ rows, extents }, n) => {
       stride /= rows.length;

@@ -4,7 +4,8 @@ import { FrameContraction, type Still } from "../gpu/frameContraction";
 import type { Decoder } from "../gpu/decoder";
 import { payingModes } from "../gpu/payingModes";
 import { Pass } from "../gpu/pass";
-import { type Options, picksFit, prelude } from "../gpu/prelude";
+import { pickedPrelude } from "../gpu/picked";
+import { type Options, picksFit } from "../gpu/prelude";
 import { pickedFiles } from "../gpu/shaders";
 import { firstStages } from "../gpu/tree";
 import { type Metadata, levelEnds } from "../reader/metadata";
@@ -112,7 +113,7 @@ export class Shading {
     const { tree, pages } = this.decoder;
     const options = this.options(frame.contracted);
     const gridded = this.directed.axes.some((axes) => axes.length > 1);
-    const head = `${prelude(firstStages(tree, stages), pages, options)}const ANGLES = ${gridded};\nconst FIXED_LIGHT = ${fixed};\n`;
+    const head = `${pickedPrelude(firstStages(tree, stages), pages, options)}const ANGLES = ${gridded};\nconst FIXED_LIGHT = ${fixed};\n`;
     return Pass.make(this.device, {
       entry: "shade_svbrdf", struct: "SvbrdfFrame", decoder: frame.layout, head, shaders: pickedFiles(head, "svbrdf"),
       bindings: ["storage", "texture-2d", "texture-2d", "texture-2d", "store-2d"],
