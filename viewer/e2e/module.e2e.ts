@@ -32,7 +32,7 @@ async function byShader([file, indices, level]: [string, number[][], number]): P
     @group(1) @binding(0) var<storage, read> asked: array<array<u32, AXES>>;
     @group(1) @binding(1) var<storage, read_write> found: array<f32>;
     @compute @workgroup_size(64) fn main(@builtin(global_invocation_id) id: vec3u) {
-      if (id.x < arrayLength(&found)) { found[id.x] = decode_element(asked[id.x], decoder.levels); }
+      if (id.x < arrayLength(&found)) { found[id.x] = decode_element(asked[id.x], decoder.stages); }
     }` });
   const entries = (["read-only-storage", "storage"] as const).map((type, binding) =>
     ({ binding, visibility: GPUShaderStage.COMPUTE, buffer: { type } }));

@@ -42,7 +42,7 @@ export interface Model {
 }
 
 export interface OnGpu {
-  /** WGSL to put before a shader of one's own: `decode_element(index: array<u32, AXES>, levels: u32) -> f32`. */
+  /** WGSL to put before a shader of one's own: `decode_element(index: array<u32, AXES>, stages: u32) -> f32`. */
   readonly code: string;
   /** Of group 0. */
   readonly layout: GPUBindGroupLayout;
