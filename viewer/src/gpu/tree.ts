@@ -71,6 +71,11 @@ export function undecomposedIn({ mixture, ranks }: LevelBounds): number[] {
   return mixture.flatMap((k, n) => (k === 0 && ranks.some((rank) => rank > 0) ? [n] : []));
 }
 
+/** Multiply-adds for one element in a stage: the product of the largest K and R of decomposed modes. */
+export function stageCost({ mixture, ranks }: LevelBounds): number {
+  return mixture.reduce((cost, k, n) => (k === 0 ? cost : cost * k * ranks[n]!), 1);
+}
+
 function isUniform({ mixture, ranks }: LevelBounds, stage: PackedLevel): boolean {
   let cuts = false;
   let cells = false;

@@ -4,9 +4,9 @@ import decode from "../../../python/hmkcta/shaders/decode.wgsl?raw";
 import image from "../../../python/hmkcta/shaders/image.wgsl?raw";
 import { Decoder } from "../gpu/decoder";
 import { prelude } from "../gpu/prelude";
+import { stageCost } from "../gpu/tree";
 import { Problem } from "../problem";
 import { ON_GPU } from "../reader/limits";
-import { levelCost } from "../reader/metadata";
 import type { Reading } from "../reader/read";
 
 export class OnGpu {
@@ -19,12 +19,12 @@ export class OnGpu {
   readonly layout: GPUBindGroupLayout;
   private readonly decoder: Decoder;
 
-  constructor(device: GPUDevice, { metadata, levels }: Reading, private readonly arrived: () => number) {
-    const cost = Math.max(...metadata.levels.map((level) => levelCost(level, metadata.undecomposed)));
+  constructor(device: GPUDevice, { metadata, stages }: Reading, private readonly arrived: () => number) {
+    const cost = Math.max(...metadata.levels.map(stageCost));
     if (cost > ON_GPU) {
       throw new Problem(`A level takes ${cost} multiply-adds an element; shaders do up to ${ON_GPU}.`);
     }
-    this.decoder = new Decoder(device, metadata, levels);
+    this.decoder = new Decoder(device, metadata, stages);
     this.layout = this.decoder.layout;
     this.code = [prelude(this.decoder.tree, this.decoder.pages), image, decode].join("\n");
   }
