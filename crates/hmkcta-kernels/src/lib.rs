@@ -68,8 +68,7 @@ use numpy::{
     Element, IntoPyArray, PyArray1, PyArrayMethods, PyReadonlyArray1, PyReadwriteArray1, PyUntypedArrayMethods,
 };
 use pick::Pick;
-use pyo3::exceptions::PyValueError;
-use pyo3::prelude::*;
+use pyo3::{exceptions::PyValueError, prelude::*};
 
 /// Cluster subsets and coefficients.
 type Coded<'py> = (Bound<'py, PyArray1<u16>>, Bound<'py, PyArray1<f32>>);
