@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, cast
 
@@ -21,9 +21,9 @@ class Stored(Metadata):
 
 def stored(metadata: Metadata, undecomposed: Sequence[int]) -> Metadata:
     """The metadata of a file whose modes of these numbers are undecomposed."""
-    given = {field.name: getattr(metadata, field.name) for field in fields(Metadata)}
+    given: dict[str, Any] = {field.name: getattr(metadata, field.name) for field in fields(Metadata)}
     bounds = tuple(replace(level, mixture=_ones(level, undecomposed)) for level in metadata.stages)
-    return Stored(**{**given, "stages": bounds}, undecomposed=tuple(undecomposed))
+    return Stored(**(given | {"stages": bounds}), undecomposed=tuple(undecomposed))
 
 
 def to_stored(metadata: Metadata, levels: Sequence[PackedLevel]) -> tuple[Metadata, tuple[PackedLevel, ...]]:
@@ -47,10 +47,10 @@ def from_stored(metadata: Metadata, levels: Sequence[PackedLevel]) -> tuple[Meta
     if not isinstance(metadata, Stored):
         return metadata, tuple(levels)
     whole = tuple(_filled_in(level, metadata.undecomposed) for level in levels)
-    given = {field.name: getattr(metadata, field.name) for field in fields(Metadata)}
+    given: dict[str, Any] = {field.name: getattr(metadata, field.name) for field in fields(Metadata)}
     bounds = tuple(bounds_of(level, told.scheme) for level, told in zip(whole, metadata.stages, strict=True))
     kept = bounds if metadata.undecomposed else metadata.stages
-    return Metadata(**{**given, "stages": kept}), whole
+    return Metadata(**(given | {"stages": kept})), whole
 
 
 def _ones(level: LevelBounds, modes: Sequence[int]) -> tuple[int, ...]:
@@ -74,7 +74,7 @@ def _filled_in(level: PackedLevel, modes: Sequence[int]) -> PackedLevel:
     shape[:, 1, list(modes)] = 0
     lengths = [np.diff(offset.astype(np.int64)) for offset in level.row_offset]
     places = {n: np.concatenate([np.zeros(0, np.int64), *map(np.arange, lengths[n].tolist())]) for n in modes}
-    made = {
+    made: dict[str, Callable[[int], Any]] = {
         "cluster": lambda _: np.zeros(0, np.uint16), "basis": lambda _: np.zeros(0, np.float16),
         "cluster_offset": lambda _: nothing, "basis_offset": lambda _: nothing,
         "part": lambda n: None if level.child is None else np.zeros(int(level.row_offset[n][-1]), np.uint16),
