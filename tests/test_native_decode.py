@@ -213,12 +213,13 @@ def test_arrays_that_contradict_each_other_are_refused() -> None:
     """Models come from checked files; one made by hand must not read beyond its arrays."""
     sizes, levels = some_model("paper")
     first, coords = levels[0], np.array([[39, 19, 49, 59]], np.intp)
-    clusters = np.full_like(first.cluster[0], 7)
+    clusters, local = np.full_like(first.cluster[0], 7), first.local[0]
+    assert local is not None
     cases = [
         broken(levels, core=first.core[:-1]),
         broken(levels, part=(np.full_like(first.part[0], 99), *first.part[1:])),
         broken(levels, part=(None, *first.part[1:])),
-        broken(levels, local=(first.local[0][:-1], *first.local[1:])),
+        broken(levels, local=(local[:-1], *first.local[1:])),
         broken(levels, core_scale=first.core_scale[:-1]),
         broken(levels, basis=(first.basis[0][:-1], *first.basis[1:])),
         broken(levels, cluster=(clusters, *first.cluster[1:])),

@@ -21,9 +21,8 @@ class Stored(Metadata):
 
 def stored(metadata: Metadata, undecomposed: Sequence[int]) -> Metadata:
     """The metadata of a file whose modes of these numbers are undecomposed."""
-    given: dict[str, Any] = {field.name: getattr(metadata, field.name) for field in fields(Metadata)}
     bounds = tuple(replace(level, mixture=_ones(level, undecomposed)) for level in metadata.stages)
-    return Stored(**(given | {"stages": bounds}), undecomposed=tuple(undecomposed))
+    return Stored(**_fields(metadata, bounds), undecomposed=tuple(undecomposed))
 
 
 def to_stored(metadata: Metadata, levels: Sequence[PackedLevel]) -> tuple[Metadata, tuple[PackedLevel, ...]]:
@@ -47,10 +46,14 @@ def from_stored(metadata: Metadata, levels: Sequence[PackedLevel]) -> tuple[Meta
     if not isinstance(metadata, Stored):
         return metadata, tuple(levels)
     whole = tuple(_filled_in(level, metadata.undecomposed) for level in levels)
-    given: dict[str, Any] = {field.name: getattr(metadata, field.name) for field in fields(Metadata)}
     bounds = tuple(bounds_of(level, told.scheme) for level, told in zip(whole, metadata.stages, strict=True))
     kept = bounds if metadata.undecomposed else metadata.stages
-    return Metadata(**(given | {"stages": kept})), whole
+    return Metadata(**_fields(metadata, kept)), whole
+
+
+def _fields(metadata: Metadata, stages: tuple[LevelBounds, ...]) -> dict[str, Any]:
+    return {field.name: stages if field.name == "stages" else getattr(metadata, field.name)
+            for field in fields(Metadata)}
 
 
 def _ones(level: LevelBounds, modes: Sequence[int]) -> tuple[int, ...]:
