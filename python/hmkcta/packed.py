@@ -69,7 +69,7 @@ class PackedLevel:
     @property
     def has_cells(self) -> NDArray[np.bool_]:
         """Which nodes add numbers, [S]; the others are empty, or cuts."""
-        return self.shape[:, 2].any(axis=1)
+        return np.any(self.shape[:, 2], axis=1)
 
     @property
     def is_cut(self) -> bool:

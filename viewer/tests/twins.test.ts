@@ -25,7 +25,7 @@ interface Told {
   organisation: string[][];
   sizes: number[];
   bounds: LevelBounds[];
-  stages: Record<string, number | Numbers | Numbers[]>[];
+  stages: ({ nodes: number; order: number } & Record<string, number | Numbers | Numbers[]>)[];
   elements: { rows: number[]; values: number[] }[];
 }
 

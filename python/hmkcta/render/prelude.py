@@ -90,11 +90,7 @@ def prelude(tree: Tree, pages: int, options: Options = PLAIN) -> str:
         "// Constants of one model: generated, not to be edited.",
         f"const AXES = {len(metadata.axes)}u;",
         f"const ORDER = {order}u;",
-        f"const STAGES = {len(metadata.stages)}u;",
-        f"const CUTS = {'true' if tree.cuts else 'false'};",
-        f"const UNDECOMPOSED = {_mask(tree.undecomposed)}u;",
-        f"const MIXED = {_mask(tree.mixed)}u;",
-        f"const WHOLE = {_mask(tree.whole)}u;",
+        *_tree(tree),
         f"const CONTRACTED = {_mask(options.contracted)}u;",
         f"const NODE_WORDS = {node_words(order)}u;",
         f"const AXIS_MODE = {_array(modes)};",
@@ -252,6 +248,13 @@ def _picks(metadata: Metadata, options: Options) -> Sequence[int]:
     if len(picks) != len(metadata.axes) or min(picks) < 1:
         raise invalid("picks", "picks", picks, f"{len(metadata.axes)} numbers of 1 or more, one a source axis")
     return picks
+
+
+def _tree(tree: Tree) -> list[str]:
+    """How deep the tree is, and what holds in all its nodes."""
+    masks = {"UNDECOMPOSED": tree.undecomposed, "MIXED": tree.mixed, "WHOLE": tree.whole}
+    return [f"const STAGES = {len(tree.metadata.stages)}u;", f"const CUTS = {'true' if tree.cuts else 'false'};",
+            *(f"const {name} = {_mask(modes)}u;" for name, modes in masks.items())]
 
 
 def _value(channels: int) -> list[str]:
