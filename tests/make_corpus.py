@@ -249,13 +249,13 @@ def run_cases() -> Cases:
         _run_case("C above the largest", _with_end(narrow), [[1, 1], [1, 0], [2, 3]], "level-bounds"),
         _run_case("a label beyond C", _labels([3], 3, 4)(), wide, "cluster-range"),
         _run_case("a label twice", _labels([1, 1], 3, 3)(), wide, "cluster-order"),
-        case("a cell too many", SMALL, [header("stages", 0, "runs", 0, 2, to=2)], "run-count", "stages[0]"),
+        case("a cell too many", SMALL, [header("stages", 0, "runs", 0, 2, to=2)], "run-count", "stages[0].runs[0]"),
         case(
             "a number too few",
             SMALL,
             [header("stages", 0, "runs", 0, 4, to=parts_of(SMALL).header["stages"][0]["runs"][0][4] - 1)],
             "run-count",
-            "stages[0]",
+            "stages[0].runs[0]",
         ),
         case(
             "a larger C in the header",

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import isinf
+from math import isinf, prod
 
 from ._version import __version__
+from .axes import mode_sizes
 from .packed import LevelBounds, LevelQuality, Metadata
 from .plan import Plan
 from .streaming.source import Source
@@ -51,3 +52,21 @@ def _rounded(quality: LevelQuality) -> LevelQuality:
     """A millionth of a dB and seven digits: more are noise, as sums in another order change them."""
     errors = (float(f"{error:.7g}") for error in (quality.rmse, quality.max_abs_error))
     return LevelQuality(round(quality.snr_db, 6), *errors)
+
+
+def planned_bytes(plan: Plan, source: Source, kind: str | None = None, seed: int = 0) -> int:
+    """About how many bytes a file of the plan takes where each number takes one, and is one of a cell of every node."""
+    del kind, seed
+    sizes, nodes, total = mode_sizes(source.axes, plan.organisation), 1, 600
+    for level in plan.levels:
+        cells = nodes * prod(level.clusters)
+        ranks = [size if rank is None else rank for rank, size in zip(level.ranks, sizes, strict=True)]
+        total += cells * (prod(ranks) + sum(size * rank for size, rank in zip(sizes, level.ranks, strict=True) if rank))
+        nodes = cells
+    return total
+
+
+def predicted_bytes(plan: Plan, source: Source, kind: str | None = None, seed: int = 0) -> int | None:
+    """Bytes of a file of the plan where its goal is one; else None."""
+    del source, kind, seed
+    return plan.size

@@ -203,7 +203,7 @@ def _as_fault(error: ValueError, name: str) -> Exception:
         return fault(
             "cluster-range", name, "a part that its node does not have", "less than C"
         )
-    name = name if run is None or reason == "run-count" else f"{name}.runs[{run}]"
+    name = name if run is None else f"{name}.runs[{run}]"
     found, allowed = _TOLD.get(reason, (reason, "sound arrays"))
     return fault(reason if reason in _TOLD else "array-shape", name, found, allowed)
 
