@@ -132,10 +132,10 @@ def test_blocks_of_any_rows_equal_the_elements(seed: int, data: st.DataObject) -
     sizes = tuple(data.draw(st.lists(st.integers(1, 9), min_size=1, max_size=4)))
     undecomposed = [n for n in range(len(sizes)) if rng.random() < 0.2]
     depth = data.draw(st.integers(1, 3))
-    eight_from = data.draw(st.none() | st.integers(1, depth))
+    coded = data.draw(st.sampled_from([0.0, 0.5, 1.0]))
     shapes, cuts = data.draw(st.sampled_from([(Shapes(), ()), (Shapes(cut=0.3, own=0.3), ()), (BLOCKS, (1,))]))
     cuts = cuts if depth > 1 else ()
-    _, levels = random_model(rng, sizes, depth, undecomposed, eight_from=eight_from, shapes=shapes, cuts=cuts)
+    _, levels = random_model(rng, sizes, depth, undecomposed, coded=coded, shapes=shapes, cuts=cuts)
     rows = [np.array(data.draw(st.lists(st.integers(0, size - 1), max_size=6)), np.int16) for size in sizes]
     coords = np.stack([axis.reshape(-1) for axis in np.meshgrid(*rows, indexing="ij")], axis=1)
     expected = decode_elements(levels, sizes, coords, dtype=np.float64).reshape([len(index) for index in rows])

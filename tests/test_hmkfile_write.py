@@ -13,12 +13,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import hmkcta
-from hmkcta.axes import Axis
+from hmkcta.axes import Axis, name_axes, separate
 from hmkcta.errors import HmkctaError, Kind
 from hmkcta.hmkfile import Limits, load, save
-from hmkcta.packed import LevelQuality, Metadata, PackedLevel
+from hmkcta.packed import LevelQuality, Metadata, PackedLevel, bounds_of
 from make_fixture import half_model, merged_model, small_model
 
 TESTS = Path(__file__).parent
@@ -228,6 +229,49 @@ def test_limits_bind_the_writer(tmp_path: Path) -> None:
     error = refusal(tmp_path / "a.hmk", *small_model(), limits=Limits(level_cost=1))
     assert (error.kind, error.reason) == (Kind.RESOURCE_LIMIT, "level-cost-limit")
     assert "as readers refuse more" in str(error)
+
+
+def ridges() -> tuple[Metadata, tuple[PackedLevel, ...]]:
+    """Two blocks of 1500 x 1500 elements of rank 1, the columns of one undecomposed and the rows of the other."""
+    size, nothing = 1500, np.zeros(2, np.uint32)
+
+    def table(*numbers: int) -> NDArray[np.uint32]:
+        return np.array(numbers, np.uint32)
+
+    none, halves, places = np.zeros(0, np.uint16), np.zeros(0, np.float16), np.arange(size, dtype=np.uint32)
+    cut = PackedLevel(
+        shape=np.array([[[2, 1], [0, 0], [0, 0]]], np.uint32), child=table(0, 2),
+        row_offset=(table(0, 2 * size), table(0, size)), core=halves, core_offset=nothing,
+        core_scale=np.zeros(0, np.float32), cell_offset=nothing, cluster=(none, none),
+        cluster_offset=(nothing, nothing), basis=(halves, halves), basis_offset=(nothing, nothing),
+        part=(np.repeat(np.arange(2, dtype=np.uint16), size), np.zeros(size, np.uint16)),
+        local=(np.tile(places, 2), places))
+    rows, ones = table(0, size, 2 * size), np.ones(size, np.float16)
+    blocks = PackedLevel(
+        shape=np.array([[[1, 1], [0, 1], [size, 1]], [[1, 1], [1, 0], [1, size]]], np.uint32), child=None,
+        row_offset=(rows, rows), core=np.ones(2 * size, np.float16), core_offset=rows,
+        core_scale=np.ones(2, np.float32), cell_offset=table(0, 1, 2),
+        cluster=(np.zeros(size, np.uint16),) * 2, cluster_offset=(table(0, 0, size), table(0, size, size)),
+        basis=(ones, ones), basis_offset=(table(0, 0, size), table(0, size, size)),
+        part=(None, None), local=(None, None))
+    axes = name_axes((2 * size, size))
+    quality = (LevelQuality(10.0, 0.1, 0.2),)
+    bounds = (bounds_of(cut), bounds_of(blocks))
+    return Metadata("float32", axes, separate(axes), bounds, quality=quality), (cut, blocks)
+
+
+def test_limits_of_decomposed_modes_are_those_of_nodes(tmp_path: Path) -> None:
+    """An element of these blocks costs a product; the largest K and R of all nodes together would cost two millions."""
+    save(tmp_path / "a.hmk", *ridges())
+    _, stages = load(tmp_path / "a.hmk")
+    assert stages[1].shape.max(axis=0).tolist() == [[1, 1], [1, 1], [1500, 1500]]
+    load(tmp_path / "a.hmk", limits=Limits(level_cost=1, rank=1))
+    with pytest.raises(HmkctaError) as caught:
+        load(tmp_path / "a.hmk", limits=Limits(level_cost=0))
+    assert (caught.value.reason, caught.value.where) == ("level-cost-limit", "stages[1].runs[0]")
+    with pytest.raises(HmkctaError) as caught:
+        load(tmp_path / "a.hmk", limits=Limits(rank=0))
+    assert (caught.value.reason, caught.value.where) == ("rank-limit", "stages[1].runs[0]")
 
 
 def test_whoever_trusts_a_file_raises_the_limit_that_it_is_beyond(tmp_path: Path) -> None:

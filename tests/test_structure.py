@@ -28,7 +28,7 @@ LAYERS = (
     ("backends",),
     ("decode", "journal_cells", "streaming"),
     ("journal",),
-    ("fitting",),
+    ("fitting", "search"),
     ("filesize", "model", "pack", "verbatim"),
     ("measure", "offset"),
     ("measure_streamed", "ranks"),

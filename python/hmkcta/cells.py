@@ -1,6 +1,6 @@
 """The cells of one node at one level while it is being fitted: memberships, bases and cores in float32.
 
-A cell is a cluster c = (c_1..c_N) of the paper's equation 2. The layout is the file's (`docs/format.md`, section 3), so
+A cell is a cluster c = (c_1..c_N) of the paper's equation 2. The layout is the file's (`docs/format.md`, section 4), so
 that packing only rounds.
 """
 

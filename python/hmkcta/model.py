@@ -374,10 +374,10 @@ class Model:
 
 @memory_for("the arrays of the file", "close what else takes memory, or take a machine that has more")
 def open(path: str | os.PathLike[str], verify: bool = True, limits: Limits = DEFAULT_LIMITS) -> Model:
-    """Open a file as a `Model`; its arrays are mapped, not read, until they are needed.
+    """Open a file as a `Model`: it is checked and decoded into memory, and not needed any more then.
 
-    Replace a file that is open by `Model.save`, or by renaming another one, which leaves the opened one as it was.
-    Writing into it changes what models decode, and cutting it short ends the process (SIGBUS), as with any map.
+    Replace a file by `Model.save`, or by renaming another one: writing into it while it is opened may be found as
+    damage, and cutting it short then ends the process (SIGBUS), as with any map.
 
     Args:
         path: the file.

@@ -157,7 +157,7 @@ def undecomposed_modes(stages: Sequence[PackedLevel]) -> tuple[int, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Metadata:
-    """What a decoder and a person need to know about a file (`docs/format.md`, section 5).
+    """What a decoder and a person need to know about a file (`docs/format.md`, section 3).
 
     `stages` are all stages of the tree, `quality` and `levels` count those that have numbers.
     `transform` is the value transform as stored, ``{"name": "identity"}`` or a name with its constants;

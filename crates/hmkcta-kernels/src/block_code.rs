@@ -123,8 +123,7 @@ impl Coder {
             for j in 0..=i {
                 let ahead: f64 = (0..j).map(|l| gram[i * rank + l] * gram[j * rank + l]).sum();
                 let rest = gram[i * rank + j] - ahead;
-                gram[i * rank + j] =
-                    if i == j { (rest + 1e-9).max(1e-12).sqrt() } else { rest / gram[j * rank + j] };
+                gram[i * rank + j] = if i == j { (rest + 1e-9).max(1e-12).sqrt() } else { rest / gram[j * rank + j] };
             }
         }
         self.inverse.resize(rank * rows, 0.0);

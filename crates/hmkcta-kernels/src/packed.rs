@@ -122,7 +122,9 @@ impl<'a> Level<'a> {
         if rest.iter().all(|&number| number == 0) && !clusters.contains(&0) {
             return Ok(Node::Cut(std::array::from_fn(|n| clusters.get(n).map_or(1, |&c| c as usize))));
         }
-        let sound = |n: usize| clusters[n] > 0 && ranks[n] > 0 && if mixture[n] > 0 { mixture[n] <= clusters[n] } else { clusters[n] == 1 };
+        let sound = |n: usize| {
+            clusters[n] > 0 && ranks[n] > 0 && if mixture[n] > 0 { mixture[n] <= clusters[n] } else { clusters[n] == 1 }
+        };
         let choices = product(mixture.iter().map(|&k| k.max(1) as usize)).is_ok_and(|count| count <= MOST_CHOICES);
         let steps = mixture.iter().zip(clusters).all(|(&k, &c)| u64::from(k) * u64::from(c) <= MOST_CHOICES as u64);
         if !(0..order).all(sound) || !choices || !steps {

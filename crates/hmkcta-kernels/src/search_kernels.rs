@@ -1,8 +1,10 @@
 //! The kernels of the search, as Python calls them: blocks in a batch, shared by threads.
 
 use crate::block_code::{Block, Code, Coder};
+use crate::guard;
 use crate::machine::dispatch;
 use crate::rank_boxes::{Boxes, MODES, Rate};
+use crate::sizes::product;
 use crate::threads::for_each;
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1};
 use pulp::{Simd, WithSimd};
@@ -24,9 +26,8 @@ type Coded<'py> = (
 
 /// Elements of a block of these sizes, if it has 1 to 8 modes and is not empty.
 fn elements(sizes: &[usize], decomposed: &[bool]) -> PyResult<usize> {
-    let product = sizes.iter().try_fold(1usize, |all, &size| all.checked_mul(size));
-    match product {
-        Some(size) if (1..=MODES).contains(&sizes.len()) && decomposed.len() == sizes.len() && size > 0 => Ok(size),
+    match product(sizes.iter().copied()) {
+        Ok(size) if (1..=MODES).contains(&sizes.len()) && decomposed.len() == sizes.len() && size > 0 => Ok(size),
         _ => Err(PyValueError::new_err(format!("blocks need 1 to {MODES} modes and elements, got {sizes:?}"))),
     }
 }
@@ -51,16 +52,25 @@ pub fn rank_boxes<'py>(
     let order = sizes.len();
     let blocks = cores.len() / size;
     let (mut costs, mut ranks) = (vec![0f64; blocks], vec![0u32; blocks * order]);
-    py.detach(|| {
+    guard::run(py, || {
         let tasks: Vec<_> = cores
             .chunks(TOGETHER * size)
             .zip(costs.chunks_mut(TOGETHER))
             .zip(ranks.chunks_mut(TOGETHER * order))
             .collect();
         for_each(true, tasks, |((cores, costs), ranks)| {
-            dispatch(BestBoxes { cores, sizes: &sizes, decomposed: &decomposed, step, rate, decode_cost, costs, ranks });
+            dispatch(BestBoxes {
+                cores,
+                sizes: &sizes,
+                decomposed: &decomposed,
+                step,
+                rate,
+                decode_cost,
+                costs,
+                ranks,
+            });
         });
-    });
+    })?;
     Ok((costs.into_pyarray(py), ranks.into_pyarray(py)))
 }
 
@@ -85,8 +95,7 @@ impl WithSimd for BestBoxes<'_> {
         for ((core, cost), ranks) in
             self.cores.chunks_exact(size).zip(self.costs).zip(self.ranks.chunks_exact_mut(self.sizes.len()))
         {
-            *cost =
-                boxes.best(core, self.sizes, self.decomposed, 1.0 / self.step, self.rate, self.decode_cost, ranks);
+            *cost = boxes.best(core, self.sizes, self.decomposed, 1.0 / self.step, self.rate, self.decode_cost, ranks);
         }
     }
 }
@@ -112,25 +121,44 @@ pub fn code_blocks<'py>(
     let fits = |n: usize| bases[n].len() == if decomposed[n] { blocks * sizes[n] * sizes[n] } else { 0 };
     let ranked = |ranks: &[u32]| {
         ranks.iter().all(|&r| r == 0)
-            || (0..order).all(|n| ranks[n] >= 1 && ranks[n] as usize <= sizes[n] && (decomposed[n] || ranks[n] as usize == sizes[n]))
+            || (0..order).all(|n| {
+                ranks[n] >= 1 && ranks[n] as usize <= sizes[n] && (decomposed[n] || ranks[n] as usize == sizes[n])
+            })
     };
-    if values.len() != blocks * size || cores.len() != values.len() || ranks.len() != blocks * order
-        || bases.len() != order || !(0..order).all(fits) || !ranks.chunks_exact(order).all(ranked) || !(step > 0.0)
+    if values.len() != blocks * size
+        || cores.len() != values.len()
+        || ranks.len() != blocks * order
+        || bases.len() != order
+        || !(0..order).all(fits)
+        || !ranks.chunks_exact(order).all(ranked)
+        || !(step > 0.0)
     {
         return Err(PyValueError::new_err("values, cores, bases and ranks are not of the same blocks"));
     }
     let mut coded: Vec<Code> = (0..blocks).map(|_| Code::default()).collect();
-    py.detach(|| {
+    guard::run(py, || {
         let tasks: Vec<_> = coded.chunks_mut(TOGETHER).enumerate().collect();
         for_each(true, tasks, |(at, codes)| {
             dispatch(CodeBlocks {
-                first: at * TOGETHER, codes, values, cores, bases: &bases, sizes: &sizes, decomposed: &decomposed,
-                ranks, step, dead_zone,
+                first: at * TOGETHER,
+                codes,
+                values,
+                cores,
+                bases: &bases,
+                sizes: &sizes,
+                decomposed: &decomposed,
+                ranks,
+                step,
+                dead_zone,
             });
         });
-    });
-    let exponents = (0..order).map(|n| coded.iter().flat_map(|c| c.exponents[n].iter().copied()).collect::<Vec<_>>().into_pyarray(py)).collect();
-    let whole = (0..order).map(|n| coded.iter().flat_map(|c| c.bases[n].iter().copied()).collect::<Vec<_>>().into_pyarray(py)).collect();
+    })?;
+    let exponents = (0..order)
+        .map(|n| coded.iter().flat_map(|c| c.exponents[n].iter().copied()).collect::<Vec<_>>().into_pyarray(py))
+        .collect();
+    let whole = (0..order)
+        .map(|n| coded.iter().flat_map(|c| c.bases[n].iter().copied()).collect::<Vec<_>>().into_pyarray(py))
+        .collect();
     let core: Vec<i32> = coded.iter().flat_map(|c| c.core.iter().copied()).collect();
     let errors: Vec<f64> = coded.iter().map(|c| c.error).collect();
     Ok((exponents, whole, core.into_pyarray(py), errors.into_pyarray(py)))

@@ -43,14 +43,14 @@ def add_block(levels: Sequence[PackedLevel], rows: Sequence[Index], block: NDArr
 
 
 def _checked(decode: Callable[[], None]) -> None:
-    """Arrays that contradict each other are reported as in a file: they may be a map of one that was written into."""
+    """Arrays that contradict each other are reported: no file has them, but models can be made of any."""
     try:
         decode()
     except NO_LEVEL as error:
         raise HmkctaError(
             Kind.CORRUPTION, "level-arrays", "arrays of a level", found=sentence(error),
-            allowed="what docs/format.md, section 3, says",
-            hint="open the file again if something wrote into it; replace a file that is open by Model.save") from error
+            allowed="what docs/format.md, section 4, says",
+            hint="make the model of the stages of a file, or of compress") from error
 
 
 def _arrays(level: PackedLevel) -> dict[str, Any]:

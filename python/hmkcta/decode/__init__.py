@@ -3,7 +3,7 @@
 The kernels of `backends.decoding` do the work, or their readable twins `scattered` and `dense`, which also stand in for
 them where a block is asked for in float64.
 
-`decode_elements` follows `docs/format.md`, section 4, for scattered elements, and the WGSL decoder mirrors it function
+`decode_elements` follows `docs/format.md`, section 7, for scattered elements, and the WGSL decoder mirrors it function
 by function; `decode_block` decodes an outer product of index lists at a small part of the cost an element. Both read
 the float16 numbers as they are stored and compute in float32 (float64 on request: quality is measured with it).
 """

@@ -1,4 +1,4 @@
-"""Scattered elements: `docs/format.md`, section 4, for many elements at once; the twin of the WGSL decoder.
+"""Scattered elements: `docs/format.md`, section 7, for many elements at once; the twin of the WGSL decoder.
 
 A shader runs one invocation an element; here a NumPy vector holds one number an element, and each function below
 has a WGSL function of the same name: `cluster_ids`, `flatten_clusters`, `basis_row`, `core_value`, `descend`.

@@ -5,12 +5,14 @@ What shaders index by is checked where runs are decoded: nothing is left to the 
 
 from __future__ import annotations
 
+from math import prod
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..packed import F16, U16, PackedLevel
+from .limits import Limits, check_limit
 from .reasons import fault
 from .stages import Stage
 
@@ -25,6 +27,22 @@ def check_largest(level: PackedLevel, stage: Stage, where: str) -> None:
     for i, stated in enumerate(stage.largest):
         if found[i] != stated:
             raise fault("level-bounds", f"{where}.largest[{i}]", stated, found[i])
+
+
+def check_nodes(level: PackedLevel, stage: Stage, limits: Limits, where: str) -> None:
+    """Ranks of decomposed modes, and what an element costs, node by node: a mode may be undecomposed in some alone."""
+    mixture, ranks = level.shape[:, 1].astype(np.float64), level.shape[:, 2].astype(np.float64)
+    decomposed = mixture > 0
+    rank = np.where(decomposed, ranks, 0).max(axis=1, initial=0)
+    cost = np.where(decomposed, mixture * ranks, 1).prod(axis=1)
+    beyond = level.has_cells & ((rank > limits.rank) | (cost > limits.level_cost))
+    if beyond.any():
+        at = int(np.argmax(beyond))
+        ends = np.cumsum([run.nodes for run in stage.runs])
+        run = f"{where}.runs[{np.searchsorted(ends, at, side='right')}]"
+        check_limit("rank-limit", run, int(rank[at]), limits.rank)
+        own = level.shape[at, 1:].T.tolist()
+        check_limit("level-cost-limit", run, prod(k * r for k, r in own if k), limits.level_cost)
 
 
 def reach_of(level: PackedLevel, where: str) -> float:

@@ -1,4 +1,4 @@
-"""Limits on what a file may declare, checked before anything of that size is allocated (`docs/format.md`, section 7).
+"""Limits on what a file may declare, checked before anything of that size is allocated (`docs/format.md`, part II).
 
 Standard library only.
 """
@@ -30,7 +30,7 @@ class Limits:
     clusters: int = 65_535  # C_n
     mixture: int = 8  # K_n
     rank: int = 1024  # R_n of a decomposed mode
-    level_cost: int = 2**20  # prod K_n R_n over the decomposed modes, for the largest values of a stage
+    level_cost: int = 2**20  # prod K_n R_n over the decomposed modes, of any node
     widened: int = 64 * 2**20  # bytes of the arrays of all stages, beyond 64 a byte of the file
     json_bytes: int = 16 * 2**20  # the header
     json_depth: int = 16

@@ -56,7 +56,7 @@ class CoordSection:
 
     def numbers(self, data: memoryview) -> NDArray[Any]:
         """The coordinates, which must be finite."""
-        flat = np.frombuffer(data, _DTYPES[self.dtype])
+        flat = np.frombuffer(data, _DTYPES[self.dtype]).copy()  # of which no file is needed
         if not np.isfinite(flat).all():
             at = int(np.argmin(np.isfinite(flat)))
             raise fault("not-finite", self.name, f"{flat[at]} at {at}", "finite numbers")

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from ..errors import HmkctaError, expect, shown
 from ..packed import Metadata, PackedLevel
-from .check import check_largest, check_reach, reach_of
+from .check import check_largest, check_nodes, check_reach, reach_of
 from .coding import decode_stage, root_places
 from .container import Section, header_end, header_text, lay_out, payload
 from .fields import parse_json
@@ -65,10 +65,12 @@ def loads(data: bytes | bytearray | memoryview | mmap.mmap, *, verify: bool = Tr
     arrays: dict[int, Any] = {own.axis: own.numbers(payload(view, section, verify=verify))
                               for own, section in zip(parsed.coords, coords, strict=True)}
     metadata = parsed.resolve(arrays)
-    return metadata, _stages(view, parsed, runs, verify=verify)
+    return metadata, _stages(view, parsed, runs, limits, verify=verify)
 
 
-def _stages(view: memoryview, parsed: Parsed, runs: list[list[Section]], *, verify: bool) -> tuple[PackedLevel, ...]:
+def _stages(
+    view: memoryview, parsed: Parsed, runs: list[list[Section]], limits: Limits, *, verify: bool
+) -> tuple[PackedLevel, ...]:
     places = root_places(parsed.metadata.axes, parsed.metadata.organisation)
     levels: list[PackedLevel] = []
     reach = 0.0
@@ -77,6 +79,7 @@ def _stages(view: memoryview, parsed: Parsed, runs: list[list[Section]], *, veri
         after = parsed.stages[t + 1] if t + 1 < len(parsed.stages) else None
         payloads = [payload(view, section, verify=verify) for section in sections]
         level, places = decode_stage(stage, places, after, payloads, name)
+        check_nodes(level, stage, limits, name)
         check_largest(level, stage, name)
         reach += reach_of(level, name)
         check_reach(reach, name)

@@ -56,7 +56,7 @@ _RESOURCE_LIMIT = {
     "clusters-limit": "C of a mode is above the limit.",
     "mixture-limit": "K of a mode is above the limit.",
     "rank-limit": "R of a mode is above the limit, or above the size of an undecomposed mode.",
-    "level-cost-limit": "The product of K R over the decomposed modes of a stage is above the limit.",
+    "level-cost-limit": "The product of K R over the decomposed modes of a node is above the limit.",
     "widened-limit": "The file would take more memory than the limit.",
 }
 

@@ -146,7 +146,8 @@ def _run(value: Json, where: str, order: int) -> Run:
 
 
 def _check_bounds(stage: Stage, where: str, sizes: Sequence[int], limits: Limits) -> None:
-    """Limits of a stage; its nodes are held against these bounds later."""
+    """Limits of a stage; its nodes are held against these bounds later, and what holds in decomposed modes alone is
+    checked then."""
     bounds, path = stage.bounds, f"{where}.largest"
     if stage.step is not None and stage.half:
         raise fault("field-value", f"{where}.bits", "bits and a step", "one of them")
@@ -159,14 +160,6 @@ def _check_bounds(stage: Stage, where: str, sizes: Sequence[int], limits: Limits
         # A mode may be undecomposed in some nodes and decomposed in others.
         most = size if bounds.mixture[n] == 0 else max(size, limits.rank)
         check_limit("rank-limit", path, bounds.ranks[n], most)
-    check_limit("level-cost-limit", path, _cost(bounds), limits.level_cost)
-
-
-def _cost(bounds: LevelBounds) -> int:
-    cost = 1
-    for mixture, rank in zip(bounds.mixture, bounds.ranks, strict=True):
-        cost *= mixture * rank if mixture else 1
-    return cost
 
 
 def _check_totals(stage: Stage, where: str) -> None:

@@ -2,7 +2,7 @@
 
 import { type Reason, fault } from "./reasons";
 
-/** The largest values a reader takes (`docs/format.md`, section 7). */
+/** The largest values a reader takes (`docs/format.md`, part II). */
 export interface Limits {
   order: number; // modes of the tensor
   axes: number; // axes of the source array

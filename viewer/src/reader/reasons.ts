@@ -1,4 +1,4 @@
-/** Every reason for which a file is refused: the codes and sentences of `docs/format.md`, section 8. */
+/** Every reason for which a file is refused: the codes and sentences of `docs/format.md`, part II. */
 
 export type Kind = "Compatibility" | "Corruption" | "InsufficientData" | "InvalidArgument" | "ResourceLimit" | "Io";
 
@@ -41,7 +41,7 @@ const RESOURCE_LIMIT = {
   "clusters-limit": "C of a mode is above the limit.",
   "mixture-limit": "K of a mode is above the limit.",
   "rank-limit": "R of a mode is above the limit, or above the size of an undecomposed mode.",
-  "level-cost-limit": "The product of K R over the decomposed modes of a stage is above the limit.",
+  "level-cost-limit": "The product of K R over the decomposed modes of a node is above the limit.",
   "widened-limit": "The file would take more memory than the limit.",
 };
 
