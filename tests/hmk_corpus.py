@@ -47,7 +47,7 @@ class Parts:
 
     def with_header(self, header: Any) -> Parts:
         """The same with another header."""
-        text = json.dumps(header, ensure_ascii=False, separators=(",", ":")).encode()
+        text = json.dumps(header, ensure_ascii=False, separators=(",", ":")).encode("utf-8", "surrogatepass")
         return Parts(text, self.sections, self.version)
 
     def join(self) -> bytes:

@@ -16,9 +16,9 @@ from typing import Any, TypeAlias, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_stages import random_stage, root_places
 from hmkcta import _native
 from hmkcta.backends.decoding import _flat_arrays  # pyright: ignore[reportPrivateUsage]
-from coded_stages import random_stage, root_places
 from random_models import random_model
 
 Arguments: TypeAlias = list[Any]
@@ -161,7 +161,7 @@ def stage_call(rng: Generator, name: str) -> Arguments:
 
 def whole_call(rng: Generator, _: str) -> Arguments:
     sizes = some(rng, 2, 6, int(rng.integers(1, 4)))
-    _, (level,) = random_model(rng, sizes, levels=1, coded=1.0)
+    level = random_model(rng, sizes, levels=1, coded=1.0)[1][0]
     arrays: dict[str, Any] = {
         "step": level.step or 1.0, "shape": level.shape.reshape(-1), "cluster": list(level.cluster),
         "column": list(level.column), "core": level.core.view(np.uint16), "core_scale": level.core_scale,

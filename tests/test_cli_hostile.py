@@ -136,7 +136,7 @@ def test_what_looks_like_nothing_is_not_guessed_at(content: bytes, tmp_path: Pat
 def test_a_damaged_hmk_file_is_not_taken_for_another(source: Path, tmp_path: Path) -> None:
     run("compress", source, "-o", tmp_path / "a.hmk", *PLAN, "--quiet")
     whole = (tmp_path / "a.hmk").read_bytes()
-    for damaged, code in ((whole[:40], 4), (whole[:5] + b"\x01" + whole[6:], 6), (whole[:8] + b"[" + whole[9:], 4)):
+    for damaged, code in ((whole[:40], 4), (whole[:15] + b"\xff" + whole[16:], 6), (whole[:20] + b"[" + whole[21:], 4)):
         (tmp_path / "a.hmk").write_bytes(damaged)
         assert "foreign-file" not in refused("info", tmp_path / "a.hmk", code=code)
 

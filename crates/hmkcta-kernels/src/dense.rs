@@ -218,7 +218,7 @@ impl Walk<'_> {
 
     fn add(&mut self, node: &NodeView, requested: &[&Requested]) -> Result<(), String> {
         let part = Part { node, requested };
-        if Products::pay(node, part.len()) {
+        if Products::pay(node, requested) {
             part.put(self.buffers.products.block(node, requested)?, self.sizes, self.out);
             return Ok(());
         }

@@ -332,26 +332,35 @@ impl Sink<'_, '_> {
     }
 }
 
-/// Decode a run.
-pub fn decode<'a>(bytes: &[u8], stated: &Stated<'a>, out: Decoded<'a>) -> Checked<Decoded<'a>> {
+fn read(decoder: &mut Decoder, sink: &mut Sink) -> Checked<()> {
+    let stated = sink.stated;
     let order = stated.geometry.order();
-    let (mut decoder, mut walk, mut node) = (Decoder::new(bytes), Walk::new(order, stated.last), Node::new(order));
-    let none = Sizes::none(order);
-    let mut sink = Sink { stated, out, at: none.clone(), end: none, children: 0, units: units() };
+    let (mut walk, mut node) = (Walk::new(order, stated.last), Node::new(order));
     for s in stated.nodes.clone() {
         let place = stated.geometry.place(s);
         node.clear();
         if place.is_empty() {
             sink.admit(&node, place)?;
         } else {
-            walk.tables(&mut decoder, &mut node, place, &mut sink)?;
+            walk.tables(decoder, &mut node, place, sink)?;
             if node.kind == CELLS && stated.step.is_some() {
                 make_room(&mut node);
-                numbers(&mut walk.models, &mut decoder, &mut node, place, &mut sink)?;
+                numbers(&mut walk.models, decoder, &mut node, place, sink)?;
             }
         }
         sink.keep(&node, place);
     }
+    Ok(())
+}
+
+/// Decode a run.
+pub fn decode<'a>(bytes: &[u8], stated: &Stated<'a>, out: Decoded<'a>) -> Checked<Decoded<'a>> {
+    let order = stated.geometry.order();
+    let mut decoder = Decoder::new(bytes);
+    let none = Sizes::none(order);
+    let mut sink = Sink { stated, out, at: none.clone(), end: none, children: 0, units: units() };
+    // What stands behind the end means nothing, whatever else is wrong with it.
+    read(&mut decoder, &mut sink).map_err(|fault| if decoder.past_end() { Fault::CodeEnd } else { fault })?;
     let Sink { out, at, .. } = sink;
     let full = at.cells == out.scale.len() as u64
         && at.core == out.core.len() as u64

@@ -10,6 +10,8 @@ use pulp::{Simd, WithSimd};
 
 /// Elements of a block at most: with what is on the way to them they fit a level 2 cache.
 const MOST: usize = 1 << 16;
+/// Numbers of a basis, or of a product on the way, at most.
+const ON_THE_WAY: usize = 1 << 18;
 
 /// Buffers kept from one node to the next.
 #[derive(Default)]
@@ -22,9 +24,23 @@ pub struct Products {
 }
 
 impl Products {
-    /// Whether the node is one cell, and its requested elements are few enough.
-    pub fn pay(node: &NodeView, elements: usize) -> bool {
-        elements <= MOST && node.core.len() <= MOST.max(elements) && node.cells() == 1
+    /// Whether the node is one cell, and its requested elements, and what is on the way to them, are few enough.
+    pub fn pay(node: &NodeView, requested: &[&Requested]) -> bool {
+        let free = |n: usize| node.decomposed[n];
+        let asked = |n: usize| requested[n].pos.len();
+        let modes = || (0..node.order).rev();
+        let elements = modes().fold(1_usize, |all, n| all.saturating_mul(asked(n)));
+        if node.cells() != 1 || elements > MOST || node.core.len() > MOST.max(elements) {
+            return false;
+        }
+        let mut size =
+            modes().fold(1_usize, |all, n| all.saturating_mul(if free(n) { node.ranks[n] } else { asked(n) }));
+        let mut most = size;
+        for n in modes().filter(|&n| free(n)) {
+            size = (size / node.ranks[n]).saturating_mul(asked(n));
+            most = most.max(size).max(node.ranks[n].saturating_mul(asked(n)));
+        }
+        most <= ON_THE_WAY
     }
 
     /// The elements of the requested rows, `[m_1, .., m_N]`.
@@ -32,6 +48,9 @@ impl Products {
         for (n, rows) in requested.iter().enumerate() {
             if let Some(row) = rows.pos.iter().find(|&&row| row as usize >= node.rows[n]) {
                 return Err(format!("a node has no row {row} in mode {}", n + 1));
+            }
+            if node.cluster[n].iter().any(|&cluster| cluster > 0) {
+                return Err(format!("mode {} of a node has one cluster, and rows of others", n + 1));
             }
         }
         dispatch(Task { products: self, node, requested });
