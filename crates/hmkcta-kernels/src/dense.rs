@@ -44,7 +44,7 @@ pub fn decode(levels: &[Level], rows: &[&[i64]], first: usize, out: &mut [f32]) 
             let mut walk = Walk { levels, first, sizes: &sizes, out, buffers };
             *result = walk.children(family, range.clone());
         });
-        return tasks.into_iter().map(|(_, _, result)| result).collect();
+        return tasks.into_iter().try_for_each(|(_, _, result)| result);
     }
     let limit = (out.len() / RUNS).clamp(SMALLEST, LARGEST);
     let runs = runs(&whole.iter().map(|run| run.1).collect::<Vec<_>>(), limit);

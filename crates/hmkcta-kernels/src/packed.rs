@@ -42,6 +42,7 @@ impl<'a, T> Ragged<'a, T> {
 }
 
 /// What there is of a node.
+#[allow(clippy::large_enum_variant, reason = "of which there is one at a time, on the stack")]
 pub enum Node<'a> {
     /// Nothing: it has no children either.
     Empty,

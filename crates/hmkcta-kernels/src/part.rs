@@ -40,7 +40,7 @@ impl Requested {
     fn add(&self, values: &[f32], start: usize, out: Shared) {
         if 2 * self.stretches.len() > self.place.len() {
             for (&place, &value) in self.place.iter().zip(values) {
-                // SAFETY: `within` gives places inside, and the caller has the elements alone; here and below.
+                // SAFETY: `within` gives places inside, and the caller has the elements alone.
                 unsafe { *out.within(start + place as usize, 1) += value };
             }
             return;
@@ -49,6 +49,7 @@ impl Requested {
         for &(place, count) in &self.stretches {
             let count = count as usize;
             let (stretch, behind) = values.split_at(count);
+            // SAFETY: as above; `within` has looked that all of the stretch is inside.
             let to = unsafe { std::slice::from_raw_parts_mut(out.within(start + place as usize, count), count) };
             add_all(stretch, to);
             values = behind;

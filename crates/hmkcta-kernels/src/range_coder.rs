@@ -43,7 +43,7 @@ impl Model {
     fn learn(&mut self, bit: bool) {
         let (zero, seen) = (self.0 >> 16, self.0 as u8);
         let rate = u32::from(RATES[usize::from(seen)]);
-        let moved = if bit { zero - (zero * rate >> 16) } else { zero + ((65536 - zero) * rate >> 16) };
+        let moved = if bit { zero - ((zero * rate) >> 16) } else { zero + (((65536 - zero) * rate) >> 16) };
         self.0 = moved.clamp(LEAST, MOST) << 16 | u32::from(seen + u8::from(seen < MOST_SEEN));
     }
 
@@ -53,7 +53,7 @@ impl Model {
         let (zero, seen) = (self.0 >> 16, self.0 as u8);
         let rate = u32::from(RATES[usize::from(seen)]);
         let ones = 0_u32.wrapping_sub(u32::from(bit));
-        let step = ((zero & ones | (65536 - zero) & !ones) * rate >> 16 ^ ones).wrapping_sub(ones);
+        let step = (((zero & ones | (65536 - zero) & !ones) * rate) >> 16 ^ ones).wrapping_sub(ones);
         self.0 = zero.wrapping_add(step).clamp(LEAST, MOST) << 16 | u32::from(seen + u8::from(seen < MOST_SEEN));
     }
 }

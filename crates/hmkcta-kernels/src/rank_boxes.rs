@@ -50,13 +50,14 @@ fn log2(x: f32) -> f32 {
     let p = 0.045_148_253 * y - 0.193_573_67;
     let p = p * y + 0.415_604_26;
     let p = p * y - 0.709_095_84;
-    exponent as f32 + y * (p * y + 1.441_916_9)
+    exponent as f32 + y * (p * y + 1.441_917)
 }
 
 impl Boxes {
     /// The least cost of a core `[n_1, .., n_N]` in units of D^2, and its ranks: 0 in every mode where nothing pays,
     /// n_n in an undecomposed mode. `most`: bound on the product of the ranks of decomposed modes.
     #[inline(always)]
+    #[allow(clippy::too_many_arguments, reason = "what a block and its costs are made of")]
     pub fn best(
         &mut self,
         core: &[f32],

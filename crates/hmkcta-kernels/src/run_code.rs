@@ -264,15 +264,20 @@ struct Sink<'a, 'b> {
 }
 
 impl Port for Sink<'_, '_> {
+    fn bound(&self, node: &Node, n: usize) -> Checked<()> {
+        let own = [node.clusters[n], node.mixture[n], node.ranks[n]];
+        let within = |i: usize| own[i] <= self.stated.largest[i * node.order() + n];
+        match ((0..3).all(within), own[1] <= own[0]) {
+            (true, true) => Ok(()),
+            (false, _) => Err(Fault::LevelBounds),
+            _ => Err(Fault::NodeShape),
+        }
+    }
+
     fn admit(&mut self, node: &Node, place: Place) -> Checked<()> {
         let shape = [&node.clusters[..], &node.mixture, &node.ranks];
-        let order = node.order();
-        let within = |i: usize| shape[i].iter().zip(&self.stated.largest[i * order..]).all(|(own, most)| own <= most);
-        if !(0..3).all(within) {
-            return Err(Fault::LevelBounds);
-        }
         let cells = node.clusters.iter().fold(1_u64, |all, &c| all.saturating_mul(c.into()));
-        if node.clusters.iter().zip(&node.mixture).any(|(c, k)| k > c) || node.kind == CUT && cells < 2 {
+        if node.kind == CUT && cells < 2 {
             return Err(Fault::NodeShape);
         }
         self.end = self.at.clone();

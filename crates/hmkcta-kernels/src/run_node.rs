@@ -97,6 +97,11 @@ impl<'a> Place<'a> {
 
 /// Where numbers come from or go to.
 pub trait Port {
+    /// Take in C, K and R of one mode as far as they are known, before anything else is read.
+    fn bound(&self, _: &Node, _: usize) -> Checked<()> {
+        Ok(())
+    }
+
     /// Take in the shape of a node, before anything is kept of it.
     fn admit(&mut self, node: &Node, place: Place) -> Checked<()>;
 
@@ -134,7 +139,7 @@ impl Walk {
         self.kind(coder, node);
         match node.kind {
             CELLS => {
-                self.shape(coder, node, place)?;
+                self.shape(coder, node, place, port)?;
                 port.admit(node, place)?;
                 self.members(coder, node, place)?;
                 if node.parted {
@@ -142,7 +147,7 @@ impl Walk {
                 }
             }
             CUT => {
-                self.rules(coder, node, place)?;
+                self.rules(coder, node, place, port)?;
                 port.admit(node, place)?;
                 self.cut_labels(coder, node, place)?;
             }
@@ -167,24 +172,28 @@ impl Walk {
         }
     }
 
-    fn shape<C: Coder>(&mut self, coder: &mut C, node: &mut Node, place: Place) -> Checked<()> {
+    fn shape<C: Coder>(&mut self, coder: &mut C, node: &mut Node, place: Place, port: &mut impl Port) -> Checked<()> {
         for n in 0..node.order() {
             let models = &mut self.models.modes[n];
             let undecomposed = coder.bit(&mut models.undecomposed[self.undecomposed[n]], node.mixture[n] == 0);
             self.undecomposed[n] = usize::from(undecomposed);
             if undecomposed {
                 (node.clusters[n], node.mixture[n], node.ranks[n]) = (1, 0, place.rows[n]);
+                port.bound(node, n)?;
                 continue;
             }
             let less_one = |count: u32| count.saturating_sub(1);
             node.clusters[n] = models.clusters.code(coder, less_one(node.clusters[n]))? + 1;
+            port.bound(node, n)?;
             if node.clusters[n] > 1 {
                 node.mixture[n] = models.mixture.code(coder, less_one(node.mixture[n]))? + 1;
             } else {
                 node.mixture[n] = 1;
             }
+            port.bound(node, n)?;
             let of_rank = &mut models.ranks[self.rank_length[n].min(12)];
             node.ranks[n] = of_rank.code(coder, less_one(node.ranks[n]))? + 1;
+            port.bound(node, n)?;
             self.rank_length[n] = 32 - node.ranks[n].leading_zeros() as usize;
         }
         Ok(())
@@ -224,11 +233,12 @@ impl Walk {
         Ok(())
     }
 
-    fn rules<C: Coder>(&mut self, coder: &mut C, node: &mut Node, place: Place) -> Checked<()> {
+    fn rules<C: Coder>(&mut self, coder: &mut C, node: &mut Node, place: Place, port: &mut impl Port) -> Checked<()> {
         for n in 0..node.order() {
             let (models, grid) = (&mut self.models.modes[n], &mut node.grids[n]);
             if coder.bit(&mut models.rule, grid.is_empty()) {
                 node.clusters[n] = models.parts.code(coder, node.clusters[n].saturating_sub(1))? + 1;
+                port.bound(node, n)?;
                 continue;
             }
             grid.resize(place.extents(n).len(), 0);
@@ -241,6 +251,7 @@ impl Walk {
                 product = product.saturating_mul(*segments);
             }
             node.clusters[n] = product;
+            port.bound(node, n)?;
         }
         Ok(())
     }

@@ -45,7 +45,7 @@ pub fn rank_boxes<'py>(
 ) -> PyResult<Boxed<'py>> {
     let size = elements(&sizes, &decomposed)?;
     let cores = cores.as_slice()?;
-    if !cores.len().is_multiple_of(size) || !(step > 0.0) {
+    if !cores.len().is_multiple_of(size) || step.is_nan() || step <= 0.0 {
         return Err(PyValueError::new_err(format!("whole cores of {size} numbers and a step above 0 are needed")));
     }
     let rate = Rate { lambda: rate.0, offset: rate.1, slope: rate.2, column: rate.3 };
@@ -131,7 +131,8 @@ pub fn code_blocks<'py>(
         || bases.len() != order
         || !(0..order).all(fits)
         || !ranks.chunks_exact(order).all(ranked)
-        || !(step > 0.0)
+        || step.is_nan()
+        || step <= 0.0
     {
         return Err(PyValueError::new_err("values, cores, bases and ranks are not of the same blocks"));
     }

@@ -120,11 +120,12 @@ def _stage(value: Json, where: str, sizes: Sequence[int], limits: Limits) -> Sta
     step = _step(fields["step"], f"{where}.step") if "step" in fields else None
     half = "bits" in fields and as_integer(fields["bits"], f"{where}.bits", 16, 16) == 16
     scheme = as_text(fields.get("scheme", NO_SCHEME), f"{where}.scheme", (NO_SCHEME, *SCHEMES))
+    rows = counts(fields["rows"], f"{where}.rows")
     runs = tuple(
         _run(item, f"{where}.runs[{i}]", len(sizes)) for i, item in enumerate(as_list(fields["runs"], f"{where}.runs"))
     )
     bounds = LevelBounds(largest[0], largest[1], largest[2], scheme)
-    stage = Stage(nodes, bounds, step, half, counts(fields["rows"], f"{where}.rows"), runs)
+    stage = Stage(nodes, bounds, step, half, rows, runs)
     _check_bounds(stage, where, sizes, limits)
     _check_totals(stage, where)
     return stage
