@@ -8,6 +8,7 @@ What is called is written down before, so that who started the process knows of 
 
 from __future__ import annotations
 
+import mmap
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -150,6 +151,7 @@ CALLS: dict[str, Callable[[Generator, str], Arguments]] = {
     **dict.fromkeys(["nearest_with_room", "cluster_rows"], kmeans_call),
     **dict.fromkeys(["decode_scattered_f32", "decode_scattered_f64", "decode_block"], model_call),
     "set_threads": lambda _, __: [2],
+    "MapWatch": lambda _, __: [mmap.mmap(-1, 1 << 14)],
 }
 
 

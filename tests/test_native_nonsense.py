@@ -207,7 +207,7 @@ def test_every_function_is_called_with_nonsense() -> None:
     functions = {name for name in dir(_native) if not name.startswith("_")}
     assert functions == set(called)
     texts = [path.read_text(encoding="utf-8") for path in (CRATE / "src").glob("*.rs")]
-    declared = re.compile(r"#\[pyfunction\]\n(?:#\[.*\n)*(?:pub )?fn (\w+)")
+    declared = re.compile(r"#\[py(?:function|class).*\]\n(?:#\[.*\n)*(?:pub )?(?:fn|struct) (\w+)")
     assert {name for text in texts for name in declared.findall(text)} == functions
 
 
