@@ -168,7 +168,7 @@ def bombs() -> dict[str, bytes]:
     deeper.arrays = {"level/1/child": ("U8", [2], bytes(2)), **deeper.arrays}
     deeper.record("level/1/child")
     return {"json-depth": frame(deep), "truncated": frame(huge),
-            "header-too-large": (2**40).to_bytes(8, "little") + bytes(100),
+            "header-too-large": (2**40).to_bytes(8, "little") + b"{" + bytes(99),
             "array-missing": deeper.join(), "ok": zero_root_with_rows(2**32 - 1), "ok too": short}
 
 

@@ -245,6 +245,9 @@ def test_other_files_as_originals(model: Model, file: Path, tmp_path: Path) -> N
     with pytest.raises(HmkctaError, match=r"found \(5, 6\), allowed \(5, 6, 7\), the model's. Next: give the array"):
         serve(file, original=other, page=PAGE)
     other.write_bytes(b"nothing")
+    with pytest.raises(HmkctaError, match="foreign-file"):
+        serve(file, original=other, page=PAGE)
+    other.write_bytes(file.read_bytes()[:100])
     with pytest.raises(HmkctaError, match="truncated"):
         serve(file, original=other, page=PAGE)
 
