@@ -8,6 +8,7 @@ What is called is written down before, so that who started the process knows of 
 
 from __future__ import annotations
 
+import mmap
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -194,6 +195,7 @@ CALLS: dict[str, Callable[[Generator, str], Arguments]] = {
     "whole_stage": whole_call,
     **dict.fromkeys(["rank_boxes", "code_blocks"], blocks_call),
     "set_threads": lambda _, __: [2],
+    "MapWatch": lambda _, __: [mmap.mmap(-1, 1 << 14)],
 }
 
 

@@ -247,6 +247,9 @@ def test_other_files_as_originals(model: Model, file: Path, tmp_path: Path) -> N
     other.write_bytes(b"nothing")
     with pytest.raises(HmkctaError, match="foreign-file"):
         serve(file, original=other, page=PAGE)
+    other.write_bytes(file.read_bytes()[:100])
+    with pytest.raises(HmkctaError, match="truncated"):
+        serve(file, original=other, page=PAGE)
 
 
 @pytest.mark.parametrize("name", ["LF.HMK", "model", "model.npy"])

@@ -81,7 +81,7 @@ def _sample(array: NDArray[Any]) -> int:
         at = [int(i) for i in np.unravel_index(line, outer)] if outer else []
         run = array[(*at[:inner], slice(start, start + RUN), *at[inner:])]
         checksum = zlib.crc32(np.ascontiguousarray(run).view(np.uint8).data, checksum)
-    drop_pages(array)
+        drop_pages(array)  # a system may map megabytes around each place
     return checksum
 
 
