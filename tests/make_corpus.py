@@ -169,6 +169,10 @@ BAD_FIELDS: list[tuple[str, dict[str, Any], str, str]] = [
     ("neither step nor bits", header(*ROOT, "step"), "field-value", "header.stages[0].largest"),
     ("an unknown scheme", header(*ROOT, "scheme", to="some"), "field-value", "header.stages[0].scheme"),
     ("other rows", header(*ROOT, "rows", 0, to=5), "row-count", "header.stages[0].rows"),
+    ("a writer that is null", header("writer", to=None), "field-type", "header.writer"),
+    ("a source that is null", header("source", to=None), "field-type", "header.source"),
+    ("a seed that is null", header("seed", to=None), "field-type", "header.seed"),
+    ("a unit that is null", header("axes", 0, "unit", to=None), "field-type", "header.axes[0].unit"),
     ("a run without nodes", header(*ROOT, "runs", to=[[0, 4, 0, 0, 0, 0]]), "field-value", "header.stages[0].runs"),
     ("too few counts", header(*ROOT, "runs", 0, to=[1, 4]), "field-value", "header.stages[0].runs[0]"),
 ]

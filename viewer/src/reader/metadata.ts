@@ -106,9 +106,9 @@ export function parseMetadata(value: Json, size: number, limits: Limits): Parsed
   const stages = parseStages(fields.stages, `${root}.stages`, modeSizes, size, limits);
   const levels = stages.filter(hasNumbers);
   const quality = parseQuality(fields.quality, `${root}.quality`, levels.length);
-  asMap(fields.source ?? new Map(), `${root}.source`);
-  const writer = asText(fields.writer ?? "", `${root}.writer`);
-  asInteger(fields.seed ?? 0, `${root}.seed`);
+  asMap(fields.source === undefined ? new Map() : fields.source, `${root}.source`);
+  const writer = asText(fields.writer === undefined ? "" : fields.writer, `${root}.writer`);
+  asInteger(fields.seed === undefined ? 0 : fields.seed, `${root}.seed`);
   return {
     stages, coords,
     metadata: {
@@ -131,7 +131,7 @@ function parseAxes(value: Json, where: string, limits: Limits): { axes: Axis[]; 
     const axis: Axis = {
       name, size: asInteger(fields.size, `${path}.size`, 1, MAX_U32), coords: null,
       role: fields.role === undefined ? "other" : asOneOf(fields.role, `${path}.role`, ROLES),
-      unit: asText(fields.unit ?? "", `${path}.unit`),
+      unit: asText(fields.unit === undefined ? "" : fields.unit, `${path}.unit`),
     };
     const given = fields.coordinates;
     if (given instanceof Map) {

@@ -142,9 +142,13 @@ export class RunReader {
       }
       r = 1 + coder.whole(mode.rank + this.rank[n]! * WHOLE);
       this.rank[n] = Math.min(32 - Math.clz32(r), RANK_CLASSES - 1);
-      checkLimit("rank-limit", this.where, r, this.limits.rank);
+    } else {
+      this.bounded("C", n, c, stage.clusters[n]!);
     }
     this.bounded("R", n, r, stage.ranks[n]!);
+    if (k > 0) {
+      checkLimit("rank-limit", this.where, r, this.limits.rank);
+    }
     clusters.push(c);
     mixture.push(k);
     ranks.push(r);
