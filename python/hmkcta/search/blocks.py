@@ -1,0 +1,113 @@
+"""Blocks of a grid: where they lie, which of them stand for all, and their values as tensors of the layout's modes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import product
+from math import ceil, prod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import F32
+from .layout import Layout, Modes
+
+Slices = tuple[slice, ...]
+#: Values of a rectangular part of the array, float32, in the array's axes.
+ReadBlock = Callable[[Slices], F32]
+
+#: Fewest blocks of a sample: six mislead, twelve do (measured on six sets).
+SAMPLE_BLOCKS = 12
+#: Indices of an axis that a cell of the map of detail spans.
+DETAIL_CELL = 4
+
+
+def cut(size: int, edge: int) -> list[slice]:
+    """Blocks of an axis: as many as an edge asks for, p of m indices from floor(m p / g) on (docs/format.md).
+
+    >>> cut(10, 4)
+    [slice(0, 3, None), slice(3, 6, None), slice(6, 10, None)]
+    """
+    count = -(-size // edge)
+    ends = [size * part // count for part in range(count + 1)]
+    return [slice(*pair) for pair in zip(ends, ends[1:], strict=False)]
+
+
+def grid_blocks(shape: Sequence[int], layout: Layout) -> list[Slices]:
+    """All blocks of a layout's grid as slices of the axes, in the order of the nodes: C order of the merged modes."""
+    order = axis_order(layout.modes)
+    back = np.argsort(order)
+    return [tuple(block[n] for n in back) for block in product(*(cut(shape[a], layout.edges[a]) for a in order))]
+
+
+def grid_block(shape: Sequence[int], layout: Layout, number: int) -> Slices:
+    """One block of a layout's grid, by its number in the order of `grid_blocks`."""
+    order = axis_order(layout.modes)
+    counts = layout.blocks(shape)
+    places = np.unravel_index(number, [counts[axis] for axis in order])
+    found: dict[int, slice] = {}
+    for axis, place in zip(order, places, strict=True):
+        part, size, count = int(place), shape[axis], counts[axis]
+        found[axis] = slice(size * part // count, size * (part + 1) // count)
+    return tuple(found[axis] for axis in range(len(shape)))
+
+
+def axis_order(modes: Modes) -> list[int]:
+    """Numbers of the axes as they stand in the modes."""
+    return [axis for mode in modes for axis in mode]
+
+
+def as_tensor(values: F32, modes: Modes) -> F32:
+    """Blocks `[blocks, *axes]` with the axes of each mode merged, `[blocks, *modes]`, C order."""
+    order = [0, *(1 + axis for axis in axis_order(modes))]
+    sizes = [prod(values.shape[1 + axis] for axis in mode) for mode in modes]
+    return np.ascontiguousarray(values.transpose(order)).reshape(len(values), *sizes)
+
+
+def by_shape(blocks: Sequence[Slices]) -> dict[tuple[int, ...], NDArray[np.intp]]:
+    """Numbers of the blocks of each shape."""
+    found: dict[tuple[int, ...], list[int]] = {}
+    for number, block in enumerate(blocks):
+        found.setdefault(tuple(part.stop - part.start for part in block), []).append(number)
+    return {shape: np.array(numbers, np.intp) for shape, numbers in found.items()}
+
+
+class Detail:
+    """How much happens where: sums of squared differences of neighbours, in cells of a few indices an axis."""
+
+    def __init__(self, values: F32) -> None:
+        steps = [DETAIL_CELL if size > 2 * DETAIL_CELL else 1 for size in values.shape]
+        total = np.zeros(values.shape, np.float32)
+        for axis in range(values.ndim):
+            before = (slice(None),) * axis
+            change = np.diff(values, axis=axis)
+            total[(*before, slice(1, None))] += change * change
+        for axis, step in enumerate(steps):
+            starts = np.arange(0, total.shape[axis], step)
+            total = np.add.reduceat(total, starts, axis=axis)
+        self.cells, self.steps, self.shape = total.astype(np.float64), steps, values.shape
+
+    def of_grid(self, layout: Layout) -> NDArray[np.float64]:
+        """Detail of every block of a grid, in the order of `grid_blocks`; blocks may share cells of the map."""
+        sums = self.cells
+        for axis, (size, edge, step) in enumerate(zip(self.shape, layout.edges, self.steps, strict=True)):
+            starts = np.array([part.start // step for part in cut(size, edge)])
+            sums = np.add.reduceat(sums, starts, axis=axis)
+        return sums.transpose(axis_order(layout.modes)).reshape(-1)
+
+
+def sample(blocks: int, elements: int, wanted: int, detail: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Numbers of blocks that stand for all: evenly spaced when ordered by detail, never fewer than `SAMPLE_BLOCKS`.
+
+    Args:
+        blocks: how many there are.
+        elements: of one of them.
+        wanted: elements of the sample.
+        detail: of every block.
+    """
+    count = max(SAMPLE_BLOCKS, ceil(wanted / elements))
+    if count >= blocks:
+        return np.arange(blocks)
+    order = np.argsort(detail, kind="stable")
+    places = ((np.arange(count) + 0.5) * (blocks / count)).astype(np.intp)
+    return np.sort(order[places])

@@ -1,0 +1,207 @@
+"""A layout coded: all blocks at a step D, as whole numbers in node order, with their bytes and what they leave."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _native as native
+from ..arrays import F32
+from .blocks import Slices, as_tensor, by_shape, cut, grid_blocks
+from .hosvd import BlockBatch, Undecomposed
+from .judging import Choice, choose
+from .kernels import I32, U8, U32, code_blocks
+from .layout import Layout
+
+#: Elements of blocks that are decomposed, and then coded, together.
+TOGETHER = 1 << 22
+
+
+@dataclass(frozen=True, eq=False)
+class CodedBlocks:
+    """The blocks of a layout at a step: a stage of the file, one node a block.
+
+    Attributes:
+        step: D.
+        shape: C, K and R of each node, `[S, 3, N]`: K = 0 where a mode is undecomposed, all zero where nothing is
+            stored.
+        exponents: k of all columns, mode by mode, node by node.
+        bases: whole numbers of the bases, likewise; per node `[rows, R_n]`.
+        core: whole numbers of the cores; per node `[R_1, .., R_N]`.
+        error: squared error of the array as decoded.
+    """
+
+    step: float
+    shape: NDArray[np.uint32]
+    exponents: tuple[U8, ...]
+    bases: tuple[I32, ...]
+    core: I32
+    error: float
+
+
+class LayoutCoder:
+    """Codes an array's blocks at any step; their HOSVDs are found once."""
+
+    def __init__(
+        self, values: F32, layout: Layout, sets: Sequence[Undecomposed], decode_cost: float, *, precise: bool = False
+    ) -> None:
+        self.values, self.layout, self.sets, self.decode_cost = values, layout, tuple(sets), decode_cost
+        self.precise = precise
+        self.blocks = grid_blocks(values.shape, layout)
+
+    @cached_property
+    def batches(self) -> list[tuple[NDArray[np.intp], BlockBatch]]:
+        """Numbers and HOSVDs of blocks of one shape, of at most some `TOGETHER` elements."""
+        found: list[tuple[NDArray[np.intp], BlockBatch]] = []
+        for shape, numbers in by_shape(self.blocks).items():
+            count = max(1, TOGETHER // int(np.prod(shape)))
+            for first in range(0, len(numbers), count):
+                some = numbers[first : first + count]
+                tensors = as_tensor(np.stack([self.values[self.blocks[b]] for b in some]), self.layout.modes)
+                found.append((some, BlockBatch(tensors, precise=self.precise)))
+        return found
+
+    def code(self, step: float) -> CodedBlocks:
+        """All blocks at a step D."""
+        step = float(np.float32(step))
+        pieces = [piece for numbers, batch in self.batches for piece in self._code_batch(numbers, batch, step)]
+        return _joined(pieces, len(self.blocks), len(self.layout.modes), step)
+
+    def _code_batch(self, numbers: NDArray[np.intp], batch: BlockBatch, step: float) -> list[_Piece]:
+        sets = self.sets if all(n in s for s in self.sets for n in _forced(batch)) else (_forced(batch),)
+        choice = choose(batch, sets, step, self.decode_cost)
+        return [_piece(numbers, batch, choice, k, step) for k in np.unique(choice.chosen).tolist()]
+
+    def bytes_of(self, coded: CodedBlocks) -> int:
+        """Bytes of the code in the file, tables included, header not."""
+        stages = self.stages(coded)
+        return sum(native.count_stage(stage, places) for stage, places in stages)
+
+    def stages(self, coded: CodedBlocks) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+        """What the native coder takes of each stage: a grid where there are several blocks, and the blocks."""
+        root = _root(self.values.shape, self.layout)
+        order = len(self.layout.modes)
+        if len(self.blocks) == 1:
+            return [(_cells(coded, root["rows"].reshape(1, order)), root)]
+        grid = _grid_stage(self.values.shape, self.layout)
+        places = native.next_stage(grid["shape"], grid["children"], grid["part"], root)
+        return [(grid, root), (_cells(coded, places["rows"].reshape(-1, order)), places)]
+
+
+def _forced(batch: BlockBatch) -> Undecomposed:
+    return tuple(n for n, basis in enumerate(batch.bases) if basis is None)
+
+
+@dataclass(frozen=True, eq=False)
+class _Piece:
+    """Blocks of a batch that leave the same modes undecomposed: their numbers, sizes, ranks and whole numbers."""
+
+    numbers: NDArray[np.intp]
+    sizes: tuple[int, ...]
+    undecomposed: Undecomposed
+    ranks: U32
+    exponents: tuple[U8, ...]
+    bases: tuple[I32, ...]
+    core: I32
+    error: float
+
+
+def _piece(numbers: NDArray[np.intp], batch: BlockBatch, choice: Choice, k: int, step: float) -> _Piece:
+    undecomposed = choice.sets[k]
+    at = np.flatnonzero(choice.chosen == k)
+    bases = [None if n in undecomposed else _of(basis, at) for n, basis in enumerate(batch.bases)]
+    found = code_blocks(batch.values[at], batch.keep(undecomposed)[at], bases, choice.ranks[at], step)
+    return _Piece(numbers[at], batch.sizes, undecomposed, choice.ranks[at], found.exponents, found.bases, found.core,
+                  float(found.errors.sum()))
+
+
+def _of(basis: F32 | None, at: NDArray[np.intp]) -> F32:
+    assert basis is not None, "a mode without a basis is undecomposed"
+    return basis[at]
+
+
+def _joined(pieces: Sequence[_Piece], count: int, order: int, step: float) -> CodedBlocks:
+    """The pieces in the order of the nodes."""
+    shape = np.zeros((count, 3, order), np.uint32)
+    numbers = np.concatenate([piece.numbers for piece in pieces])
+    for piece in pieces:
+        stored = piece.ranks[:, 0] > 0
+        mixture = np.array([n not in piece.undecomposed for n in range(order)], np.uint32)
+        shape[piece.numbers, 0] = stored[:, None]
+        shape[piece.numbers, 1] = stored[:, None] * mixture
+        shape[piece.numbers, 2] = piece.ranks
+    ranks = np.concatenate([piece.ranks.astype(np.int64) for piece in pieces])
+    columns = [ranks[:, n] * np.repeat([n not in piece.undecomposed for piece in pieces], _lengths(pieces))
+               for n in range(order)]
+    rows = [np.repeat([piece.sizes[n] for piece in pieces], _lengths(pieces)) for n in range(order)]
+    return CodedBlocks(
+        step,
+        shape,
+        tuple(_reordered([p.exponents[n] for p in pieces], numbers, columns[n]) for n in range(order)),
+        tuple(_reordered([p.bases[n] for p in pieces], numbers, columns[n] * rows[n]) for n in range(order)),
+        _reordered([p.core for p in pieces], numbers, ranks.prod(axis=1)),
+        sum(piece.error for piece in pieces),
+    )
+
+
+def _lengths(pieces: Sequence[_Piece]) -> list[int]:
+    return [len(piece.numbers) for piece in pieces]
+
+
+def _reordered(arrays: Sequence[NDArray[Any]], numbers: NDArray[np.intp], lengths: NDArray[np.int64]) -> NDArray[Any]:
+    """Ragged parts of `lengths`, which belong to the nodes `numbers`, in the order of the nodes."""
+    flat = np.concatenate(arrays)
+    order = np.argsort(numbers, kind="stable")
+    starts = np.cumsum(lengths) - lengths
+    wanted = lengths[order]
+    first = np.repeat(starts[order] - (np.cumsum(wanted) - wanted), wanted)
+    return flat[first + np.arange(len(flat))]
+
+
+def _root(shape: Sequence[int], layout: Layout) -> dict[str, Any]:
+    extents = [shape[axis] for mode in layout.modes for axis in mode]
+    ends = np.cumsum([0, *(len(mode) for mode in layout.modes)])
+    return {"rows": np.array(layout.sizes(shape), np.uint32), "extents": np.array(extents, np.uint32),
+            "ends": ends.astype(np.uint32)}
+
+
+def _grid_stage(shape: Sequence[int], layout: Layout) -> dict[str, Any]:
+    """The stage of one node that the grid cuts."""
+    order = len(layout.modes)
+    parts = [grid_parts(shape, layout, n) for n in range(order)]
+    table = np.zeros((1, 3, order), np.uint32)
+    counts = layout.blocks(shape)
+    table[0, 0] = [int(np.prod([counts[axis] for axis in mode])) for mode in layout.modes]
+    none = [np.zeros(0, np.uint16)] * order
+    return {"last": False, "coded": False, "shape": table.ravel(), "part": parts, "cluster": none,
+            "children": np.array([int(np.prod(table[0, 0]))], np.uint32), "column": [np.zeros(0, np.uint8)] * order,
+            "core": np.zeros(0, np.int32), "basis": [np.zeros(0, np.int32)] * order}
+
+
+def grid_parts(shape: Sequence[int], layout: Layout, mode: int) -> NDArray[np.uint16]:
+    """The block, along a mode, of each of its rows."""
+    part = np.zeros(1, np.int64)
+    for axis in layout.modes[mode]:
+        own = np.zeros(shape[axis], np.int64)
+        slices: list[slice] = cut(shape[axis], layout.edges[axis])
+        for number, block in enumerate(slices):
+            own[block] = number
+        part = (part[:, None] * len(slices) + own).reshape(-1)
+    return part.astype(np.uint16)
+
+
+def _cells(coded: CodedBlocks, rows: NDArray[np.uint32]) -> dict[str, Any]:
+    """The last stage, one node a block, `rows` `[S, N]`."""
+    decomposed = coded.shape[:, 1] > 0
+    cluster = [np.zeros(int((rows[:, n] * decomposed[:, n]).sum()), np.uint16) for n in range(rows.shape[1])]
+    return {"last": True, "coded": True, "shape": coded.shape.ravel(), "children": np.zeros(len(rows), np.uint32),
+            "cluster": cluster, "part": [], "column": list(coded.exponents), "core": coded.core,
+            "basis": list(coded.bases)}
+
+
+__all__ = ["CodedBlocks", "LayoutCoder", "Slices", "grid_parts"]

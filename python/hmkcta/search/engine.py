@@ -1,0 +1,203 @@
+"""The search: layouts judged by J on samples of blocks at one step D, the best of them coded, each with a D of its own.
+
+Everything that is chosen (organisation, grid, undecomposed modes, ranks) minimises J = error / D^2 + lambda * bits; the
+goal is met by D alone. `docs/design.md` says what is measured, and what was tried.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from math import exp, inf, log, log10, sqrt
+
+import numpy as np
+
+from ..arrays import F32
+from .coded import CodedBlocks, LayoutCoder
+from .judging import Judge, Verdict
+from .layout import Layout, first_layouts, neighbours
+from .rate_model import MODEL
+from .roots import OVERSHOT, USED, meet
+
+#: Bytes beyond which float64 is needed to tell what is stored: float32 Gram matrices end at some 65 dB.
+PRECISE_SNR = 50.0
+#: D begins at this share of the root mean square.
+FIRST_STEP = 0.1
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How long a search looks.
+
+    Attributes:
+        elements: of a first sample of each layout (2^17 suffice), and of the one that ranks finalists.
+        rounds: how often the best are varied.
+        varied: how many of the best are varied in a round.
+        finalists: how many are judged on the larger sample.
+        coded: how many are coded.
+    """
+
+    elements: tuple[int, int]
+    rounds: int
+    varied: int
+    finalists: int
+    coded: int
+
+
+EFFORTS = {
+    "fast": Effort((1 << 15, 1 << 17), 2, 1, 6, 1),
+    "medium": Effort((1 << 17, 1 << 19), 6, 3, 12, 4),
+    "thorough": Effort((1 << 18, 1 << 21), 10, 6, 24, 8),
+}
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What a file is to be: `size` most bytes, or `snr` least dB; one of them."""
+
+    size: int | None = None
+    snr: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A layout with its code.
+
+    Attributes:
+        layout: modes and grid.
+        coder: codes the same at other steps.
+        coded: the blocks at the step that meets the goal.
+        nbytes: of the code, with `overhead`.
+        snr: in dB, of the values as decoded.
+    """
+
+    layout: Layout
+    coder: LayoutCoder
+    coded: CodedBlocks
+    nbytes: int
+    snr: float
+
+
+@dataclass(eq=False)
+class Search:
+    """A search for the layout that is best for a goal.
+
+    Args:
+        values: the array, float32.
+        goal: bytes or dB.
+        decode_cost: bound on the multiply-adds of one element.
+        effort: how long to look.
+        overhead: bytes of a file besides its code: header and metadata.
+        threads: layouts that are judged at a time; the result does not depend on it.
+        on_progress: called with a stage's name and the fraction of it that is done.
+    """
+
+    values: F32
+    goal: Goal
+    decode_cost: int = 4096
+    effort: Effort = EFFORTS["medium"]
+    overhead: int = 600
+    threads: int = 1
+    on_progress: Callable[[str, float], None] = lambda _stage, _fraction: None
+    energy: float = field(init=False)
+    judged: dict[tuple[Layout, float, int], Verdict] = field(init=False, default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.energy = float(np.square(self.values, dtype=np.float64).sum())
+        precise = (self.goal.snr or 0.0) > PRECISE_SNR
+        self.judge = Judge(self.values, self.decode_cost, precise=precise)
+
+    def run(self) -> Found:
+        """The best layout found, coded so that it meets the goal; the closest to it where none does."""
+        step = FIRST_STEP * sqrt(self.energy / self.values.size) or 1.0
+        step, ranked = self._explore(step)
+        finalists = self._ranked(ranked[: self.effort.finalists], step, self.effort.elements[1])
+        best: Found | None = None
+        for place, layout in enumerate(finalists[: self.effort.coded]):
+            self.on_progress("code", place / self.effort.coded)
+            found = self._met(layout, step)
+            if found is not None and (best is None or self._better(found, best)):
+                best, step = found, found.coded.step
+        assert best is not None, "the least that can be stored meets any goal"
+        return best
+
+    def again(self, found: Found, goal: Goal) -> Found:
+        """The same layout for another goal."""
+        self.goal = goal
+        met = self._met(found.layout, found.coded.step)
+        return found if met is None else met
+
+    def _explore(self, step: float) -> tuple[float, list[Layout]]:
+        """The step at which the best layouts meet the goal, and all layouts judged at it, best first."""
+        layouts = first_layouts(self.values.shape)
+        ranked: list[Layout] = []
+        for turn in range(self.effort.rounds):
+            self.on_progress("search", turn / self.effort.rounds)
+            ranked = self._ranked(layouts, step, self.effort.elements[0])
+            near = self._step_for(ranked[0], step)
+            if abs(log(near / step)) > 0.1 and turn + 1 < self.effort.rounds:
+                # Many layouts need not be judged again at another step: those far behind stay there.
+                step, ranked = near, ranked[: self.effort.finalists]
+                ranked = self._ranked(ranked, step, self.effort.elements[0])
+            varied = [other for place, layout in enumerate(ranked[: self.effort.varied])
+                      for other in neighbours(layout, self.values.shape, organise=not place)]
+            layouts = list(dict.fromkeys([*ranked[: self.effort.finalists], *varied]))
+            if all((layout, step, self.effort.elements[0]) in self.judged for layout in layouts):
+                break
+        return step, self._ranked(layouts, step, self.effort.elements[0])
+
+    def _ranked(self, layouts: Iterable[Layout], step: float, elements: int) -> list[Layout]:
+        """Layouts by J at a step, the least first."""
+        todo = [layout for layout in dict.fromkeys(layouts) if (layout, step, elements) not in self.judged]
+        known = [found.cost for (_, at, of), found in self.judged.items() if (at, of) == (step, elements)]
+        bar = min(known, default=inf)
+        with ThreadPoolExecutor(self.threads) as pool:
+            for layout, found in zip(todo, pool.map(lambda x: self.judge.verdict(x, step, elements, bar), todo), strict=True):
+                self.judged[layout, step, elements] = found
+        return sorted(dict.fromkeys(layouts), key=lambda layout: (self.judged[layout, step, elements].cost, layout))
+
+    def _step_for(self, layout: Layout, step: float) -> float:
+        """The step at which a layout meets the goal, by its J on a sample.
+
+        J is least in everything but D, so its derivative by log D is -2 error / D^2, and J says bits and errors both.
+        """
+        elements = self.effort.elements[0]
+
+        def attempt(step: float) -> tuple[float, None]:
+            low, high = (self.judge.verdict(layout, step * exp(by), elements).cost for by in (-0.05, 0.05))
+            error = max((low - high) / 0.2, 1e-9)  # in units of D^2
+            bits = max(((low + high) / 2 - error) / MODEL.trade, 8.0)
+            return self._excess(bits / 8 + self.overhead, error * step * step), None
+
+        slope = -1.0 if self.goal.size is not None else 1.3
+        found = meet(attempt, step, 0.05, slope, tries=6)
+        return step if found is None else found.step
+
+    def _excess(self, nbytes: float, error: float) -> float:
+        """How far above the goal, as a logarithm, so many bytes or such a squared error are."""
+        if self.goal.size is not None:
+            return log(max(nbytes - self.overhead, 1.0) / max(self.goal.size - self.overhead, 1))
+        assert self.goal.snr is not None, "a goal has one of the two"
+        return log(max(error, 1e-300) / max(self.energy, 1e-300)) + self.goal.snr * log(10) / 10
+
+    def _met(self, layout: Layout, step: float) -> Found | None:
+        """A layout coded at the step that meets the goal."""
+        sets = self.judged[layout, step, self.effort.elements[1]].sets if (
+            layout, step, self.effort.elements[1]) in self.judged else self.judge.verdict(
+            layout, step, self.effort.elements[1]).sets
+        coder = LayoutCoder(self.values, layout, sets, self.decode_cost, precise=self.judge.precise)
+
+        def attempt(step: float) -> tuple[float, Found]:
+            coded = coder.code(step)
+            nbytes = coder.bytes_of(coded) + self.overhead
+            snr = 10 * log10(self.energy / coded.error) if coded.error > 0 else float("inf")
+            return self._excess(nbytes, coded.error), Found(layout, coder, coded, nbytes, snr)
+
+        by_size = self.goal.size is not None
+        tolerance = -log(USED) if by_size else OVERSHOT * log(10) / 10
+        found = meet(attempt, step, tolerance, -1.0 if by_size else 1.3)
+        return None if found is None else found.result
+
+    def _better(self, one: Found, other: Found) -> bool:
+        return one.snr > other.snr if self.goal.size is not None else one.nbytes < other.nbytes

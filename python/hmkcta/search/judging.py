@@ -1,0 +1,121 @@
+"""What a layout is worth: J of a sample of its blocks, each with its best undecomposed modes and ranks."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import inf, prod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import F32, F64
+from .blocks import Detail, Slices, as_tensor, by_shape, grid_block, sample
+from .hosvd import BlockBatch, Undecomposed
+from .kernels import U32, best_boxes
+from .layout import Layout
+
+#: Blocks of which all sets of undecomposed modes are tried, about; the others try the best of these.
+SCOUTS = 3
+#: Layouts this many times behind by their scouts are not among the best.
+HOPELESS = 1.3
+#: Sets of undecomposed modes that the other blocks of a layout may use.
+MOST_SETS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """What is best for each block of a batch: J in units of D^2, the set it leaves undecomposed (by number), ranks."""
+
+    costs: F64
+    chosen: NDArray[np.intp]
+    ranks: U32
+    sets: tuple[Undecomposed, ...]
+
+
+def choose(batch: BlockBatch, sets: Sequence[Undecomposed], step: float, decode_cost: float) -> Choice:
+    """Ranks and undecomposed modes of every block of a batch; of equals the earlier set."""
+    costs = np.full(len(batch), np.inf)
+    chosen = np.zeros(len(batch), np.intp)
+    ranks = np.zeros((len(batch), len(batch.sizes)), np.uint32)
+    for number, undecomposed in enumerate(sets):
+        decomposed = [n not in undecomposed for n in range(len(batch.sizes))]
+        found, own = best_boxes(batch.keep(undecomposed), decomposed, step, decode_cost)
+        better = found < costs
+        costs, chosen = np.where(better, found, costs), np.where(better, number, chosen)
+        ranks[better] = own[better]
+    return Choice(costs, chosen, ranks, tuple(sets))
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """J of the whole array by a sample, in units of D^2, and the sets of undecomposed modes that its blocks use."""
+
+    cost: float
+    sets: tuple[Undecomposed, ...]
+
+
+class Judge:
+    """J of layouts of an array that is in memory."""
+
+    def __init__(self, values: F32, decode_cost: float, *, precise: bool = False) -> None:
+        self.values, self.decode_cost, self.precise = values, decode_cost, precise
+        self.detail = Detail(values)
+
+    def verdict(self, layout: Layout, step: float, elements: int, bar: float = inf) -> Verdict:
+        """J by a sample of about so many elements, at least twelve blocks.
+
+        A few scouts among them try all sets of undecomposed modes, the others those that are best for the scouts. A
+        layout whose scouts promise a J of more than `HOPELESS` times `bar` is looked at no further.
+        """
+        count = prod(layout.blocks(self.values.shape))
+        size = max(1, self.values.size // count)
+        picked = sample(count, size, elements, self.detail.of_grid(layout))
+        blocks = [grid_block(self.values.shape, layout, number) for number in picked.tolist()]
+        every = max(1, len(blocks) // SCOUTS)
+        scouts, others = blocks[::every], [block for n, block in enumerate(blocks) if n % every]
+        seen = _Seen(self.values.size)
+        for batch in self._batches(scouts, layout):
+            sets = tuple(batch.undecomposed_sets())
+            seen.add(batch, choose(batch, sets, step, self.decode_cost))
+        if seen.cost <= HOPELESS * bar:
+            for batch in self._batches(others, layout):
+                sets = seen.best(MOST_SETS, tuple(batch.undecomposed_sets()))
+                seen.add(batch, choose(batch, sets, step, self.decode_cost))
+        return Verdict(seen.cost, seen.best(MOST_SETS))
+
+    def _batches(self, blocks: Sequence[Slices], layout: Layout) -> Iterator[BlockBatch]:
+        for numbers in by_shape(blocks).values():
+            yield BlockBatch(self.gather([blocks[b] for b in numbers], layout), precise=self.precise)
+
+    def gather(self, blocks: Sequence[Slices], layout: Layout) -> F32:
+        """Blocks of one shape as tensors, `[blocks, *modes]`."""
+        return as_tensor(np.stack([self.values[block] for block in blocks]), layout.modes)
+
+
+class _Seen:
+    """What the blocks looked at so far come to, scaled to the whole array."""
+
+    def __init__(self, elements: int) -> None:
+        self.elements, self.seen, self.sum = elements, 0, 0.0
+        self.gains = Counter[Undecomposed]()
+
+    @property
+    def cost(self) -> float:
+        """J of the whole array."""
+        return self.sum * self.elements / max(self.seen, 1)
+
+    def add(self, batch: BlockBatch, choice: Choice) -> None:
+        """Count the blocks of a batch."""
+        self.sum += float(choice.costs.sum())
+        self.seen += batch.values.size
+        for number, undecomposed in enumerate(choice.sets):
+            self.gains[undecomposed] += int((choice.chosen == number).sum()) * prod(batch.sizes)
+
+    def best(self, most: int, among: Sequence[Undecomposed] | None = None) -> tuple[Undecomposed, ...]:
+        """The sets that the most elements use, among some or all; at least one."""
+        allowed = list(self.gains) if among is None else list(among)
+        ordered = sorted(allowed, key=lambda found: (-self.gains[found], len(found), found))
+        used = [found for found in ordered[:most] if self.gains[found]]
+        return tuple(sorted(used or ordered[:1]))
