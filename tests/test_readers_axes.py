@@ -14,12 +14,18 @@ import pytest
 from cli_tools import finish, start
 from hmkcta import compress
 from hmkcta.errors import HmkctaError
-from hmkcta.labels import names_of
+from hmkcta.labels import labels_of
 from hmkcta.readers import open_array
 from reader_tools import needed, refusal, same
 
 COLOURS = np.random.default_rng(1).integers(0, 256, (4, 5, 3), np.uint8)
 STACK = np.stack([COLOURS, COLOURS[::-1]])
+
+
+def names_of(array: Any) -> tuple[str, ...] | None:
+    """The names of an array's axes; None: it says none."""
+    axes = labels_of(array).axes
+    return None if axes is None else tuple(axis.name for axis in axes)
 
 
 @pytest.mark.parametrize("compression", [None, "zlib"])

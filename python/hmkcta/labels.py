@@ -83,18 +83,12 @@ def labelled(array: NDArray[Any], labels: Labels) -> NDArray[Any]:
 def named(array: NDArray[Any], names: tuple[str, ...]) -> NDArray[Any]:
     """The array with names of its axes, if they differ from each other.
 
-    >>> names_of(named(np.zeros((2, 3)), ("y", "x")))
-    ('y', 'x')
+    >>> [axis.name for axis in labels_of(named(np.zeros((2, 3)), ("y", "x"))).axes]
+    ['y', 'x']
     """
     if len(names) != array.ndim or len(set(names)) < len(names):
         return array
     return labelled(array, Labels(name_axes(array.shape, names)))
-
-
-def names_of(array: Any) -> tuple[str, ...] | None:
-    """The names of an array's axes; None: it says none."""
-    axes = labels_of(array).axes
-    return None if axes is None else tuple(axis.name for axis in axes)
 
 
 def labels_of(array: Any) -> Labels:
