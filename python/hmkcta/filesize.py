@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import isinf, prod
+from math import isinf
 
 from ._version import __version__
-from .axes import mode_sizes
 from .packed import LevelBounds, LevelQuality, Metadata
+from .axes import Organisation
 from .plan import Plan
 from .streaming.source import Source
 
@@ -17,26 +17,26 @@ UNKNOWN = LevelQuality(1.0, 1.0, 1.0)
 
 def metadata_of(
     source: Source,
-    plan: Plan,
+    organisation: Organisation,
     levels: Sequence[LevelBounds],
     kind: str,
     seed: int,
     quality: Sequence[LevelQuality] | None = None,
     transformed: Sequence[LevelQuality] | None = None,
 ) -> Metadata:
-    """The metadata of a file that follows the plan; `quality` of the values, `transformed` in the fitted domain."""
+    """The metadata of a file of this organisation; `quality` of the values, `transformed` in the fitted domain."""
     facts = dict(source.fingerprint)
     if not source.value_transform.is_identity:
-        measured = [level.snr_db for level in transformed or [UNKNOWN] * len(levels)]
+        measured = [level.snr_db for level in transformed or [UNKNOWN] * _with_numbers(levels)]
         facts["transformed_snr_db"] = [None if isinf(snr) else round(snr, 6) for snr in measured]
     return Metadata(
         source_dtype=source.dtype,
         axes=source.axes,
-        organisation=plan.organisation,
+        organisation=organisation,
         stages=tuple(levels),
         kind=kind,
         transform=source.transform,
-        quality=tuple(map(_rounded, quality or [UNKNOWN] * len(levels))),
+        quality=tuple(map(_rounded, quality or [UNKNOWN] * _with_numbers(levels))),
         source=facts,
         writer=f"hmkcta {__version__}",
         seed=seed,
@@ -54,19 +54,5 @@ def _rounded(quality: LevelQuality) -> LevelQuality:
     return LevelQuality(round(quality.snr_db, 6), *errors)
 
 
-def planned_bytes(plan: Plan, source: Source, kind: str | None = None, seed: int = 0) -> int:
-    """About how many bytes a file of the plan takes where each number takes one, and is one of a cell of every node."""
-    del kind, seed
-    sizes, nodes, total = mode_sizes(source.axes, plan.organisation), 1, 600
-    for level in plan.levels:
-        cells = nodes * prod(level.clusters)
-        ranks = [size if rank is None else rank for rank, size in zip(level.ranks, sizes, strict=True)]
-        total += cells * (prod(ranks) + sum(size * rank for size, rank in zip(sizes, level.ranks, strict=True) if rank))
-        nodes = cells
-    return total
-
-
-def predicted_bytes(plan: Plan, source: Source, kind: str | None = None, seed: int = 0) -> int | None:
-    """Bytes of a file of the plan where its goal is one; else None."""
-    del source, kind, seed
-    return plan.size
+def _with_numbers(stages: Sequence[LevelBounds]) -> int:
+    return sum(not stage.is_cut for stage in stages)

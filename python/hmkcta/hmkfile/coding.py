@@ -128,12 +128,12 @@ def decode_stage(
         out = _native.decode_stage(header, places, runs)
     except ValueError as error:
         raise _as_fault(error, name) from error
-    return _level(out, places, stage, last=after is None), out["next"]
+    return stage_arrays(out, places, stage.step, last=after is None), out["next"]
 
 
-def _level(out: dict[str, Any], places: Places, stage: Stage, *, last: bool) -> PackedLevel:
-    """A stage's arrays with the offsets that follow from them."""
-    order = len(stage.rows)
+def stage_arrays(out: dict[str, Any], places: Places, step: float | None, *, last: bool) -> PackedLevel:
+    """The arrays of a stage that the native decoder gave, with the offsets that follow from them."""
+    order = len(out["basis"])
     shape = out["shape"].reshape(-1, 3, order)
     rows = places["rows"].reshape(-1, order).astype(np.int64)
     clusters, mixture, ranks = (shape[:, i].astype(np.int64) for i in range(3))
@@ -156,8 +156,8 @@ def _level(out: dict[str, Any], places: Places, stage: Stage, *, last: bool) -> 
             basis_offset=tuple(_offsets(members[:, n] * others[n] * ranks[:, n]) for n in range(order)),
             part=none if last else tuple(out["part"]),
             local=none if last else tuple(out["next"]["local"]),
-            step=stage.step,
-            column=tuple(out["column"]) if stage.step is not None else (),
+            step=step,
+            column=tuple(out["column"]) if step is not None else (),
         )
     )
 

@@ -122,6 +122,12 @@ class Search:
         assert best is not None, "the least that can be stored meets any goal"
         return best
 
+    def again(self, found: Found, goal: Goal) -> Found:
+        """The same layout for another goal."""
+        self.goal = goal
+        met = self._met(found.layout, found.coded.step)
+        return found if met is None else met
+
     def _explore(self, step: float) -> tuple[float, list[Layout]]:
         """The step at which the best layouts meet the goal, and all layouts judged at it, best first."""
         layouts = first_layouts(self.values.shape)
