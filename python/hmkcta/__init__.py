@@ -18,7 +18,7 @@ from ._version import __version__
 
 if TYPE_CHECKING:
     from .axes import Axis
-    from .encode import compress
+    from .encode import compress, estimate
     from .errors import GoalMissed, HmkctaError
     from .hmkfile import Limits
     from .journal import Journal
@@ -37,6 +37,7 @@ __all__ = [
     "Plan",
     "__version__",
     "compress",
+    "estimate",
     "open",
     "open_array",
     "parse_plan",
@@ -54,6 +55,7 @@ _MODULES = {
     "Model": "model",
     "Plan": "plan",
     "compress": "encode",
+    "estimate": "encode",
     "open": "model",
     "open_array": "readers",
     "parse_plan": "plan",

@@ -28,7 +28,7 @@ from .model import Model
 from .offset import lost_beside_offset
 from .plan import AUTO, SCHEMES, Plan
 from .search.engine import Goal
-from .search.find import find_model
+from .search.find import Estimate, estimate_model, find_model
 from .streaming.budget import check_least_memory
 from .streaming.source import Source, prepare
 from .support.cut_short import whole_map
@@ -143,14 +143,57 @@ def compress(
 
         with kernels.use(device):
             if plan is None:
-                model = find_model(source, _goal(source, wanted), decode_cost=wanted.decode_cost, quality=quality,
-                                   kind=kind or source.kind, run=run)
+                model = find_model(source, wanted, _goal(source, wanted), quality=quality, kind=kind or source.kind,
+                                   run=run)
             else:
                 model = fit_plan(FitRequest(source, plan, kind or source.kind, run, wanted.max_memory))
                 model.made_by = plan
         _check_steady(source)
     _warn_of(model, source, plan.snr if plan else wanted.snr)
     return model
+
+
+def estimate(
+    array: Any,
+    *,
+    axes: Sequence[Axis | str] | None = None,
+    snr: float | None = None,
+    size: int | str | None = None,
+    decode_cost: int = 4096,
+    quality: str = "medium",
+    organisation: str | Sequence[Sequence[str]] | None = None,
+    transform: str | None = None,
+    nan: float | None = None,
+    seed: int = 0,
+    threads: int | None = None,
+    max_memory: int | str | None = None,
+    progress: Progress | None = None,
+) -> Estimate:
+    """Estimate by samples what `compress` would make for a goal, and how long it would take.
+
+    Args:
+        All of them mean what they mean for `compress`, which describes them; so does the goal where neither `snr` nor
+        `size` is given.
+
+    Raises:
+        HmkctaError: as `compress`.
+
+    >>> import numpy as np
+    >>> ramp = np.add.outer(np.arange(32.0), np.arange(24.0))
+    >>> found = estimate(ramp, axes="y,x", snr=40, quality="fast")
+    >>> found.organisation, found.snr > 35
+    ((('y',), ('x',)), True)
+    """
+    run = _run(quality, decode_cost, seed, threads, progress)
+    snr, size = the_goal(snr, size)
+    _check_types(array, transform, nan)
+    wanted = wanted_of(snr, size, decode_cost, organisation, max_memory)
+    with _threads(run.threads), whole_map(array):
+        source, run = _prepared(prepare(array, axes, transform, nan, run.threads), run)
+        check_least_memory(prod(source.shape), wanted.max_memory, choosing=True)
+        found = estimate_model(source, wanted, _goal(source, wanted), quality=quality, run=run)
+        _check_steady(source)
+    return found
 
 
 def _prepared(source: Source, run: Run) -> tuple[Source, Run]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import product
 from math import ceil, prod
 
@@ -13,8 +13,6 @@ from ..arrays import F32
 from .layout import Layout, Modes
 
 Slices = tuple[slice, ...]
-#: Values of a rectangular part of the array, float32, in the array's axes.
-ReadBlock = Callable[[Slices], F32]
 
 #: Fewest blocks of a sample: six mislead, twelve do (measured on six sets).
 SAMPLE_BLOCKS = 12
@@ -72,28 +70,19 @@ def by_shape(blocks: Sequence[Slices]) -> dict[tuple[int, ...], NDArray[np.intp]
     return {shape: np.array(numbers, np.intp) for shape, numbers in found.items()}
 
 
-class Detail:
-    """How much happens where: sums of squared differences of neighbours, in cells of a few indices an axis."""
+def batched(blocks: Sequence[Slices], elements: int) -> list[NDArray[np.intp]]:
+    """Numbers of blocks of one shape that are worked on together, at most so many elements: neighbours, in the order
+    in which the array has them, so that each part of it is read once.
 
-    def __init__(self, values: F32) -> None:
-        steps = [DETAIL_CELL if size > 2 * DETAIL_CELL else 1 for size in values.shape]
-        total = np.zeros(values.shape, np.float32)
-        for axis in range(values.ndim):
-            before = (slice(None),) * axis
-            change = np.diff(values, axis=axis)
-            total[(*before, slice(1, None))] += change * change
-        for axis, step in enumerate(steps):
-            starts = np.arange(0, total.shape[axis], step)
-            total = np.add.reduceat(total, starts, axis=axis)
-        self.cells, self.steps, self.shape = total.astype(np.float64), steps, values.shape
-
-    def of_grid(self, layout: Layout) -> NDArray[np.float64]:
-        """Detail of every block of a grid, in the order of `grid_blocks`; blocks may share cells of the map."""
-        sums = self.cells
-        for axis, (size, edge, step) in enumerate(zip(self.shape, layout.edges, self.steps, strict=True)):
-            starts = np.array([part.start // step for part in cut(size, edge)])
-            sums = np.add.reduceat(sums, starts, axis=axis)
-        return sums.transpose(axis_order(layout.modes)).reshape(-1)
+    >>> [batch.tolist() for batch in batched([(slice(0, 2),), (slice(2, 4),), (slice(4, 5),)], 4)]
+    [[0, 1], [2]]
+    """
+    found: list[NDArray[np.intp]] = []
+    for shape, numbers in by_shape(blocks).items():
+        order = sorted(numbers.tolist(), key=lambda number: [part.start for part in blocks[number]])
+        count = max(1, elements // prod(shape))
+        found += [np.array(order[first : first + count], np.intp) for first in range(0, len(order), count)]
+    return sorted(found, key=lambda batch: [part.start for part in blocks[batch[0]]])
 
 
 def sample(blocks: int, elements: int, wanted: int, detail: NDArray[np.float64]) -> NDArray[np.intp]:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,14 +11,17 @@ from numpy.typing import NDArray
 
 from .. import _native as native
 from ..arrays import F32
-from .blocks import Slices, as_tensor, by_shape, cut, grid_blocks
+from .blocks import as_tensor, batched, cut, grid_blocks
 from .hosvd import BlockBatch, Undecomposed
 from .judging import Choice, choose
 from .kernels import I32, U8, U32, code_blocks
 from .layout import Layout
+from .values import Values, read_blocks
 
 #: Elements of blocks that are decomposed, and then coded, together.
 TOGETHER = 1 << 22
+
+Batch = tuple[NDArray[np.intp], BlockBatch]
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,32 +47,35 @@ class CodedBlocks:
 
 
 class LayoutCoder:
-    """Codes an array's blocks at any step; their HOSVDs are found once."""
+    """Codes an array's blocks at any step; of an array in memory their HOSVDs are found once."""
 
     def __init__(
-        self, values: F32, layout: Layout, sets: Sequence[Undecomposed], decode_cost: float, *, precise: bool = False
+        self, values: Values, layout: Layout, sets: Sequence[Undecomposed], decode_cost: float, *, threads: int = 1,
+        precise: bool = False
     ) -> None:
         self.values, self.layout, self.sets, self.decode_cost = values, layout, tuple(sets), decode_cost
-        self.precise = precise
+        self.precise, self.threads = precise, threads
         self.blocks = grid_blocks(values.shape, layout)
-
-    @cached_property
-    def batches(self) -> list[tuple[NDArray[np.intp], BlockBatch]]:
-        """Numbers and HOSVDs of blocks of one shape, of at most some `TOGETHER` elements."""
-        found: list[tuple[NDArray[np.intp], BlockBatch]] = []
-        for shape, numbers in by_shape(self.blocks).items():
-            count = max(1, TOGETHER // int(np.prod(shape)))
-            for first in range(0, len(numbers), count):
-                some = numbers[first : first + count]
-                tensors = as_tensor(np.stack([self.values[self.blocks[b]] for b in some]), self.layout.modes)
-                found.append((some, BlockBatch(tensors, precise=self.precise)))
-        return found
+        self._held: list[Batch] | None = None
 
     def code(self, step: float) -> CodedBlocks:
         """All blocks at a step D."""
         step = float(np.float32(step))
-        pieces = [piece for numbers, batch in self.batches for piece in self._code_batch(numbers, batch, step)]
+        batches = self._held or self._batches()
+        pieces: list[_Piece] = []
+        held: list[Batch] | None = [] if self.values.room is None else None
+        for batch in batches:
+            pieces += self._code_batch(*batch, step)
+            if held is not None:
+                held.append(batch)
+        self._held = held
         return _joined(pieces, len(self.blocks), len(self.layout.modes), step)
+
+    def _batches(self) -> Iterator[Batch]:
+        """Numbers and HOSVDs of blocks of one shape, of at most some `TOGETHER` elements, in the array's order."""
+        for numbers in batched(self.blocks, TOGETHER):
+            tensors = as_tensor(read_blocks(self.values, [self.blocks[b] for b in numbers]), self.layout.modes)
+            yield numbers, BlockBatch(tensors, precise=self.precise)
 
     def _code_batch(self, numbers: NDArray[np.intp], batch: BlockBatch, step: float) -> list[_Piece]:
         sets = self.sets if all(n in s for s in self.sets for n in _forced(batch)) else (_forced(batch),)
@@ -203,5 +208,3 @@ def _cells(coded: CodedBlocks, rows: NDArray[np.uint32]) -> dict[str, Any]:
             "cluster": cluster, "part": [], "column": list(coded.exponents), "core": coded.core,
             "basis": list(coded.bases)}
 
-
-__all__ = ["CodedBlocks", "LayoutCoder", "Slices", "grid_parts"]

@@ -9,21 +9,27 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from math import exp, inf, log, log10, sqrt
+from math import exp, inf, isinf, log, sqrt
+from typing import Any, Protocol
 
-import numpy as np
-
-from ..arrays import F32
+from ..metrics import snr_db as decibels
 from .coded import CodedBlocks, LayoutCoder
 from .judging import Judge, Verdict
-from .layout import Layout, first_layouts, neighbours
+from .layout import Layout, Modes, first_layouts, neighbours
 from .rate_model import MODEL
 from .roots import OVERSHOT, USED, meet
+from .values import Values
 
 #: Bytes beyond which float64 is needed to tell what is stored: float32 Gram matrices end at some 65 dB.
 PRECISE_SNR = 50.0
 #: D begins at this share of the root mean square.
 FIRST_STEP = 0.1
+
+
+class Settled(Protocol):
+    """The JSON value that was chosen before under a name, else what `choose` makes."""
+
+    def __call__(self, name: str, choose: Callable[[], Any], /) -> Any: ...
 
 
 @dataclass(frozen=True)
@@ -60,6 +66,27 @@ class Goal:
     snr: float | None = None
 
 
+@dataclass(frozen=True, order=True)
+class Score:
+    """How good a file that meets its goal is: the least is best. Of files for a size the SNR counts, of others bytes."""
+
+    first: float
+    then: float
+
+    @classmethod
+    def of(cls, goal: Goal, nbytes: int, snr: float) -> Score:
+        """The score of a file of so many bytes and dB.
+
+        >>> Score.of(Goal(size=1000), 990, 30.0) < Score.of(Goal(size=1000), 900, 29.0)
+        True
+        """
+        return cls(-snr, nbytes) if goal.size is not None else cls(nbytes, -snr)
+
+
+class GoalOutOfReach(Exception):
+    """No layout that was coded meets the goal."""
+
+
 @dataclass(frozen=True, eq=False)
 class Found:
     """A layout with its code.
@@ -84,43 +111,78 @@ class Search:
     """A search for the layout that is best for a goal.
 
     Args:
-        values: the array, float32.
+        values: the array.
         goal: bytes or dB.
         decode_cost: bound on the multiply-adds of one element.
         effort: how long to look.
+        modes: the axes that are merged; None: what is best.
         overhead: bytes of a file besides its code: header and metadata.
         threads: layouts that are judged at a time; the result does not depend on it.
         on_progress: called with a stage's name and the fraction of it that is done.
+        settled: the JSON value that an interrupted search chose under a name, else what the function given chooses.
     """
 
-    values: F32
+    values: Values
     goal: Goal
     decode_cost: int = 4096
     effort: Effort = EFFORTS["medium"]
+    modes: Modes | None = None
     overhead: int = 600
     threads: int = 1
     on_progress: Callable[[str, float], None] = lambda _stage, _fraction: None
-    energy: float = field(init=False)
+    settled: Settled = lambda _name, choose: choose()
     judged: dict[tuple[Layout, float, int], Verdict] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.energy = float(np.square(self.values, dtype=np.float64).sum())
         precise = (self.goal.snr or 0.0) > PRECISE_SNR
+        self.energy = self.values.energy
         self.judge = Judge(self.values, self.decode_cost, precise=precise)
 
     def run(self) -> Found:
         """The best layout found, coded so that it meets the goal; the closest to it where none does."""
-        step = FIRST_STEP * sqrt(self.energy / self.values.size) or 1.0
-        step, ranked = self._explore(step)
-        finalists = self._ranked(ranked[: self.effort.finalists], step, self.effort.elements[1])
-        best: Found | None = None
+        step, finalists = self.explore()
+        best: tuple[Score, Layout, float] | None = None
+        made: Found | None = None
         for place, layout in enumerate(finalists[: self.effort.coded]):
             self.on_progress("code", place / self.effort.coded)
+            fresh: list[Found] = []
+            score = self._score(layout, step, place, fresh)
+            if score is not None and (best is None or score[0] < best[0]):
+                best, step = (score[0], layout, score[1]), score[1]
+                made = fresh[0] if fresh else None
+        if best is None:
+            raise GoalOutOfReach
+        return made or self._coded(best[1], best[2])
+
+    def explore(self) -> tuple[float, list[Layout]]:
+        """The step at which the best layouts meet the goal, and the finalists, best first."""
+        def chosen() -> Any:
+            step, ranked = self._explore(FIRST_STEP * sqrt(self.energy / self.values.size) or 1.0)
+            finalists = self._ranked(ranked[: self.effort.finalists], step, self.effort.elements[1])
+            return [step, [[layout.modes, layout.edges] for layout in finalists]]
+
+        step, finalists = self.settled("explored", chosen)
+        return step, [Layout(tuple(map(tuple, modes)), tuple(edges)) for modes, edges in finalists]
+
+    def estimated(self, layout: Layout, step: float) -> tuple[float, float]:
+        """Bytes of the file of a layout and its SNR in dB, by its J on the larger sample about a step."""
+        bits, error = self._bits_and_error(layout, step, self.effort.elements[1])
+        return bits / 8 + self.overhead, decibels(self.energy, error)
+
+    def _score(self, layout: Layout, step: float, place: int, fresh: list[Found]) -> tuple[Score, float] | None:
+        """The score of a finalist coded for the goal and its step; `fresh` takes it where it had to be coded now."""
+        def chosen() -> Any:
             found = self._met(layout, step)
-            if found is not None and (best is None or self._better(found, best)):
-                best, step = found, found.coded.step
-        assert best is not None, "the least that can be stored meets any goal"
-        return best
+            if found is None:
+                return None
+            fresh.append(found)
+            return [found.nbytes, None if isinf(found.snr) else found.snr, found.coded.step]
+
+        kept = self.settled(f"coded-{place}", chosen)
+        if kept is None:
+            return None
+        snr = inf if kept[1] is None else kept[1]
+        return Score.of(self.goal, kept[0], snr), kept[2]
 
     def again(self, found: Found, goal: Goal) -> Found:
         """The same layout for another goal."""
@@ -130,7 +192,7 @@ class Search:
 
     def _explore(self, step: float) -> tuple[float, list[Layout]]:
         """The step at which the best layouts meet the goal, and all layouts judged at it, best first."""
-        layouts = first_layouts(self.values.shape)
+        layouts = first_layouts(self.values.shape, self.modes)
         ranked: list[Layout] = []
         for turn in range(self.effort.rounds):
             self.on_progress("search", turn / self.effort.rounds)
@@ -141,7 +203,7 @@ class Search:
                 step, ranked = near, ranked[: self.effort.finalists]
                 ranked = self._ranked(ranked, step, self.effort.elements[0])
             varied = [other for place, layout in enumerate(ranked[: self.effort.varied])
-                      for other in neighbours(layout, self.values.shape, organise=not place)]
+                      for other in neighbours(layout, self.values.shape, organise=not place and self.modes is None)]
             layouts = list(dict.fromkeys([*ranked[: self.effort.finalists], *varied]))
             if all((layout, step, self.effort.elements[0]) in self.judged for layout in layouts):
                 break
@@ -162,17 +224,19 @@ class Search:
 
         J is least in everything but D, so its derivative by log D is -2 error / D^2, and J says bits and errors both.
         """
-        elements = self.effort.elements[0]
-
         def attempt(step: float) -> tuple[float, None]:
-            low, high = (self.judge.verdict(layout, step * exp(by), elements).cost for by in (-0.05, 0.05))
-            error = max((low - high) / 0.2, 1e-9)  # in units of D^2
-            bits = max(((low + high) / 2 - error) / MODEL.trade, 8.0)
-            return self._excess(bits / 8 + self.overhead, error * step * step), None
+            bits, error = self._bits_and_error(layout, step, self.effort.elements[0])
+            return self._excess(bits / 8 + self.overhead, error), None
 
         slope = -1.0 if self.goal.size is not None else 1.3
         found = meet(attempt, step, 0.05, slope, tries=6)
         return step if found is None else found.step
+
+    def _bits_and_error(self, layout: Layout, step: float, elements: int) -> tuple[float, float]:
+        """Bits of the code of a layout and its squared error: J(D) is least in everything else (envelope theorem)."""
+        low, high = (self.judge.verdict(layout, step * exp(by), elements).cost for by in (-0.05, 0.05))
+        error = max((low - high) / 0.2, 1e-9)  # in units of D^2
+        return max(((low + high) / 2 - error) / MODEL.trade, 8.0), error * step * step
 
     def _excess(self, nbytes: float, error: float) -> float:
         """How far above the goal, as a logarithm, so many bytes or such a squared error are."""
@@ -181,23 +245,26 @@ class Search:
         assert self.goal.snr is not None, "a goal has one of the two"
         return log(max(error, 1e-300) / max(self.energy, 1e-300)) + self.goal.snr * log(10) / 10
 
+    def _coder(self, layout: Layout, step: float) -> LayoutCoder:
+        known = self.judged.get((layout, step, self.effort.elements[1]))
+        sets = (known or self.judge.verdict(layout, step, self.effort.elements[1])).sets
+        return LayoutCoder(self.values, layout, sets, self.decode_cost, precise=self.judge.precise)
+
+    def _coded(self, layout: Layout, step: float, coder: LayoutCoder | None = None) -> Found:
+        """A layout coded at a step."""
+        coder = coder or self._coder(layout, step)
+        coded = coder.code(step)
+        return Found(layout, coder, coded, coder.bytes_of(coded) + self.overhead, decibels(self.energy, coded.error))
+
     def _met(self, layout: Layout, step: float) -> Found | None:
         """A layout coded at the step that meets the goal."""
-        sets = self.judged[layout, step, self.effort.elements[1]].sets if (
-            layout, step, self.effort.elements[1]) in self.judged else self.judge.verdict(
-            layout, step, self.effort.elements[1]).sets
-        coder = LayoutCoder(self.values, layout, sets, self.decode_cost, precise=self.judge.precise)
+        coder = self._coder(layout, step)
 
         def attempt(step: float) -> tuple[float, Found]:
-            coded = coder.code(step)
-            nbytes = coder.bytes_of(coded) + self.overhead
-            snr = 10 * log10(self.energy / coded.error) if coded.error > 0 else float("inf")
-            return self._excess(nbytes, coded.error), Found(layout, coder, coded, nbytes, snr)
+            found = self._coded(layout, step, coder)
+            return self._excess(found.nbytes, found.coded.error), found
 
         by_size = self.goal.size is not None
         tolerance = -log(USED) if by_size else OVERSHOT * log(10) / 10
         found = meet(attempt, step, tolerance, -1.0 if by_size else 1.3)
         return None if found is None else found.result
-
-    def _better(self, one: Found, other: Found) -> bool:
-        return one.snr > other.snr if self.goal.size is not None else one.nbytes < other.nbytes

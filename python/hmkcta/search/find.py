@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from math import log10
+from dataclasses import dataclass
+from time import perf_counter
 
 from ..axes import Organisation
 from ..errors import invalid
@@ -12,67 +13,133 @@ from ..measure import measure_both
 from ..model import Model
 from ..packed import bounds_of
 from ..streaming.source import Source
-from .engine import EFFORTS, Found, Goal, Search
+from ..support.memory import memory_budget
+from ..wanted import Wanted
+from .engine import EFFORTS, Found, Goal, GoalOutOfReach, Search
+from .layout import Layout, Modes
 from .stages import stages_of
+from .values import Values
 
 #: What a header takes besides the code, until it is known: 400 to 900 bytes on data sets of three to five axes.
 HEADER_BYTES = 600
-#: Searches for a size or an SNR of transformed values are repeated with what the last one missed by, at most so often.
+#: A file is coded again for a goal that its own header or a value transform made it miss, at most so often.
 MOST_REPEATS = 4
-#: An SNR of the source's values is met when it is overshot by at most this many dB.
-SNR_TOLERANCE = 0.05
+#: Bytes of memory for each byte of an array whose blocks' HOSVDs are held: values, cores and bases, and their copies.
+HELD = 6
+#: Attempts that the step of a goal takes, about; by these the time of a finalist is estimated.
+ATTEMPTS = 4
 
 
-def find_model(
-    source: Source,
-    goal: Goal,
-    *,
-    decode_cost: int,
-    quality: str,
-    kind: str,
-    run: Run,
-) -> Model:
+@dataclass(frozen=True)
+class Estimate:
+    """What `compress` would make for a goal, as samples of the array tell it; nothing is coded yet.
+
+    Attributes:
+        organisation: axes merged into modes, of the layout that is best by samples.
+        blocks: how many blocks the grid has along each axis.
+        undecomposed: the sets of modes (numbers from 0) that blocks leave undecomposed, most used first.
+        nbytes: estimated bytes of the file.
+        snr: estimated SNR in dB, in the domain of the value transform.
+        seconds: estimated time of `compress`.
+    """
+
+    organisation: Organisation
+    blocks: tuple[int, ...]
+    undecomposed: tuple[tuple[int, ...], ...]
+    nbytes: int
+    snr: float
+    seconds: float
+
+
+def find_model(source: Source, wanted: Wanted, goal: Goal, *, quality: str, kind: str, run: Run) -> Model:
     """The best model found for a size in bytes or an SNR in dB.
 
     Raises:
         HmkctaError: reason ``size-too-small``: header and tables alone take more.
     """
-    values = source.values()
-    search = Search(values, goal, decode_cost, EFFORTS[quality], HEADER_BYTES, run.threads, run.progress)
-    found = search.run()
-    for _ in range(MOST_REPEATS):
-        model = _model(source, found, kind, run.seed)
+    search = _search(source, wanted, goal, quality, run)
+    try:
+        found = search.run()
+        if wanted.ceiling is not None and found.snr > wanted.ceiling:
+            goal = Goal(snr=wanted.ceiling)
+            found = search.again(found, goal)
+    except GoalOutOfReach:
+        found = None
+    for _ in range(MOST_REPEATS if found else 0):
+        assert found is not None
+        model = _model(source, found, kind, run)
         short = _short_of(model, goal, found)
         if short is None:
             return model
         found = search.again(found, short)
-    raise invalid("size-too-small", "size", f"{goal.size} bytes", f"at least {model.nbytes} bytes",
-                  "ask for more bytes") from None
+    raise invalid("size-too-small", "size", f"{goal.size} bytes", "more: header and tables alone take as many",
+                  "ask for more bytes")
+
+
+def estimate_model(source: Source, wanted: Wanted, goal: Goal, *, quality: str, run: Run) -> Estimate:
+    """What `find_model` would end with, by samples."""
+    begun = perf_counter()
+    search = _search(source, wanted, goal, quality, run)
+    step, finalists = search.explore()
+    layout, explored = finalists[0], perf_counter() - begun
+    nbytes, snr = search.estimated(layout, step)
+    begun = perf_counter()
+    seen = search.judge.verdict(layout, step * 1.01, search.effort.elements[1])
+    each = (perf_counter() - begun) / min(search.effort.elements[1], search.values.size)
+    coding = each * search.values.size * (1 + ATTEMPTS) * min(search.effort.coded, len(finalists)) / run.threads
+    return Estimate(_organisation(source, layout), layout.blocks(source.shape), seen.sets, round(nbytes), snr,
+                    explored + coding)
+
+
+def _search(source: Source, wanted: Wanted, goal: Goal, quality: str, run: Run) -> Search:
+    modes = None if wanted.organisation is None else modes_of(source, source.organisation(wanted.organisation))
+    values = _values(source, wanted.max_memory)
+    return Search(values, goal, wanted.decode_cost, EFFORTS[quality], modes, HEADER_BYTES, run.threads, run.progress,
+                  run.journal.settled)
+
+
+def _values(source: Source, memory: int | None) -> Values:
+    """The values in memory, or read from the source where memory does not hold them with their HOSVDs."""
+    budget = memory_budget(memory)
+    whole = slice_all(source.shape)
+    if HELD * 4 * source.array.size <= budget:
+        return Values.of_array(source.values(whole))
+    return Values(source.shape, source.values, room=budget // 4)
+
+
+def slice_all(shape: tuple[int, ...]) -> tuple[slice, ...]:
+    """The whole of an array as slices."""
+    return tuple(slice(0, size) for size in shape)
+
+
+def modes_of(source: Source, organisation: Organisation) -> Modes:
+    """Numbers of the axes of each mode.
+
+    The order of axes in a mode, and of the modes, is that of the organisation.
+    """
+    numbers = {axis.name: number for number, axis in enumerate(source.axes)}
+    return tuple(tuple(numbers[name] for name in mode) for mode in organisation)
 
 
 def _short_of(model: Model, goal: Goal, found: Found) -> Goal | None:
     """The goal that the search should have had, for the file to meet its own; None: it does."""
     if goal.size is not None:
         over = model.nbytes - found.nbytes  # of the header
-        return None if model.nbytes <= goal.size else Goal(size=goal.size - over)
+        return None if model.nbytes <= goal.size else Goal(size=max(1, goal.size - over))
     assert goal.snr is not None, "a goal has one of the two"
     return None if model.snr >= goal.snr - 0.005 else Goal(snr=found.snr + goal.snr - model.snr + 0.01)
 
 
-def organisation_of(source: Source, found: Found) -> Organisation:
-    """Names of the axes of each mode."""
-    return tuple(tuple(source.axes[axis].name for axis in mode) for mode in found.layout.modes)
+def _organisation(source: Source, layout: Layout) -> Organisation:
+    return tuple(tuple(source.axes[axis].name for axis in mode) for mode in layout.modes)
 
 
-def _model(source: Source, found: Found, kind: str, seed: int) -> Model:
+def _model(source: Source, found: Found, kind: str, run: Run) -> Model:
     stages = stages_of(found.coder, found.coded, source.unit)
     bounds = [bounds_of(stage, "none" if stage.is_cut else "most") for stage in stages]
-    organisation = organisation_of(source, found)
-    model = Model(metadata_of(source, organisation, bounds, kind, seed), stages)
-    quality, transformed = measure_both(model, source.array, nan=source.nan)
-    return Model(metadata_of(source, organisation, bounds, kind, seed, quality, transformed), stages)
+    organisation = _organisation(source, found.layout)
+    model = Model(metadata_of(source, organisation, bounds, kind, run.seed), stages)
+    quality, transformed = measure_both(model, source.array, nan=source.nan, progress=run.progress)
+    return Model(metadata_of(source, organisation, bounds, kind, run.seed, quality, transformed), stages)
 
 
-def decibels(energy: float, error: float) -> float:
-    """SNR in dB; infinite where nothing is lost."""
-    return 10 * log10(energy / error) if error > 0 else float("inf")

@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import F32, F64
-from .blocks import Detail, Slices, as_tensor, by_shape, grid_block, sample
+from .blocks import Slices, as_tensor, by_shape, grid_block, sample
 from .hosvd import BlockBatch, Undecomposed
 from .kernels import U32, best_boxes
 from .layout import Layout
+from .values import Values
 
 #: Blocks of which all sets of undecomposed modes are tried, about; the others try the best of these.
 SCOUTS = 3
@@ -57,11 +58,10 @@ class Verdict:
 
 
 class Judge:
-    """J of layouts of an array that is in memory."""
+    """J of layouts of an array."""
 
-    def __init__(self, values: F32, decode_cost: float, *, precise: bool = False) -> None:
+    def __init__(self, values: Values, decode_cost: float, *, precise: bool = False) -> None:
         self.values, self.decode_cost, self.precise = values, decode_cost, precise
-        self.detail = Detail(values)
 
     def verdict(self, layout: Layout, step: float, elements: int, bar: float = inf) -> Verdict:
         """J by a sample of about so many elements, at least twelve blocks.
@@ -71,7 +71,7 @@ class Judge:
         """
         count = prod(layout.blocks(self.values.shape))
         size = max(1, self.values.size // count)
-        picked = sample(count, size, elements, self.detail.of_grid(layout))
+        picked = sample(count, size, elements, self.values.detail_of(layout))
         blocks = [grid_block(self.values.shape, layout, number) for number in picked.tolist()]
         every = max(1, len(blocks) // SCOUTS)
         scouts, others = blocks[::every], [block for n, block in enumerate(blocks) if n % every]

@@ -84,8 +84,10 @@ def moves(modes: Modes) -> Iterator[Modes]:
                     yield found
 
 
-def first_layouts(shape: Sequence[int]) -> list[Layout]:
+def first_layouts(shape: Sequence[int], modes: Modes | None = None) -> list[Layout]:
     """What a search begins with: unmerged axes on some twenty grids, and all matrices of the whole array.
+
+    With `modes` given these alone, on the same grids.
 
     >>> len(first_layouts((9, 9, 128, 192, 3))) < 80
     True
@@ -99,7 +101,9 @@ def first_layouts(shape: Sequence[int]) -> list[Layout]:
         grid = [size if size <= SHORT_AXIS else min(size, edge) for size in shape]
         grid[axis] = min(shape[axis], own)
         grids.add(tuple(grid))
-    matrices = [Layout(modes, tuple(shape)) for modes in organisations(order) if len(modes) <= 2] if order <= 8 else []
+    if modes is not None:
+        return [Layout(modes, grid) for grid in sorted(grids) if large_enough(grid, shape)]
+    matrices = [Layout(two, tuple(shape)) for two in organisations(order) if len(two) <= 2]
     return [*matrices, *(Layout(single, grid) for grid in sorted(grids) if large_enough(grid, shape))]
 
 
