@@ -11,8 +11,8 @@ from .axes import Organisation
 from .plan import Plan
 from .streaming.source import Source
 
-#: Stand-in for figures of quality that are not measured yet; the header has room for any.
-UNKNOWN = LevelQuality(1.0, 1.0, 1.0)
+#: Stand-in for figures of quality that are not measured yet, as long as any.
+UNKNOWN = LevelQuality(-99.999999, 1.234567e-05, 1.234567e-05)
 
 
 def metadata_of(

@@ -22,8 +22,9 @@ from .values import Values
 
 #: Bytes beyond which float64 is needed to tell what is stored: float32 Gram matrices end at some 65 dB.
 PRECISE_SNR = 50.0
-#: D begins at this share of the root mean square.
-FIRST_STEP = 0.1
+#: D begins at this share of the root mean square, and is never less than that: it leaves some 110 dB, more than float32
+#: arithmetic and float16 bases keep, and numbers of any block within 32 bits.
+FIRST_STEP, LEAST_STEP = 0.1, 1e-5
 
 
 class Settled(Protocol):
@@ -68,8 +69,15 @@ class Goal:
 
 @dataclass(frozen=True, order=True)
 class Score:
-    """How good a file that meets its goal is: the least is best. Of files for a size the SNR counts, of others bytes."""
+    """How good a file is for a goal; the least is best.
 
+    Attributes:
+        missed: by how much, as a logarithm, the goal is missed; 0: it is met.
+        first: -dB of a file for a size, bytes of one for an SNR.
+        then: the other one.
+    """
+
+    missed: float
     first: float
     then: float
 
@@ -79,12 +87,13 @@ class Score:
 
         >>> Score.of(Goal(size=1000), 990, 30.0) < Score.of(Goal(size=1000), 900, 29.0)
         True
+        >>> Score.of(Goal(snr=30), 990, 30.0) < Score.of(Goal(snr=30), 900, 29.0)
+        True
         """
-        return cls(-snr, nbytes) if goal.size is not None else cls(nbytes, -snr)
-
-
-class GoalOutOfReach(Exception):
-    """No layout that was coded meets the goal."""
+        if goal.size is not None:
+            return cls(max(0.0, log(nbytes / goal.size)), -snr, nbytes)
+        assert goal.snr is not None, "a goal has one of the two"
+        return cls(0.0 if snr >= goal.snr else goal.snr - snr, nbytes, -snr)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,28 +145,28 @@ class Search:
     def __post_init__(self) -> None:
         precise = (self.goal.snr or 0.0) > PRECISE_SNR
         self.energy = self.values.energy
+        self.rms = sqrt(self.energy / self.values.size) or 1.0
+        self.least_step = LEAST_STEP * self.rms
         self.judge = Judge(self.values, self.decode_cost, precise=precise)
 
     def run(self) -> Found:
         """The best layout found, coded so that it meets the goal; the closest to it where none does."""
         step, finalists = self.explore()
-        best: tuple[Score, Layout, float] | None = None
-        made: Found | None = None
+        coded: list[tuple[Score, int, float]] = []  # with the place of the layout, and its step
+        made: dict[int, Found] = {}
         for place, layout in enumerate(finalists[: self.effort.coded]):
             self.on_progress("code", place / self.effort.coded)
-            fresh: list[Found] = []
-            score = self._score(layout, step, place, fresh)
-            if score is not None and (best is None or score[0] < best[0]):
-                best, step = (score[0], layout, score[1]), score[1]
-                made = fresh[0] if fresh else None
-        if best is None:
-            raise GoalOutOfReach
-        return made or self._coded(best[1], best[2])
+            score, step = self._score(layout, step, place, made)
+            coded.append((score, place, step))
+            if min(coded)[1] != place:  # only the best is held
+                made.pop(place, None)
+        _, place, step = min(coded)
+        return made.get(place) or self._coded(finalists[place], step)
 
     def explore(self) -> tuple[float, list[Layout]]:
         """The step at which the best layouts meet the goal, and the finalists, best first."""
         def chosen() -> Any:
-            step, ranked = self._explore(FIRST_STEP * sqrt(self.energy / self.values.size) or 1.0)
+            step, ranked = self._explore(FIRST_STEP * self.rms)
             finalists = self._ranked(ranked[: self.effort.finalists], step, self.effort.elements[1])
             return [step, [[layout.modes, layout.edges] for layout in finalists]]
 
@@ -169,26 +178,19 @@ class Search:
         bits, error = self._bits_and_error(layout, step, self.effort.elements[1])
         return bits / 8 + self.overhead, decibels(self.energy, error)
 
-    def _score(self, layout: Layout, step: float, place: int, fresh: list[Found]) -> tuple[Score, float] | None:
-        """The score of a finalist coded for the goal and its step; `fresh` takes it where it had to be coded now."""
+    def _score(self, layout: Layout, step: float, place: int, made: dict[int, Found]) -> tuple[Score, float]:
+        """The score of a finalist coded for the goal, and its step; `made` has it where it had to be coded now."""
         def chosen() -> Any:
-            found = self._met(layout, step)
-            if found is None:
-                return None
-            fresh.append(found)
+            found = made[place] = self._met(layout, step)
             return [found.nbytes, None if isinf(found.snr) else found.snr, found.coded.step]
 
-        kept = self.settled(f"coded-{place}", chosen)
-        if kept is None:
-            return None
-        snr = inf if kept[1] is None else kept[1]
-        return Score.of(self.goal, kept[0], snr), kept[2]
+        nbytes, snr, own = self.settled(f"coded-{place}", chosen)
+        return Score.of(self.goal, nbytes, inf if snr is None else snr), own
 
     def again(self, found: Found, goal: Goal) -> Found:
         """The same layout for another goal."""
         self.goal = goal
-        met = self._met(found.layout, found.coded.step)
-        return found if met is None else met
+        return self._met(found.layout, found.coded.step, found.coder)
 
     def _explore(self, step: float) -> tuple[float, list[Layout]]:
         """The step at which the best layouts meet the goal, and all layouts judged at it, best first."""
@@ -229,8 +231,7 @@ class Search:
             return self._excess(bits / 8 + self.overhead, error), None
 
         slope = -1.0 if self.goal.size is not None else 1.3
-        found = meet(attempt, step, 0.05, slope, tries=6)
-        return step if found is None else found.step
+        return meet(attempt, step, 0.05, slope, least=self.least_step, tries=6).step
 
     def _bits_and_error(self, layout: Layout, step: float, elements: int) -> tuple[float, float]:
         """Bits of the code of a layout and its squared error: J(D) is least in everything else (envelope theorem)."""
@@ -243,7 +244,8 @@ class Search:
         if self.goal.size is not None:
             return log(max(nbytes - self.overhead, 1.0) / max(self.goal.size - self.overhead, 1))
         assert self.goal.snr is not None, "a goal has one of the two"
-        return log(max(error, 1e-300) / max(self.energy, 1e-300)) + self.goal.snr * log(10) / 10
+        # Without any error no step is needed that is smaller.
+        return log(error / self.energy) + self.goal.snr * log(10) / 10 if error > 0 and self.energy > 0 else 0.0
 
     def _coder(self, layout: Layout, step: float) -> LayoutCoder:
         known = self.judged.get((layout, step, self.effort.elements[1]))
@@ -256,9 +258,9 @@ class Search:
         coded = coder.code(step)
         return Found(layout, coder, coded, coder.bytes_of(coded) + self.overhead, decibels(self.energy, coded.error))
 
-    def _met(self, layout: Layout, step: float) -> Found | None:
-        """A layout coded at the step that meets the goal."""
-        coder = self._coder(layout, step)
+    def _met(self, layout: Layout, step: float, coder: LayoutCoder | None = None) -> Found:
+        """A layout coded at the step that meets the goal, or comes closest to it."""
+        coder = coder or self._coder(layout, step)
 
         def attempt(step: float) -> tuple[float, Found]:
             found = self._coded(layout, step, coder)
@@ -266,5 +268,5 @@ class Search:
 
         by_size = self.goal.size is not None
         tolerance = -log(USED) if by_size else OVERSHOT * log(10) / 10
-        found = meet(attempt, step, tolerance, -1.0 if by_size else 1.3)
-        return None if found is None else found.result
+        slope = -1.0 if by_size else 1.3
+        return meet(attempt, max(step, self.least_step), tolerance, slope, least=self.least_step).result

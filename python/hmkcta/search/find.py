@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from time import perf_counter
 
@@ -11,11 +12,11 @@ from ..filesize import metadata_of
 from ..fitting.run import Run
 from ..measure import measure_both
 from ..model import Model
-from ..packed import bounds_of
+from ..packed import LevelQuality, PackedLevel, bounds_of
 from ..streaming.source import Source
 from ..support.memory import memory_budget
 from ..wanted import Wanted
-from .engine import EFFORTS, Found, Goal, GoalOutOfReach, Search
+from .engine import EFFORTS, Found, Goal, Search
 from .layout import Layout, Modes
 from .stages import stages_of
 from .values import Values
@@ -58,22 +59,24 @@ def find_model(source: Source, wanted: Wanted, goal: Goal, *, quality: str, kind
         HmkctaError: reason ``size-too-small``: header and tables alone take more.
     """
     search = _search(source, wanted, goal, quality, run)
-    try:
-        found = search.run()
-        if wanted.ceiling is not None and found.snr > wanted.ceiling:
-            goal = Goal(snr=wanted.ceiling)
-            found = search.again(found, goal)
-    except GoalOutOfReach:
-        found = None
-    for _ in range(MOST_REPEATS if found else 0):
-        assert found is not None
-        model = _model(source, found, kind, run)
+    found = search.run()
+    if wanted.ceiling is not None and found.snr > wanted.ceiling:
+        goal = Goal(snr=wanted.ceiling)
+        found = search.again(found, goal)
+    else:  # of this header, and not of one of the usual length
+        search.overhead = _with_metadata(source, found, kind, run.seed).nbytes - (found.nbytes - HEADER_BYTES)
+        found = search.again(found, goal)
+    model = _model(source, found, kind, run)
+    for _ in range(MOST_REPEATS):
         short = _short_of(model, goal, found)
         if short is None:
-            return model
+            break
         found = search.again(found, short)
-    raise invalid("size-too-small", "size", f"{goal.size} bytes", "more: header and tables alone take as many",
-                  "ask for more bytes")
+        model = _model(source, found, kind, run)
+    if goal.size is not None and model.nbytes > goal.size:
+        raise invalid("size-too-small", "size", f"{goal.size} bytes", f"at least {model.nbytes} bytes",
+                      "ask for more bytes")
+    return model
 
 
 def estimate_model(source: Source, wanted: Wanted, goal: Goal, *, quality: str, run: Run) -> Estimate:
@@ -135,11 +138,17 @@ def _organisation(source: Source, layout: Layout) -> Organisation:
 
 
 def _model(source: Source, found: Found, kind: str, run: Run) -> Model:
-    stages = stages_of(found.coder, found.coded, source.unit)
+    """The model of what was found, with its quality."""
+    model = _with_metadata(source, found, kind, run.seed)
+    quality = measure_both(model, source.array, nan=source.nan, progress=run.progress)
+    return _with_metadata(source, found, kind, run.seed, model.stages, quality)
+
+
+def _with_metadata(
+    source: Source, found: Found, kind: str, seed: int, stages: Sequence[PackedLevel] | None = None,
+    quality: tuple[Sequence[LevelQuality], Sequence[LevelQuality]] | None = None,
+) -> Model:
+    stages = stages_of(found.coder, found.coded, source.unit) if stages is None else tuple(stages)
     bounds = [bounds_of(stage, "none" if stage.is_cut else "most") for stage in stages]
     organisation = _organisation(source, found.layout)
-    model = Model(metadata_of(source, organisation, bounds, kind, run.seed), stages)
-    quality, transformed = measure_both(model, source.array, nan=source.nan, progress=run.progress)
-    return Model(metadata_of(source, organisation, bounds, kind, run.seed, quality, transformed), stages)
-
-
+    return Model(metadata_of(source, organisation, bounds, kind, seed, *(quality or ())), stages)

@@ -29,8 +29,9 @@ class Tried(Generic[T]):
 
 
 def meet(
-    attempt: Callable[[float], tuple[float, T]], step: float, tolerance: float, slope: float, tries: int = MOST_TRIES
-) -> Tried[T] | None:
+    attempt: Callable[[float], tuple[float, T]], step: float, tolerance: float, slope: float, *, least: float = 0.0,
+    tries: int = MOST_TRIES
+) -> Tried[T]:
     """The step whose result meets a goal most closely, by secants of log excess over log D.
 
     Args:
@@ -38,36 +39,41 @@ def meet(
         step: D to begin with.
         tolerance: results that meet the goal and lie at most this far below it end the search.
         slope: what the excess changes by with log D, about (negative: more D, fewer bytes).
+        least: smaller steps are not tried: all that is stored has its digits.
         tries: most attempts.
 
     Returns:
-        The closest that meets the goal; None: none does.
+        The closest that meets the goal; where none does the closest to it.
 
     >>> found = meet(lambda step: (log(100 / step) - log(40), step), 1.0, 0.01, -1.0)
     >>> 2.5 <= found.step < 2.53
     True
     """
     met: Tried[T] | None = None
-    above: tuple[float, float] | None = None  # log D and excess of the closest that misses the goal
+    above: Tried[T] | None = None  # the closest that misses the goal
     for _ in range(tries):
         excess, result = attempt(step)
         if excess <= 0:
             met = Tried(step, excess, result) if met is None or excess >= met.excess else met
             if excess >= -tolerance:
                 break
-        elif above is None or excess <= above[1]:
-            above = log(step), excess
-        step = _next(step, excess, met, above, tolerance, slope)
-    return met
+        elif above is None or excess <= above.excess:
+            above = Tried(step, excess, result)
+        before, step = step, max(_next(step, excess, met, above, tolerance, slope), least)
+        if step == before:
+            break
+    found = met or above
+    assert found is not None, "there is one try at least"
+    return found
 
 
-def _next(step: float, excess: float, met: Tried[T] | None, above: tuple[float, float] | None, tolerance: float,
-          slope: float) -> float:
+def _next(step: float, excess: float, met: Tried[T] | None, above: Tried[T] | None, tolerance: float, slope: float
+          ) -> float:
     if met is not None and above is not None:
         aimed = -0.4 * tolerance
-        share = (above[1] - aimed) / (above[1] - met.excess)
+        share = (above.excess - aimed) / (above.excess - met.excess)
         share = min(max(share, 0.03), 0.97)
-        return exp(above[0] + share * (log(met.step) - above[0]))
+        return exp(log(above.step) + share * log(met.step / above.step))
     # No bracket yet: as far as the slope says, and a little beyond.
     change = -(excess + (0.01 if excess > 0 else -0.01)) / slope
     return step * exp(min(max(change, -LONGEST_STEP), LONGEST_STEP))
