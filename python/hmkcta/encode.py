@@ -57,7 +57,6 @@ def compress(
     scheme: str | None = None,
     transform: str | None = None,
     nan: float | None = None,
-    bits: int | None = None,
     kind: str | None = None,
     seed: int = 0,
     threads: int | None = None,
@@ -77,19 +76,14 @@ def compress(
         snr: least SNR in dB of the stored numbers. With explicit levels: no deeper than needed.
         size: most bytes of the whole file, or a text such as ``"20MiB"``. Neither: 1/100 of the float32 bytes or
             50 dB, whichever is less.
-        decode_cost: most multiply-adds for one scattered element: bounds ranks that are chosen, those of a chosen plan
-            and of ``R<=`` in a written one. Written ranks are kept.
+        decode_cost: most multiply-adds for one scattered element of what is chosen. Written ranks are kept.
         quality: ``fast``, ``medium`` or ``thorough``: how long the fit tries.
         organisation: axes merged into modes, ``"light+rgb, view, y+x"``, or their names for each mode, as
             `Plan.organisation` has them; None: the `Plan`'s, chosen, or a mode for each axis.
-        scheme: ``most``, ``least``, ``uniform`` or ``auto`` (the best of the three; above ``R<=`` ``most``) subdivision
-            of written levels; None: as a `Plan` says, ``auto`` of a text.
+        scheme: ``most``, ``least``, ``uniform`` or ``auto`` (the best of the three) subdivision of written levels;
+            None: as a `Plan` says, ``auto`` of a text.
         transform: value transform for high dynamic range, e.g. ``log1p``; None: identity.
         nan: value to put for NaN and infinity; None: refuse them.
-        bits: of each core and basis number in the file, 16 (float16) or 8, in all levels; must agree with any
-            ``bits=`` in the plan. With 8, levels whose ranks a goal chooses are packed: each number has as many bits as
-            it is worth, some 5 at 25 dB and 8 at 55. None: as the plan says; of a chosen plan 8 where that suffices (up
-            to about 60 dB, and below a 16-bit first level), else 16.
         kind: ``svbrdf``, ``lightfield``, ``volume`` or ``generic``, whose roles the axes must have; None: what their
             roles make.
         seed: the same seed makes the same file.
@@ -128,7 +122,7 @@ def compress(
     expect("plan", plan, Plan | str | None, "text such as R=4,4,6,6, or a Plan")
     expect("journal", journal, Journal | None, "a Journal")
     _check_names(scheme, kind)
-    wanted = wanted_of(snr, size, decode_cost, organisation, max_memory, bits)
+    wanted = wanted_of(snr, size, decode_cost, organisation, max_memory)
     with _threads(run.threads), whole_map(array):
         source, run = _prepared(prepare(array, axes, transform, nan, run.threads), run)
         check_kind(source.axes, kind or source.kind)
