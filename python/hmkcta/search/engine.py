@@ -146,7 +146,8 @@ class Search:
         precise = (self.goal.snr or 0.0) > PRECISE_SNR
         self.energy = self.values.energy
         self.rms = sqrt(self.energy / self.values.size) or 1.0
-        self.least_step = LEAST_STEP * self.rms
+        # Steps beyond which more digits are kept than float32 has, and from which on nothing is.
+        self.steps = LEAST_STEP * self.rms, 4 * self.rms * sqrt(self.values.size)
         self.judge = Judge(self.values, self.decode_cost, precise=precise)
 
     def run(self) -> Found:
@@ -231,7 +232,7 @@ class Search:
             return self._excess(bits / 8 + self.overhead, error), None
 
         slope = -1.0 if self.goal.size is not None else 1.3
-        return meet(attempt, step, 0.05, slope, least=self.least_step, tries=6).step
+        return meet(attempt, step, 0.05, slope, bounds=self.steps, tries=6).step
 
     def _bits_and_error(self, layout: Layout, step: float, elements: int) -> tuple[float, float]:
         """Bits of the code of a layout and its squared error: J(D) is least in everything else (envelope theorem)."""
@@ -269,4 +270,4 @@ class Search:
         by_size = self.goal.size is not None
         tolerance = -log(USED) if by_size else OVERSHOT * log(10) / 10
         slope = -1.0 if by_size else 1.3
-        return meet(attempt, max(step, self.least_step), tolerance, slope, least=self.least_step).result
+        return meet(attempt, max(step, self.steps[0]), tolerance, slope, bounds=self.steps).result

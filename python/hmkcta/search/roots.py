@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import exp, log
+from math import exp, inf, log
 from typing import Generic, TypeVar
 
 T = TypeVar("T")
@@ -29,8 +29,8 @@ class Tried(Generic[T]):
 
 
 def meet(
-    attempt: Callable[[float], tuple[float, T]], step: float, tolerance: float, slope: float, *, least: float = 0.0,
-    tries: int = MOST_TRIES
+    attempt: Callable[[float], tuple[float, T]], step: float, tolerance: float, slope: float, *,
+    bounds: tuple[float, float] = (0.0, inf), tries: int = MOST_TRIES
 ) -> Tried[T]:
     """The step whose result meets a goal most closely, by secants of log excess over log D.
 
@@ -39,7 +39,7 @@ def meet(
         step: D to begin with.
         tolerance: results that meet the goal and lie at most this far below it end the search.
         slope: what the excess changes by with log D, about (negative: more D, fewer bytes).
-        least: smaller steps are not tried: all that is stored has its digits.
+        bounds: the least and the largest step that are tried.
         tries: most attempts.
 
     Returns:
@@ -59,7 +59,7 @@ def meet(
                 break
         elif above is None or excess <= above.excess:
             above = Tried(step, excess, result)
-        before, step = step, max(_next(step, excess, met, above, tolerance, slope), least)
+        before, step = step, min(max(_next(step, excess, met, above, tolerance, slope), bounds[0]), bounds[1])
         if step == before:
             break
     found = met or above
