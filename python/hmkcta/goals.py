@@ -10,8 +10,6 @@ from .errors import expect, invalid
 
 #: How far below a goal an SNR in dB may be and still be what was asked for: what is printed is rounded more.
 _SLACK = 0.005
-#: What the fewest bytes of a file are for, where the goal chooses ranks.
-LEAST = "header, tables and the least that can be stored of each row"
 _UNITS = {"": 1, "B": 1, **{f"{p}B": 1000**n for n, p in enumerate("KMGT", 1)},
           **{f"{p}IB": 1024**n for n, p in enumerate("KMGT", 1)}}
 #: How a size may be written.

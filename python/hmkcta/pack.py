@@ -34,7 +34,7 @@ def _pack(nodes: Sequence[Node], undecomposed: Sequence[int], unit: float, *, la
         if node.cells is not None:
             shape[s] = node.cells.spec.clusters, node.cells.spec.mixture, node.cells.ranks
             shape[s, 1, [not kept for kept in stored]] = 0
-    rounded = [round_cores(node.cells.cores, 16) for node in nodes if node.cells is not None]
+    rounded = [round_cores(node.cells.cores) for node in nodes if node.cells is not None]
     counts = [0 if node.cells is None else node.cells.cores.size for node in nodes]
     cells = [0 if node.cells is None else len(node.cells.cores) for node in nodes]
     core, core_offset = _joined([numbers for numbers, _ in rounded], np.float16), _offsets(counts)

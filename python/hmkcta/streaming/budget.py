@@ -109,8 +109,6 @@ def followed_together(elements: int, threads: int, budget: int) -> int:
 def model_bytes(plan: Plan, sizes: Sequence[int], threads: int = 1, room: int = 0) -> int:
     """Bytes that the model of a plan takes: of all levels, and of the nodes that are fitted together.
 
-    Nothing for ranks of each node's own, which a goal decides.
-
     >>> from hmkcta.plan import parse_plan
     >>> plan = parse_plan("R=8 / R=8 C=6,8,8,8 K=1", [("light",), ("view",), ("y",), ("x",)])
     >>> model_bytes(plan, (50, 50, 50, 50)) // 2**20
@@ -118,8 +116,6 @@ def model_bytes(plan: Plan, sizes: Sequence[int], threads: int = 1, room: int = 
     """
     held, most = 0, 0
     for spec, nodes, parts in nodes_of(plan, sizes):
-        if spec.own:
-            break
         held += nodes * (NODE + MODEL * 2 * numbers(parts, spec))
         most = max(most, held + side_by_side(spec, parts, min(nodes, threads), room) * tried_bytes(spec, parts))
     return most
