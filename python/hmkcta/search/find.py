@@ -25,6 +25,8 @@ from .values import Values
 HEADER_BYTES = 600
 #: A file is coded again for a goal that its own header or a value transform made it miss, at most so often.
 MOST_REPEATS = 4
+#: An SNR of values that were transformed is overshot by at most this many dB.
+OVERSHOT_TRANSFORMED = 0.05
 #: Bytes of memory for each byte of an array whose blocks' HOSVDs are held: values, cores and bases, and their copies.
 HELD = 6
 #: Attempts that the step of a goal takes, about; by these the time of a finalist is estimated.
@@ -130,7 +132,10 @@ def _short_of(model: Model, goal: Goal, found: Found) -> Goal | None:
         over = model.nbytes - found.nbytes  # of the header
         return None if model.nbytes <= goal.size else Goal(size=max(1, goal.size - over))
     assert goal.snr is not None, "a goal has one of the two"
-    return None if model.snr >= goal.snr - 0.005 else Goal(snr=found.snr + goal.snr - model.snr + 0.01)
+    over = model.snr - goal.snr
+    # Bytes of transformed values are smooth in their own SNR, that of the values is met by way of it.
+    closely = over <= OVERSHOT_TRANSFORMED or not model.metadata.is_transformed
+    return None if over >= -0.005 and closely else Goal(snr=max(found.snr - over + 0.01, 0.1))
 
 
 def _organisation(source: Source, layout: Layout) -> Organisation:
