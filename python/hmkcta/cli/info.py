@@ -16,6 +16,7 @@ from ..model import open as open_model
 from ..packed import PackedLevel, undecomposed_modes
 from ..plan import multiply_adds
 from ..support.memory import format_bytes
+from .layout import layout_lines, layout_of
 from .options import Command, file_argument, json_option, verbose_option
 from .output import decibels, emit, number_bits, share, shown_bits, table, transformed_column
 
@@ -48,7 +49,9 @@ def describe(model: Model, size: int, sizes: Sequence[int]) -> dict[str, Any]:
         "organisation": format_organisation(metadata.organisation),
         "undecomposed": list(undecomposed_modes(model.stages)),
         "transform": metadata.transform,
-        "levels": [_level(model, number, own, size - sum(sizes[number:])) for number, own in enumerate(sizes, 1)],
+        "levels": [{**_level(model, number, own, size - sum(sizes[number:])), "layout": layout}
+                   for number, (own, layout) in enumerate(zip(sizes, layout_of(model), strict=True), 1)],
+        "layout": layout_lines(model),
         "decode_cost": model.decode_cost,
         "bytes": {"file": size, "levels": sum(sizes), "header": size - sum(sizes)},
         "ratio": source_bytes / size,
@@ -121,6 +124,7 @@ def as_text(report: dict[str, Any], verbose: bool) -> str:
         f"seed {report['seed']}",
         f"  axes          {axes}",
         f"  organisation  {report['organisation']}",
+        *(f"  layout        {line}" for line in report["layout"]),
         f"  transform     {transform}",
         f"  decode cost   {multiply_adds(report['decode_cost'])} an element",
         f"  size          {format_bytes(parts['file'])}, {share(report['ratio'])} the source: levels "

@@ -84,7 +84,7 @@ def nothing_kept(ctx: click.Context) -> str:
     if _JOURNAL not in ctx.meta:
         return "nothing is left half written"
     planned = any(str(word).partition("=")[0] == "--plan" for word in ctx.meta[WORDS])
-    why = "no node was finished" if planned else "the choice of a plan is kept only once it is complete"
+    why = "no node was finished" if planned else "the search keeps only what it has settled"
     return f"nothing is left half written, and nothing kept, as {why}. Next: the same command, which begins anew"
 
 
