@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import product
+from itertools import pairwise, product
 from math import ceil, prod
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,8 @@ from numpy.typing import NDArray
 from ..arrays import F32
 from .layout import Layout, Modes
 
-Slices = tuple[slice, ...]
+Span: TypeAlias = "slice[int, int, None]"
+Slices: TypeAlias = "tuple[Span, ...]"
 
 #: Fewest blocks of a sample: six mislead, twelve do (measured on six sets).
 SAMPLE_BLOCKS = 12
@@ -20,7 +22,7 @@ SAMPLE_BLOCKS = 12
 DETAIL_CELL = 4
 
 
-def cut(size: int, edge: int) -> list[slice]:
+def cut(size: int, edge: int) -> list[Span]:
     """Blocks of an axis: as many as an edge asks for, p of m indices from floor(m p / g) on (docs/format.md).
 
     >>> cut(10, 4)
@@ -28,7 +30,7 @@ def cut(size: int, edge: int) -> list[slice]:
     """
     count = -(-size // edge)
     ends = [size * part // count for part in range(count + 1)]
-    return [slice(*pair) for pair in zip(ends, ends[1:], strict=False)]
+    return [slice(first, last) for first, last in pairwise(ends)]
 
 
 def grid_blocks(shape: Sequence[int], layout: Layout) -> list[Slices]:
@@ -43,7 +45,7 @@ def grid_block(shape: Sequence[int], layout: Layout, number: int) -> Slices:
     order = axis_order(layout.modes)
     counts = layout.blocks(shape)
     places = np.unravel_index(number, [counts[axis] for axis in order])
-    found: dict[int, slice] = {}
+    found: dict[int, Span] = {}
     for axis, place in zip(order, places, strict=True):
         part, size, count = int(place), shape[axis], counts[axis]
         found[axis] = slice(size * part // count, size * (part + 1) // count)

@@ -218,7 +218,8 @@ class Search:
         known = [found.cost for (_, at, of), found in self.judged.items() if (at, of) == (step, elements)]
         bar = min(known, default=inf)
         with ThreadPoolExecutor(self.threads) as pool:
-            for layout, found in zip(todo, pool.map(lambda x: self.judge.verdict(x, step, elements, bar), todo), strict=True):
+            verdicts = pool.map(lambda layout: self.judge.verdict(layout, step, elements, bar), todo)
+            for layout, found in zip(todo, verdicts, strict=True):
                 self.judged[layout, step, elements] = found
         return sorted(dict.fromkeys(layouts), key=lambda layout: (self.judged[layout, step, elements].cost, layout))
 

@@ -1,4 +1,4 @@
-"""What numbers of one step D cost and leave: the objective J = error / D^2 + lambda * bits, of everything that is chosen.
+"""What numbers of one step D cost and leave: J = error / D^2 + lambda * bits, the objective of everything chosen.
 
 A stored number that changes the reconstruction by w (in norm) when it changes by 1 has the step D / w: core numbers in
 orthonormal bases have the step D, numbers of a basis column with singular value s the step D / s.
