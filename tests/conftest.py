@@ -25,12 +25,6 @@ def small_slabs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hmkcta.measure_streamed.SLAB", 40_000)
 
 
-@pytest.fixture
-def one_goal(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Plans of the goal that is asked for have to do: steps of the other goal, which may hide them, are left out."""
-    monkeypatch.setattr("hmkcta.comparing.both_goals.STEPS", 0)
-
-
 @pytest.fixture(scope="session")
 def cloth() -> Any:
     """A material that tests of streaming fit."""
