@@ -100,7 +100,8 @@ def _coordinates(axis: dict[str, Any]) -> str:
 def _shape(level: dict[str, Any], undecomposed: Sequence[int]) -> list[str]:
     """R, C, K as a plan has them: * for the rank of a mode that is left undecomposed."""
     ranks = ["*" if n in undecomposed else rank for n, rank in enumerate(level["R"])]
-    return [",".join(map(str, numbers)) for numbers in (ranks, level["C"], level["K"])]
+    mixture = [max(1, k) for k in level["K"]]  # 0 in a file, where a mode has no basis
+    return [",".join(map(str, numbers)) for numbers in (ranks, level["C"], mixture)]
 
 
 def as_text(report: dict[str, Any], verbose: bool) -> str:
