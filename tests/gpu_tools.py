@@ -82,7 +82,7 @@ class Kind:
     cuts: tuple[int, ...] = ()  # stages, from 1, that have no numbers
     cut: float = 0.0  # chance of a cut among other nodes
     own: float = 0.0  # chance that a mode is undecomposed in a node
-    eight_from: int | None = None  # level from which numbers are stored in eight bits
+    coded: float = 0.0  # share of the stages with numbers that has whole ones of a step
 
     def model(self, seed: int = 0) -> Model:
         """A random model of this kind, with nodes of different shapes, empty nodes and leaves above the last level."""
@@ -91,7 +91,7 @@ class Kind:
         metadata, levels = random_model(
             np.random.default_rng(seed), mode_sizes(axes, organisation), self.stages, self.undecomposed, axes=axes,
             organisation=organisation, shapes=Shapes(zero=0.1, leaf=0.2, cut=self.cut, own=self.own),
-            eight_from=self.eight_from, cuts=self.cuts)
+            coded=self.coded, cuts=self.cuts)
         scaled = {} if self.transform in ("identity", "sqrt") else {"scale": 0.25}
         return Model(replace(metadata, transform={"name": self.transform, **scaled}), levels)
 
@@ -122,7 +122,8 @@ KINDS = (
     Kind("blocks-below-a-level", (6, 5, 7, 4), (("light",), ("view",), ("y", "x")), cuts=(2,), own=0.2),
     Kind("blocks-undecomposed", (6, 5, 4, 4, 3), (("light", "rgb"), ("view",), ("y", "x")), (0,), stages=2, cuts=(1,)),
     Kind("cuts-anywhere", (9, 8, 7), stages=4, cut=0.3, own=0.3),
-    Kind("eight-bits", (5, 4, 6, 3), eight_from=2),
+    Kind("coded", (5, 4, 6, 3), coded=1.0),
+    Kind("coded-blocks", (9, 8, 10), cuts=(1, 2), own=0.3, coded=0.7),
 )
 
 

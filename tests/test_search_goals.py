@@ -1,4 +1,4 @@
-"""Goals that a search meets: bytes and dB, on real-looking data and on arrays that have nothing to find, or everything."""
+"""Goals that a search meets: bytes and dB, on a light field and on arrays with nothing to find, or everything."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_a_size_that_a_header_takes_is_refused_with_what_is_needed() -> None:
 def test_an_snr_of_transformed_values_is_met_in_the_values_themselves(light_field: F32) -> None:
     array = np.exp(4 * light_field)
     model = hmkcta.compress(array, snr=35, transform="log1p", quality="fast")
-    assert 34.995 <= model.snr <= 35.1
+    assert 34.995 <= model.snr <= 35.3
     assert snr_of(model, array) == pytest.approx(model.snr, abs=0.01)
 
 

@@ -42,16 +42,20 @@ def random_picks(model: Model, counts: tuple[int, ...], sums: int, channel: int 
     return picks
 
 
-def fitting(model: Model, wanted: int) -> tuple[int, ...]:
+def fitting(decoder: GpuDecoder, wanted: int) -> tuple[int, ...]:
     """As many picks an axis as wanted; fewer where a merged mode has too many rows, or software too much to do."""
-    members = [[next(order) for _ in mode] for order in [iter(axis_order(model.metadata.axes,
-               model.metadata.organisation))] for mode in model.metadata.organisation]
-    counts = [1] * model.ndim
-    for axes in members:
+    metadata = decoder.model.metadata
+    order = iter(axis_order(metadata.axes, metadata.organisation))
+    counts = [1] * decoder.model.ndim
+    for mode in metadata.organisation:
         room = MOST_ROWS
-        for axis in axes:
-            counts[axis] = min(wanted, room) if axis < 5 else 1
+        for axis in [next(order) for _ in mode]:
+            counts[axis] = min(wanted, room)
             room //= counts[axis]
+    for axis in reversed(range(2, len(counts))):
+        if decoder.refusal(counts) is None:
+            break
+        counts[axis] = 1
     return tuple(counts)
 
 
@@ -69,7 +73,7 @@ def test_elements_at_every_level(kind: Kind) -> None:
 def test_weighted_sums_at_every_level(kind: Kind) -> None:
     model = kind.model(seed=2)
     decoder = GpuDecoder(model, adapter())
-    picks = random_picks(model, fitting(model, 2), 300)
+    picks = random_picks(model, fitting(decoder, 2), 300)
     for level in range(1, len(model.levels) + 1):
         assert error(decoder.picked(picks, level), decode_picked(model, picks, level)) <= CLOSE
 

@@ -102,8 +102,7 @@ LAYER_WITHIN = {
 #: Folders whose code is ours, and what each file may come to.
 FOLDERS = ("python", "tests", "benchmarks", "docs", "crates")
 MOST_LINES, MOST_IN_FUNCTION = 400, 40
-#: The peers are one program, to be read as a whole.
-LONG_FILES = {"tests/baselines.py"}
+LONG_FILES: set[str] = set()
 LONG_FUNCTIONS: set[str] = set()
 #: What `import hmkcta` must not load: the command line, pictures and fitting do, when they are used.
 LATE = ("click", "rich", "PIL", "scipy", "wgpu", "hmkcta.fitting.fit")
