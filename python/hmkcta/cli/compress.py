@@ -42,10 +42,11 @@ EXAMPLES = (
     'hmkcta compress jet.npy -o jet.hmk --plan "R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2"',
 )
 
-#: SNR in dB that a level of float16 numbers hardly exceeds.
-LEVEL_SNR = 60.0
+#: SNR in dB that one level hardly exceeds, as its numbers are float16 in the file or once it is opened: cores and bases
+#: together end at some 65 dB, values that are stored as they are at 74.
+LEVEL_SNR = 65.0
 #: SNR in dB from which about float32 limits what is kept, in which everything is decoded.
-FLOAT32_SNR = 100.0
+FLOAT32_SNR = 130.0
 #: A size of which at least this share is used is used.
 USED = 0.99
 
@@ -196,14 +197,9 @@ def unused(model: Model, goal: Goal, plan: str | None) -> list[str]:
     """A sentence on what keeps a file from its --size; none if it has it, or nothing is left to store."""
     if goal.size is None or plan is not None or model.nbytes >= USED * goal.size or isinf(model.snr):
         return []
-    if model.snr > FLOAT32_SNR:
-        why = "everything is decoded in float32, which keeps hardly more. Next: as good is a smaller --size"
-    elif 2 * model.decode_cost > goal.settings["decode_cost"]:  # a rank more may be beyond it
-        why = (f"ranks are as high as --decode-cost {goal.settings['decode_cost']} allows. Next: allow more "
-               "multiply-adds, if what reads the file may take longer for an element")
-    else:
-        why = "more bytes would keep nothing more. Next: as good is a smaller --size"
-    return [f"of --size {100 * model.nbytes / goal.size:.0f} % are used: {why}"]
+    why = ("numbers are decoded in float16, which keeps hardly more" if model.snr > LEVEL_SNR else
+           "that is the closest to it that was found")
+    return [f"of --size {100 * model.nbytes / goal.size:.0f} % are used: {why}. Next: as good is a smaller --size"]
 
 
 def advice(model: Model, plan: str | None) -> str:
@@ -211,8 +207,10 @@ def advice(model: Model, plan: str | None) -> str:
     levels = len(model.levels)
     if model.snr > FLOAT32_SNR:
         return f"ask for up to {floor(model.snr)} dB: everything is decoded in float32"
+    if model.snr > LEVEL_SNR * levels:
+        text = " / ".join(["R=.."] * (levels + 1))
+        return (f"ask for up to {floor(model.snr)} dB, or write a level more, for what float16 numbers leave: "
+                f'--plan "{text}"')
     if plan is None:
         return "allow a higher --decode-cost, or try --quality thorough"
-    if model.snr > LEVEL_SNR * levels:
-        return f'write a level more, for what float16 numbers leave: --plan "{" / ".join(["R=.."] * (levels + 1))}"'
     return "add ranks or a level"
