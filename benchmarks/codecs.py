@@ -31,6 +31,8 @@ TRIES, FULL = 16, 0.99
 CHANNELS = 4
 #: Bits of x265's samples, and its preset.
 VIDEO_BITS, PRESET = 12, "medium"
+#: Smaller pictures are padded to it: x265 builds have corrupted their memory on 32 x 40.
+SMALLEST_PICTURE = 64
 
 #: Encodes and decodes with a knob from 0, finest, to 1, coarsest: bytes, and the values that a decoder has.
 Codec = Callable[[F32, float], tuple[int, F32]]
@@ -87,6 +89,9 @@ def x265(values: F32, knob: float) -> tuple[int, F32]:
     frames = merged(values, 4) if _channels(values) == 3 else merged(values, 3)[None]
     if len(frames) == 3:
         frames = np.tensordot(_DECORRELATED, frames, axes=1)
+    height, width = frames.shape[2:]
+    more = [(0, max(size + size % 2, SMALLEST_PICTURE) - size) for size in (height, width)]
+    frames = np.pad(frames, [(0, 0), (0, 0), *more], mode="edge")
     low, high = float(frames.min()), float(frames.max())
     scale = (2**VIDEO_BITS - 1) / max(high - low, 1e-30)
     samples = np.round((frames - low) * scale).astype("<u2")
@@ -94,10 +99,11 @@ def x265(values: F32, knob: float) -> tuple[int, F32]:
     raw = ["-f", "rawvideo", "-pix_fmt", layout]
     size = ["-s", f"{frames.shape[3]}x{frames.shape[2]}", "-r", "25"]
     data = _piped([program, *raw, *size, "-i", "-", "-c:v", "libx265", "-preset", PRESET, "-x265-params",
-                   f"crf={51 * knob:.2f}:log-level=none", "-f", "hevc", "-"],
+                   f"crf={51 * knob:.2f}:info=0:log-level=none", "-f", "hevc", "-"],
                   np.ascontiguousarray(samples.swapaxes(0, 1)).tobytes())
     back = np.frombuffer(_piped([program, "-f", "hevc", "-i", "-", *raw, "-"], data), "<u2")
     planes = back.reshape(samples.swapaxes(0, 1).shape).swapaxes(0, 1).astype(np.float32) / scale + low
+    planes = planes[:, :, :height, :width]
     if len(frames) == 3:
         return len(data), _as(values, np.tensordot(_DECORRELATED.T, planes, axes=1))
     return len(data), _as(values, planes[0])

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 
 from hmkcta import compress
 
-pytestmark = pytest.mark.usefixtures("one_goal")
-
 
 def puffs() -> NDArray[np.float32]:
     """Twelve round clouds that drift through `[12, 24, 24, 24]`: of low ranks in every frame, of high ones in all."""

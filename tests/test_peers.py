@@ -49,9 +49,9 @@ def reached(method: str, values: F32, budget: int, decode_cost: int = 4096) -> t
 def test_pca_recovers_a_matrix_in_the_right_split() -> None:
     matrix = noise((12 * 8, 2), 1) @ noise((30, 2), 2).T
     values = np.asarray(matrix.reshape(12, 8, 10, 3).transpose(0, 2, 1, 3), np.float32)
-    snr, nbytes, cost, layout = reached("pca", values, 700)
-    assert snr > 40
-    assert nbytes <= 700
+    snr, nbytes, cost, layout = reached("pca", values, 300)
+    assert snr > 35
+    assert nbytes <= 300
     assert cost == 2
     assert layout == "modes time+x, y+rgb; rank 2"
 
@@ -80,8 +80,8 @@ def test_hosvd_recovers_multilinear_ranks() -> None:
 def test_tensor_train_recovers_its_ranks() -> None:
     cores = noise((12, 2)), noise((2, 10, 3), 1), noise((3, 8, 2), 2), noise((2, 3), 3)
     train = np.einsum("ia,ajb,bkc,cl->ijkl", *cores)
-    snr, _, cost, _ = reached("tensor_train", train.astype(np.float32), 400)
-    assert snr > 30
+    snr, _, cost, _ = reached("tensor_train", train.astype(np.float32), 220)
+    assert snr > 40
     assert cost <= 2 * 3 + 3 * 2 + 2
 
 
