@@ -172,7 +172,7 @@ def test_words_that_cannot_be(words: tuple[str, ...], part: str) -> None:
 
 
 @pytest.mark.parametrize("plan", [
-    "R=7,8,10", "R=1 C=9,1,1", "R=1 grid=axis0:7", "R<=3", "R=1 / R<=2 / R=1", "R=2 C=2 K=3",
+    "R=7,8,10", "R=1 C=9,1,1", "R=1 grid=axis0:7", "R<=3", "R=1 bits=8", "R=2 C=2 K=3",
 ])
 def test_plan_refuses_what_compress_refuses(plan: str, source: Path, tmp_path: Path) -> None:
     sentence = refused("plan", source, "--plan", plan, code=2)
@@ -235,6 +235,7 @@ def test_a_link_keeps_pointing_where_it_does(source: Path, tmp_path: Path) -> No
 
 @pytest.mark.parametrize(("name", "content"), [
     ("run.json", "[]"), ("run.json", "{"), ("run.json", None), ("explored.json", '{"levels"'),
+    ("explored.json", '{"levels": 3}'), ("explored.json", "[0.1, [[3, 4]]]"), ("coded-0.json", "[]"),
     ("explored.json", "\udcff"),
 ])
 def test_a_journal_that_makes_no_sense(name: str, content: str | None, source: Path, tmp_path: Path) -> None:
@@ -242,7 +243,7 @@ def test_a_journal_that_makes_no_sense(name: str, content: str | None, source: P
     with pytest.raises(KeyboardInterrupt), hmkcta.Journal(folder) as journal:
         hmkcta.compress(np.load(source), snr=20.0, quality="fast", journal=journal, progress=stop_at_measuring)
     kept = {path.name for path in folder.iterdir()}
-    assert {"run.json", "explored.json"} <= kept
+    assert {"run.json", "explored.json", "coded-0.json"} <= kept
     (folder / name).unlink()
     if content is not None:
         (folder / name).write_text(content, errors="surrogateescape")

@@ -97,7 +97,7 @@ def test_bricks_recover_pieces_and_drop_empty_ones() -> None:
 @pytest.mark.parametrize("decode_cost", [1, 20])
 def test_bounds_hold(decode_cost: int) -> None:
     values = smooth()
-    budgets = [values.nbytes // rate + 100 for rate in (300, 30, 8)]
+    budgets = [values.nbytes // rate + 100 for rate in (300, 8)]
     for method in peers.METHODS:
         for budget, found in zip(budgets, peers.best_of(method, values, budgets, decode_cost, NAMES), strict=True):
             if found is None:

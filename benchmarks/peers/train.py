@@ -112,7 +112,7 @@ class Train:
             at = self.finest = COARSER * at
 
     def code(self, step: float) -> Coded | None:
-        """Code at a step; what follows a core is fitted to it as decoded. None: it cannot be, for its size or its decode cost."""
+        """Code at a step; what follows a core is fitted to it as decoded. None: too large, or each element too dear."""
         found = self._affordable(step)
         if found is None:
             return None
