@@ -68,7 +68,7 @@ def test_open(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 PLACES = {
     "info": "hmkcta.hmkfile.read.check_largest", "verify": "hmkcta.measure.add_level",
     "decompress": "hmkcta.model.decode_block", "render": "hmkcta.hmkfile.read.check_largest",
-    "compress": "hmkcta.encode.follow", "plan": "hmkcta.cli.plan.describe_source",
+    "compress": "hmkcta.encode.fit_plan", "plan": "hmkcta.cli.plan.describe_source",
 }
 
 
