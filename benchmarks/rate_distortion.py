@@ -18,10 +18,10 @@ import os
 import platform
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
 from itertools import groupby
-from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +38,9 @@ from benchmarks.curves import draw  # noqa: E402
 from benchmarks.data import SHEET_VARIABLE  # noqa: E402
 from hmkcta import synthetic  # noqa: E402
 from hmkcta.axes import format_organisation  # noqa: E402
+from hmkcta.cli.layout import blocks_text, layout_of  # noqa: E402
 from hmkcta.metrics import snr_db  # noqa: E402
+from hmkcta.model import Model  # noqa: E402
 
 F32 = NDArray[np.float32]
 
@@ -150,12 +152,15 @@ def measure(
                     yield row(rate, method, snr_db(energy, within[0]), within[1], 0, time.process_time() - start, "")
 
 
-def described(model: Any) -> str:
-    """The layout that was found: merged axes, blocks, and the largest ranks of any."""
-    text = f"modes {format_organisation(model.metadata.organisation)}"
-    *cuts, last = model.bounds
-    blocks = prod(prod(bounds.clusters) for bounds in cuts)
-    return f"{text}; {blocks} blocks; ranks <= {', '.join(map(str, last.ranks))}"
+def described(model: Model) -> str:
+    """The layout that was found: merged axes, blocks, modes that some blocks leave undecomposed, the largest ranks."""
+    names = [format_organisation((mode,)) for mode in model.metadata.organisation]
+    layout = layout_of(model)[-1]
+    whole = Counter({" and ".join(found["modes"]): found["nodes"] for found in layout["undecomposed"]})
+    whole.pop("", None)
+    undecomposed = f"; undecomposed {', '.join(f'{name} in {count}' for name, count in whole.items())}" if whole else ""
+    ranks = ", ".join(map(str, model.bounds[-1].ranks))
+    return f"modes {', '.join(names)}; {blocks_text(layout['blocks'], names)}{undecomposed}; ranks <= {ranks}"
 
 
 def markdown(rows: Sequence[Row]) -> str:
