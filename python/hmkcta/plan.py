@@ -290,7 +290,7 @@ def parse_plan(text: str, organisation: Organisation, scheme: str = AUTO) -> Pla
     """Read a plan: levels parted by ``/``, each as `parse_level` reads it.
 
     Args:
-        text: such as ``R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2`` (the table of plans in the README has more).
+        text: such as ``R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2`` (the table of plans in docs/guide.md has more).
         organisation: names of the axes of each mode.
         scheme: how all levels are subdivided, as `LevelSpec` says (paper, section 4.2); a grid by ``most``.
 
