@@ -13,6 +13,7 @@ from hmkcta.errors import HmkctaError
 from hmkcta.render.gpu_decode import GpuDecoder, ListPass, picked_words
 from hmkcta.render.image import pack_image
 from hmkcta.render.prelude import MOST_ROWS, Options, compose_picked
+from hmkcta.render.software import MOST_TURNS, loop_turns
 from hmkcta.render.tree import tree_of
 from hmkcta.render.upload import DecoderBuffers
 from hmkcta.render.weighted import Picks, decode_picked
@@ -42,18 +43,18 @@ def random_picks(model: Model, counts: tuple[int, ...], sums: int, channel: int 
     return picks
 
 
-def fitting(decoder: GpuDecoder, wanted: int) -> tuple[int, ...]:
+def fitting(model: Model, wanted: int) -> tuple[int, ...]:
     """As many picks an axis as wanted; fewer where a merged mode has too many rows, or software too much to do."""
-    metadata = decoder.model.metadata
+    metadata = model.metadata
     order = iter(axis_order(metadata.axes, metadata.organisation))
-    counts = [1] * decoder.model.ndim
+    counts = [1] * model.ndim
     for mode in metadata.organisation:
         room = MOST_ROWS
         for axis in [next(order) for _ in mode]:
             counts[axis] = min(wanted, room)
             room //= counts[axis]
     for axis in reversed(range(2, len(counts))):
-        if decoder.refusal(counts) is None:
+        if loop_turns(model, counts, len(model.levels)) <= MOST_TURNS:
             break
         counts[axis] = 1
     return tuple(counts)
@@ -73,7 +74,7 @@ def test_elements_at_every_level(kind: Kind) -> None:
 def test_weighted_sums_at_every_level(kind: Kind) -> None:
     model = kind.model(seed=2)
     decoder = GpuDecoder(model, adapter())
-    picks = random_picks(model, fitting(decoder, 2), 300)
+    picks = random_picks(model, fitting(model, 2), 300)
     for level in range(1, len(model.levels) + 1):
         assert error(decoder.picked(picks, level), decode_picked(model, picks, level)) <= CLOSE
 
