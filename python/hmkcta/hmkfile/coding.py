@@ -10,9 +10,9 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _native
 from ..axes import Axis, Organisation
 from ..packed import F16, U32, PackedLevel
+from ..support.extension import native
 from .reasons import fault
 from .stages import Run, Stage
 
@@ -37,7 +37,7 @@ def following(level: PackedLevel, places: Places, name: str) -> Places:
     """Where the nodes of the next stage lie."""
     part = [array for array in level.part if array is not None]
     try:
-        return _native.next_stage(_flat(level.shape), _children(level), part, places)
+        return native.next_stage(_flat(level.shape), _children(level), part, places)
     except ValueError as error:
         raise _as_fault(error, name) from error
 
@@ -47,7 +47,7 @@ def encode_stage(level: PackedLevel, places: Places, name: str) -> list[tuple[li
     half = level.step is None and not level.is_cut
     arrays = _arrays(level, places, name)
     try:
-        coded = _native.encode_stage(arrays, places)
+        coded = native.encode_stage(arrays, places)
     except ValueError as error:
         raise _as_fault(error, name) from error
     runs: list[tuple[list[bytes], Run]] = []
@@ -65,7 +65,7 @@ def encode_stage(level: PackedLevel, places: Places, name: str) -> list[tuple[li
 def coded_bytes(level: PackedLevel, places: Places, name: str) -> int:
     """Bytes of code that the runs of a stage take together; the same as that of `encode_stage`, in less time."""
     try:
-        return _native.count_stage(_arrays(level, places, name), places)
+        return native.count_stage(_arrays(level, places, name), places)
     except ValueError as error:
         raise _as_fault(error, name) from error
 
@@ -75,7 +75,7 @@ def _arrays(level: PackedLevel, places: Places, name: str) -> dict[str, Any]:
     core, basis = np.zeros(0, np.int32), [np.zeros(0, np.int32)] * level.order
     if level.step is not None:
         try:
-            core, basis = _native.whole_stage(
+            core, basis = native.whole_stage(
                 {
                     "step": level.step,
                     "shape": _flat(level.shape),
@@ -125,7 +125,7 @@ def decode_stage(
     }
     runs = [(np.frombuffer(data, np.uint8), run.counts) for data, run in zip(payloads, stage.runs, strict=True)]
     try:
-        out = _native.decode_stage(header, places, runs)
+        out = native.decode_stage(header, places, runs)
     except ValueError as error:
         raise _as_fault(error, name) from error
     return stage_arrays(out, places, stage.step, last=after is None), out["next"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise, product
 from math import ceil, prod
 from typing import TypeAlias
@@ -72,19 +73,61 @@ def by_shape(blocks: Sequence[Slices]) -> dict[tuple[int, ...], NDArray[np.intp]
     return {shape: np.array(numbers, np.intp) for shape, numbers in found.items()}
 
 
-def batched(blocks: Sequence[Slices], elements: int) -> list[NDArray[np.intp]]:
-    """Numbers of blocks of one shape that are worked on together, at most so many elements: neighbours, in the order
-    in which the array has them, so that each part of it is read once.
+@dataclass(frozen=True, eq=False)
+class Region:
+    """Neighbouring blocks, which are read at once.
 
-    >>> [batch.tolist() for batch in batched([(slice(0, 2),), (slice(2, 4),), (slice(4, 5),)], 4)]
-    [[0, 1], [2]]
+    Attributes:
+        parts: the blocks along each axis.
+        first: number of the first one along each axis.
+        counts: how many blocks the whole array has along each axis.
+        order: the axes as they stand in the modes.
     """
-    found: list[NDArray[np.intp]] = []
-    for shape, numbers in by_shape(blocks).items():
-        order = sorted(numbers.tolist(), key=lambda number: [part.start for part in blocks[number]])
-        count = max(1, elements // prod(shape))
-        found += [np.array(order[first : first + count], np.intp) for first in range(0, len(order), count)]
-    return sorted(found, key=lambda batch: [part.start for part in blocks[batch[0]]])
+
+    parts: list[list[Span]]
+    first: tuple[int, ...]
+    counts: tuple[int, ...]
+    order: list[int]
+
+    @property
+    def part(self) -> Slices:
+        """The part of the array that the blocks fill."""
+        return tuple(slice(own[0].start, own[-1].stop) for own in self.parts)
+
+    @property
+    def numbers(self) -> NDArray[np.intp]:
+        """Numbers of the blocks in the order of the nodes."""
+        places = np.indices([len(own) for own in self.parts]).reshape(len(self.parts), -1)
+        at = [places[axis] + self.first[axis] for axis in self.order]
+        return np.asarray(np.ravel_multi_index(at, [self.counts[axis] for axis in self.order]), np.intp)
+
+    @property
+    def blocks(self) -> list[Slices]:
+        """Where each block lies in the part."""
+        inside = [[slice(block.start - own[0].start, block.stop - own[0].start) for block in own] for own in self.parts]
+        return list(product(*inside))
+
+
+def regions(shape: Sequence[int], layout: Layout, elements: int) -> list[Region]:
+    """The whole grid as regions of at most so many elements, or of one block, in the order of the array.
+
+    >>> layout = Layout(((0, 1),), (4, 2))
+    >>> [(region.part[0], region.numbers.tolist()) for region in regions((5, 4), layout, 12)]
+    [(slice(0, 2, None), [0, 1]), (slice(2, 5, None), [2, 3])]
+    """
+    parts = [cut(size, edge) for size, edge in zip(shape, layout.edges, strict=True)]
+    counts, order = layout.blocks(shape), axis_order(layout.modes)
+    together, room = [1] * len(parts), elements // prod(map(_longest, parts))
+    for axis in reversed(range(len(parts))):  # what lies together in memory first
+        together[axis] = max(1, min(counts[axis], room))
+        room //= together[axis]
+    return [Region([own[at : at + step] for own, at, step in zip(parts, first, together, strict=True)], first, counts,
+                   order)
+            for first in product(*(range(0, count, step) for count, step in zip(counts, together, strict=True)))]
+
+
+def _longest(blocks: Sequence[Span]) -> int:
+    return max(block.stop - block.start for block in blocks)
 
 
 def sample(blocks: int, elements: int, wanted: int, detail: NDArray[np.float64]) -> NDArray[np.intp]:

@@ -4,22 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from math import prod
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _native as native
 from ..arrays import F32
-from .blocks import as_tensor, batched, cut, grid_blocks
+from ..support.executors import in_order
+from ..support.extension import native
+from .blocks import Region, as_tensor, by_shape, cut, regions
 from .hosvd import BlockBatch, Undecomposed
 from .judging import Choice, choose
 from .kernels import I32, U8, U32, code_blocks
 from .layout import Layout
-from .values import Values, read_blocks
+from .values import Values
 
-#: Elements of blocks that are decomposed, and then coded, together.
-TOGETHER = 1 << 22
+#: An array is coded as at least so many parts, that threads share.
+SHARES = 4
 
 Batch = tuple[NDArray[np.intp], BlockBatch]
 
@@ -55,27 +57,37 @@ class LayoutCoder:
     ) -> None:
         self.values, self.layout, self.sets, self.decode_cost = values, layout, tuple(sets), decode_cost
         self.precise, self.threads = precise, threads
-        self.blocks = grid_blocks(values.shape, layout)
-        self._held: list[Batch] | None = None
+        self.count = prod(layout.blocks(values.shape))
+        self._held: list[list[Batch]] | None = None
 
     def code(self, step: float) -> CodedBlocks:
         """All blocks at a step D."""
         step = float(np.float32(step))
-        batches = self._held or self._batches()
-        pieces: list[_Piece] = []
-        held: list[Batch] | None = [] if self.values.room is None else None
-        for batch in batches:
-            pieces += self._code_batch(*batch, step)
-            if held is not None:
-                held.append(batch)
-        self._held = held
-        return _joined(pieces, len(self.blocks), len(self.layout.modes), step)
+        return _joined(list(self._coded(step)), self.count, len(self.layout.modes), step)
 
-    def _batches(self) -> Iterator[Batch]:
-        """Numbers and HOSVDs of blocks of one shape, of at most some `TOGETHER` elements, in the array's order."""
-        for numbers in batched(self.blocks, TOGETHER):
-            tensors = as_tensor(read_blocks(self.values, [self.blocks[b] for b in numbers]), self.layout.modes)
-            yield numbers, BlockBatch(tensors, precise=self.precise)
+    def _coded(self, step: float) -> Iterator[_Piece]:
+        def pieces(batches: Sequence[Batch]) -> list[_Piece]:
+            return [piece for batch in batches for piece in self._code_batch(*batch, step)]
+
+        together = min(self.values.together, self.values.size // SHARES) // self.threads
+        parts = regions(self.values.shape, self.layout, together)
+        if not self.values.in_memory:
+            for found in in_order(lambda region: pieces(self._batches(region)), parts, self.threads):
+                yield from found
+            return
+        if self._held is None:
+            self._held = list(in_order(self._batches, parts, self.threads))
+        for found in in_order(pieces, self._held, self.threads):
+            yield from found
+
+    def _batches(self, region: Region) -> list[Batch]:
+        """Numbers and HOSVDs of the blocks of a region, those of one shape together."""
+        part, numbers, blocks = self.values.read(region.part), region.numbers, region.blocks
+        found: list[Batch] = []
+        for places in by_shape(blocks).values():
+            tensors = as_tensor(np.stack([part[blocks[place]] for place in places]), self.layout.modes)
+            found.append((numbers[places], BlockBatch(tensors, precise=self.precise, keeps=True)))
+        return found
 
     def _code_batch(self, numbers: NDArray[np.intp], batch: BlockBatch, step: float) -> list[_Piece]:
         sets = self.sets if all(n in s for s in self.sets for n in _forced(batch)) else (_forced(batch),)
@@ -91,7 +103,7 @@ class LayoutCoder:
         """What the native coder takes of each stage: a grid where there are several blocks, and the blocks."""
         root = _root(self.values.shape, self.layout)
         order = len(self.layout.modes)
-        if len(self.blocks) == 1:
+        if self.count == 1:
             return [(_cells(coded, root["rows"].reshape(1, order)), root)]
         grid = _grid_stage(self.values.shape, self.layout)
         places = native.next_stage(grid["shape"], grid["children"], grid["part"], root)
@@ -120,7 +132,7 @@ def _piece(numbers: NDArray[np.intp], batch: BlockBatch, choice: Choice, k: int,
     undecomposed = choice.sets[k]
     at = np.flatnonzero(choice.chosen == k)
     bases = [None if n in undecomposed else _of(basis, at) for n, basis in enumerate(batch.bases)]
-    found = code_blocks(batch.values[at], batch.keep(undecomposed)[at], bases, choice.ranks[at], step)
+    found = code_blocks(batch.values[at], batch.cores(undecomposed, at), bases, choice.ranks[at], step)
     return _Piece(numbers[at], batch.sizes, undecomposed, choice.ranks[at], found.exponents, found.bases, found.core,
                   float(found.errors.sum()))
 

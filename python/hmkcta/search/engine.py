@@ -7,12 +7,12 @@ goal is met by D alone. `docs/design.md` says what is measured, and what was tri
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from math import exp, inf, isinf, log, sqrt
+from math import exp, inf, isinf, log, prod, sqrt
 from typing import Any, Protocol
 
 from ..metrics import snr_db as decibels
+from ..support.executors import in_order
 from .coded import CodedBlocks, LayoutCoder
 from .judging import Judge, Verdict
 from .layout import Layout, Modes, first_layouts, neighbours
@@ -148,7 +148,7 @@ class Search:
         self.rms = sqrt(self.energy / self.values.size) or 1.0
         # Steps beyond which more digits are kept than float32 has, and from which on nothing is.
         self.steps = LEAST_STEP * self.rms, 4 * self.rms * sqrt(self.values.size)
-        self.judge = Judge(self.values, self.decode_cost, precise=precise)
+        self.judge = Judge(self.values, self.decode_cost, threads=self.threads, precise=precise)
 
     def run(self) -> Found:
         """The best layout found, coded so that it meets the goal; the closest to it where none does."""
@@ -195,7 +195,7 @@ class Search:
 
     def _explore(self, step: float) -> tuple[float, list[Layout]]:
         """The step at which the best layouts meet the goal, and all layouts judged at it, best first."""
-        layouts = first_layouts(self.values.shape, self.modes)
+        layouts = self._held(first_layouts(self.values.shape, self.modes))
         ranked: list[Layout] = []
         for turn in range(self.effort.rounds):
             self.on_progress("search", turn / self.effort.rounds)
@@ -207,20 +207,25 @@ class Search:
                 ranked = self._ranked(ranked, step, self.effort.elements[0])
             varied = [other for place, layout in enumerate(ranked[: self.effort.varied])
                       for other in neighbours(layout, self.values.shape, organise=not place and self.modes is None)]
-            layouts = list(dict.fromkeys([*ranked[: self.effort.finalists], *varied]))
+            layouts = list(dict.fromkeys([*ranked[: self.effort.finalists], *self._held(varied)]))
             if all((layout, step, self.effort.elements[0]) in self.judged for layout in layouts):
                 break
         return step, self._ranked(layouts, step, self.effort.elements[0])
+
+    def _held(self, layouts: Iterable[Layout]) -> list[Layout]:
+        """The layouts whose blocks memory suffices for."""
+        return [layout for layout in layouts if self.values.holds(layout.block(self.values.shape))]
 
     def _ranked(self, layouts: Iterable[Layout], step: float, elements: int) -> list[Layout]:
         """Layouts by J at a step, the least first."""
         todo = [layout for layout in dict.fromkeys(layouts) if (layout, step, elements) not in self.judged]
         known = [found.cost for (_, at, of), found in self.judged.items() if (at, of) == (step, elements)]
         bar = min(known, default=inf)
-        with ThreadPoolExecutor(self.threads) as pool:
-            verdicts = pool.map(lambda layout: self.judge.verdict(layout, step, elements, bar), todo)
-            for layout, found in zip(todo, verdicts, strict=True):
-                self.judged[layout, step, elements] = found
+        largest = max((prod(layout.block(self.values.shape)) for layout in todo), default=1)
+        workers = min(self.threads, max(1, self.values.together // largest))
+        verdicts = in_order(lambda layout: self.judge.verdict(layout, step, elements, bar), todo, workers)
+        for layout, found in zip(todo, verdicts, strict=True):
+            self.judged[layout, step, elements] = found
         return sorted(dict.fromkeys(layouts), key=lambda layout: (self.judged[layout, step, elements].cost, layout))
 
     def _step_for(self, layout: Layout, step: float) -> float:
@@ -252,7 +257,7 @@ class Search:
     def _coder(self, layout: Layout, step: float) -> LayoutCoder:
         known = self.judged.get((layout, step, self.effort.elements[1]))
         sets = (known or self.judge.verdict(layout, step, self.effort.elements[1])).sets
-        return LayoutCoder(self.values, layout, sets, self.decode_cost, precise=self.judge.precise)
+        return LayoutCoder(self.values, layout, sets, self.decode_cost, threads=self.threads, precise=self.judge.precise)
 
     def _coded(self, layout: Layout, step: float, coder: LayoutCoder | None = None) -> Found:
         """A layout coded at a step."""

@@ -13,6 +13,7 @@ from ..fitting.run import Run
 from ..measure import measure_both
 from ..model import Model
 from ..packed import LevelQuality, PackedLevel, bounds_of
+from ..streaming.budget import PROCESS
 from ..streaming.source import Source
 from ..support.memory import memory_budget
 from ..wanted import Wanted
@@ -27,8 +28,9 @@ HEADER_BYTES = 600
 MOST_REPEATS = 4
 #: An SNR of values that were transformed is overshot by at most this many dB.
 OVERSHOT_TRANSFORMED = 0.05
-#: Bytes of memory for each byte of an array whose blocks' HOSVDs are held: values, cores and bases, and their copies.
-HELD = 6
+#: Bytes of memory for each byte of an array whose blocks' HOSVDs are held: values, cores and bases of two layouts, and
+#: what is made of them (measured: 16 MB of fMRI take 350 MB beside the process).
+HELD = 20
 #: Attempts that the step of a goal takes, about; by these the time of a finalist is estimated.
 ATTEMPTS = 4
 
@@ -105,11 +107,10 @@ def _search(source: Source, wanted: Wanted, goal: Goal, quality: str, run: Run) 
 
 def _values(source: Source, memory: int | None) -> Values:
     """The values in memory, or read from the source where memory does not hold them with their HOSVDs."""
-    budget = memory_budget(memory)
-    whole = slice_all(source.shape)
+    budget = memory_budget(memory) - PROCESS
     if HELD * 4 * source.array.size <= budget:
-        return Values.of_array(source.values(whole))
-    return Values(source.shape, source.values, room=budget // 4)
+        return Values.of_array(source.values(slice_all(source.shape)))
+    return Values(source.shape, source.values, budget)
 
 
 def slice_all(shape: tuple[int, ...]) -> tuple[slice, ...]:

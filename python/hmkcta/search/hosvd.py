@@ -22,23 +22,20 @@ Undecomposed = tuple[int, ...]
 class BlockBatch:
     """Blocks `[blocks, n_1, .., n_N]` with the bases of their HOSVDs (paper, section 3.1)."""
 
-    def __init__(self, values: F32, *, precise: bool = False) -> None:
-        """Find all bases; `precise`: by float64 Gram matrices, as those of float32 end at some 65 dB."""
-        self.values = values
+    def __init__(self, values: F32, *, precise: bool = False, keeps: bool = False) -> None:
+        """Find all bases.
+
+        Args:
+            values: the blocks.
+            precise: by float64 Gram matrices, as those of float32 end at some 65 dB.
+            keeps: cores are kept, as they are asked for at more steps than one.
+        """
+        self.values, self.keeps = values, keeps
         self.sizes: tuple[int, ...] = values.shape[1:]
         self.precise = precise
         self.bases: list[F32 | None] = [self._basis(n) if self._may_have_basis(n) else None
                                         for n in range(len(self.sizes))]
         self._cores: dict[Undecomposed, F32] = {}
-
-    @classmethod
-    def some(cls, batch: BlockBatch, at: NDArray[np.intp]) -> BlockBatch:
-        """Some blocks of a batch, with the bases they have."""
-        found = cls.__new__(cls)
-        found.values, found.sizes, found.precise = batch.values[at], batch.sizes, batch.precise
-        found.bases = [None if basis is None else basis[at] for basis in batch.bases]
-        found._cores = {}
-        return found
 
     def __len__(self) -> int:
         return len(self.values)
@@ -50,25 +47,20 @@ class BlockBatch:
         for count in range(MOST_UNDECOMPOSED + 1):
             yield from (chosen for chosen in combinations(modes, count) if forced <= set(chosen))
 
-    def cores(self, undecomposed: Undecomposed, at: NDArray[np.intp] | slice = slice(None)) -> F32:
+    def cores(self, undecomposed: Undecomposed, at: NDArray[np.intp] | None = None) -> F32:
         """Cores in all columns of the bases, `[blocks, n_1, .., n_N]`, of some blocks or all."""
-        if undecomposed in self._cores:
-            return self._cores[undecomposed][at]
-        core = self.values[at]
-        for n in self._shortest_first(undecomposed):
-            basis = self.bases[n]
-            assert basis is not None, "undecomposed_sets has every mode without a basis"
-            core = mode_product(basis[at].swapaxes(1, 2), core, n)
-        return core
-
-    def keep(self, undecomposed: Undecomposed) -> F32:
-        """The same of all blocks, kept for the next call."""
-        if undecomposed not in self._cores:
-            self._cores[undecomposed] = self.cores(undecomposed)
-        return self._cores[undecomposed]
-
-    def _shortest_first(self, undecomposed: Undecomposed) -> list[int]:
-        return [n for n in range(len(self.sizes)) if n not in undecomposed]
+        found = self._cores.get(undecomposed)
+        if found is None:
+            found = self.values if at is None or self.keeps else self.values[at]
+            for n in range(len(self.sizes)):
+                basis = self.bases[n]
+                if n not in undecomposed and basis is not None:
+                    own = basis if len(basis) == len(found) else basis[at]
+                    found = mode_product(own.swapaxes(1, 2), found, n)
+            if not self.keeps:
+                return found
+            self._cores[undecomposed] = found
+        return found if at is None else found[at]
 
     def _may_have_basis(self, n: int) -> bool:
         """Not where a mode is too long, or the longer one of a matrix, whose rows are then stored as they are."""

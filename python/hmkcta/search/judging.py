@@ -42,7 +42,7 @@ def choose(batch: BlockBatch, sets: Sequence[Undecomposed], step: float, decode_
     ranks = np.zeros((len(batch), len(batch.sizes)), np.uint32)
     for number, undecomposed in enumerate(sets):
         decomposed = [n not in undecomposed for n in range(len(batch.sizes))]
-        found, own = best_boxes(batch.keep(undecomposed), decomposed, step, decode_cost)
+        found, own = best_boxes(batch.cores(undecomposed), decomposed, step, decode_cost)
         better = found < costs
         costs, chosen = np.where(better, found, costs), np.where(better, number, chosen)
         ranks[better] = own[better]
@@ -58,10 +58,10 @@ class Verdict:
 
 
 class Judge:
-    """J of layouts of an array."""
+    """J of layouts of an array, some of them judged at a time."""
 
-    def __init__(self, values: Values, decode_cost: float, *, precise: bool = False) -> None:
-        self.values, self.decode_cost, self.precise = values, decode_cost, precise
+    def __init__(self, values: Values, decode_cost: float, *, threads: int = 1, precise: bool = False) -> None:
+        self.values, self.decode_cost, self.threads, self.precise = values, decode_cost, threads, precise
 
     def verdict(self, layout: Layout, step: float, elements: int, bar: float = inf) -> Verdict:
         """J by a sample of about so many elements, at least twelve blocks.
@@ -87,7 +87,10 @@ class Judge:
 
     def _batches(self, blocks: Sequence[Slices], layout: Layout) -> Iterator[BlockBatch]:
         for numbers in by_shape(blocks).values():
-            yield BlockBatch(self.gather([blocks[b] for b in numbers], layout), precise=self.precise)
+            count = max(1, self.values.together // self.threads // prod(layout.block(self.values.shape)))
+            for first in range(0, len(numbers), count):
+                own = [blocks[b] for b in numbers[first : first + count]]
+                yield BlockBatch(self.gather(own, layout), precise=self.precise)
 
     def gather(self, blocks: Sequence[Slices], layout: Layout) -> F32:
         """Blocks of one shape as tensors, `[blocks, *modes]`."""

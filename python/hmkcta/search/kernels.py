@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _native as native
 from ..arrays import F32, F64
+from ..support.extension import native
 from .rate_model import MODEL, RateModel
 
 I32 = NDArray[np.int32]

@@ -39,6 +39,10 @@ class Layout:
         """Number of blocks along each axis of an array of this shape."""
         return tuple(-(-size // edge) for size, edge in zip(shape, self.edges, strict=True))
 
+    def block(self, shape: Sequence[int]) -> tuple[int, ...]:
+        """Shape of the largest block of an array of this shape."""
+        return tuple(-(-size // count) for size, count in zip(shape, self.blocks(shape), strict=True))
+
     def sizes(self, block: Sequence[int]) -> tuple[int, ...]:
         """Mode sizes of a block whose axes have these lengths."""
         return tuple(prod(block[axis] for axis in mode) for mode in self.modes)

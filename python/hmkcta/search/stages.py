@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from .. import _native as native
 from ..hmkfile import stage_arrays
 from ..packed import PackedLevel
+from ..support.extension import native
 from .coded import CodedBlocks, LayoutCoder
 
 

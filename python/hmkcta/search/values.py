@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from math import prod
 from threading import Lock
 
@@ -17,8 +18,15 @@ from .layout import Layout
 #: Values of a part of the array given by slices, float32, in the array's axes.
 ReadPart = Callable[[Slices], F32]
 
-#: Elements that are looked at together when all are scanned, about.
-SCANNED = 1 << 22
+#: Elements that are looked at together when all are scanned, and that are decomposed and coded together, at most.
+SCANNED, TOGETHER = 1 << 20, 1 << 22
+#: Of the bytes allowed, the share of parts that are kept because samples are read again.
+KEPT = 0.25
+#: Bytes for each element of blocks that are worked on: values, Gram matrices, cores of a few sets and what is made of
+#: them (measured on the process: 30 to 40).
+WORKING = 40
+#: Most elements of a block of an array that is read part by part: samples have twelve, and all are read again and again.
+LARGEST_READ = 1 << 20
 
 
 @dataclass(eq=False)
@@ -28,23 +36,28 @@ class Values:
     Args:
         shape: of the array.
         read: gives parts of it.
-        room: bytes of parts that are kept because they are read again; None: the array is in memory, nothing is kept.
+        memory: bytes to work in; None: the array is in memory, with room for as much again several times.
 
     Attributes:
         energy: sum of squares, in float64.
         detail: sums of squared differences of neighbours, in cells of a few indices an axis.
+        together: most elements that are worked on at once.
     """
 
     shape: tuple[int, ...]
     read: ReadPart
-    room: int | None = None
+    memory: int | None = None
     energy: float = field(init=False)
     detail: F64 = field(init=False)
+    together: int = field(init=False)
+    _room: float = field(init=False, default=0.0)
     _kept: OrderedDict[tuple[tuple[int, int], ...], F32] = field(init=False, default_factory=OrderedDict)
     _lock: Lock = field(init=False, default_factory=Lock)
 
     def __post_init__(self) -> None:
         self.energy, self.detail = _scanned(self.shape, self.read)
+        self.together = TOGETHER if self.memory is None else min(TOGETHER, self.memory // (2 * WORKING))
+        self._room = KEPT * (self.memory or 0)
 
     @classmethod
     def of_array(cls, values: F32) -> Values:
@@ -60,9 +73,18 @@ class Values:
         """Number of elements."""
         return prod(self.shape)
 
+    @property
+    def in_memory(self) -> bool:
+        """Whether parts need not be read from a source."""
+        return self.memory is None
+
+    def holds(self, block: Sequence[int]) -> bool:
+        """Whether memory suffices to work on a block of this shape."""
+        return self.in_memory or prod(block) <= min(self.together, LARGEST_READ)
+
     def __getitem__(self, part: Slices) -> F32:
         """A part of the array; samples of a source are read once, as long as there is room."""
-        if self.room is None:
+        if self.in_memory:
             return self.read(part)
         key = tuple((own.start, own.stop) for own in part)
         with self._lock:
@@ -72,9 +94,9 @@ class Values:
         found = self.read(part)
         with self._lock:
             self._kept[key] = found
-            self.room -= found.nbytes
-            while self.room < 0 and len(self._kept) > 1:
-                self.room += self._kept.popitem(last=False)[1].nbytes
+            self._room -= found.nbytes
+            while self._room < 0 and self._kept:
+                self._room += self._kept.popitem(last=False)[1].nbytes
         return found
 
     def detail_of(self, layout: Layout) -> F64:
@@ -91,40 +113,32 @@ def _cell(size: int) -> int:
 
 
 def _scanned(shape: Sequence[int], read: ReadPart) -> tuple[float, F64]:
-    """Energy and detail, slab by slab along the first axis; slabs of one array are the same wherever it lies."""
+    """Energy and detail, part by part; parts of one array are the same wherever it lies."""
     steps = [_cell(size) for size in shape]
-    rows = max(1, SCANNED // prod(shape[1:]) // steps[0]) * steps[0]
-    energy, cells = 0.0, list[F64]()
-    for start in range(0, shape[0], rows):
-        before = max(start - 1, 0)  # the difference to the slab before counts, too
-        slab = read((slice(before, min(start + rows, shape[0])), *(slice(0, size) for size in shape[1:])))
-        own = slab[start - before :]
+    lengths, room = list(steps), SCANNED // prod(steps)
+    for axis in reversed(range(len(shape))):
+        cells = max(1, min(-(-shape[axis] // steps[axis]), room))
+        lengths[axis], room = cells * steps[axis], room // cells
+    energy, detail = 0.0, np.zeros([-(-size // step) for size, step in zip(shape, steps, strict=True)])
+    for starts in product(*(range(0, size, length) for size, length in zip(shape, lengths, strict=True))):
+        ends = [min(at + length, size) for at, length, size in zip(starts, lengths, shape, strict=True)]
+        before = [max(at - 1, 0) for at in starts]  # the differences to the part before count, too
+        part = read(tuple(map(slice, before, ends)))
+        skipped = [at - first for at, first in zip(starts, before, strict=True)]
+        own = part[tuple(slice(skip, None) for skip in skipped)]
         energy += float(np.square(own, dtype=np.float64).sum())
-        cells.append(_changes(slab, start - before, steps))
-    return energy, np.concatenate(cells)
+        cells_of = tuple(slice(at // step, -(-end // step)) for at, end, step in zip(starts, ends, steps, strict=True))
+        detail[cells_of] = _changes(part, skipped, steps)
+    return energy, detail
 
 
-def _changes(slab: F32, skipped: int, steps: Sequence[int]) -> F64:
-    """Sums of squared differences in cells of these edges, of all rows but the first `skipped`."""
-    total = np.zeros(slab.shape, np.float32)
-    for axis in range(slab.ndim):
-        change = np.diff(slab, axis=axis)
-        total[(*(slice(None),) * axis, slice(1, None))] += change * change
-    sums = total[skipped:].astype(np.float64)
+def _changes(part: F32, skipped: Sequence[int], steps: Sequence[int]) -> F64:
+    """Sums of squared differences in cells of these edges, of all elements but the first `skipped` along each axis."""
+    own = tuple(slice(skip, None) for skip in skipped)
+    sums = np.zeros(part[own].shape, np.float64)
+    for axis, skip in enumerate(skipped):
+        change = np.diff(part, axis=axis)[(*own[:axis], slice(None), *own[axis + 1 :])]
+        sums[(*(slice(None),) * axis, slice(1 - skip, None))] += change * change
     for axis, step in enumerate(steps):
         sums = np.add.reduceat(sums, np.arange(0, sums.shape[axis], step), axis=axis)
     return sums
-
-
-def read_blocks(values: Values, blocks: Sequence[Slices]) -> F32:
-    """Blocks of one shape, `[blocks, *axes]`; of a source all that they span along its first axis is read at once."""
-    if values.room is None:
-        return np.stack([values.read(block) for block in blocks])
-    ends = [(min(b[n].start for b in blocks), max(b[n].stop for b in blocks)) for n in range(len(values.shape))]
-    spanned = prod(stop - start for start, stop in ends)
-    if spanned > 4 * len(blocks) * prod(part.stop - part.start for part in blocks[0]):
-        return np.stack([values.read(block) for block in blocks])
-    part = values.read(tuple(slice(*pair) for pair in ends))
-    first = [start for start, _ in ends]
-    inside = [tuple(slice(own.start - at, own.stop - at) for own, at in zip(b, first, strict=True)) for b in blocks]
-    return np.stack([part[block] for block in inside])
