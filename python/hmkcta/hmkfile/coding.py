@@ -62,14 +62,6 @@ def encode_stage(level: PackedLevel, places: Places, name: str) -> list[tuple[li
     return runs
 
 
-def coded_bytes(level: PackedLevel, places: Places, name: str) -> int:
-    """Bytes of code that the runs of a stage take together; the same as that of `encode_stage`, in less time."""
-    try:
-        return native.count_stage(_arrays(level, places, name), places)
-    except ValueError as error:
-        raise _as_fault(error, name) from error
-
-
 def _arrays(level: PackedLevel, places: Places, name: str) -> dict[str, Any]:
     """What the native coder takes."""
     core, basis = np.zeros(0, np.int32), [np.zeros(0, np.int32)] * level.order
