@@ -139,7 +139,7 @@ describe.runIf(there)("hmkcta.js in Chromium", () => {
     await page.close();
   });
 
-  it.each(["stack", "merged", "ageing", "volume", "bare"])("decodes %s in a shader as on the CPU", async (name) => {
+  it.each(["stack", "merged", "ageing", "volume", "cut", "random", "bare"])("decodes %s in a shader as on the CPU", async (name) => {
     const model = await open(new Blob([new Uint8Array(readFileSync(join(folder, `${name}.hmk`)))]));
     const indices = Array.from({ length: 200 }, (_, i) => model.shape.map((size, axis) => (i * (7 + 2 * axis) + axis) % size));
     for (const level of [1, model.levels]) {
