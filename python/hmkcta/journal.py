@@ -19,7 +19,7 @@ from math import prod
 from pathlib import Path
 from time import sleep
 from types import TracebackType
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -34,6 +34,8 @@ from .journal_cells import fits, packed, unpacked
 from .plan import LevelSpec, Plan
 from .streaming.source import Source
 from .support.recordlog import Busy, RecordLog, in_use
+
+T = TypeVar("T")
 
 RUN, NODES, DONE = "run.json", "nodes.log", "done.json"
 #: What the names of settled values begin with that say what memory allowed: nothing is lost with them.
@@ -54,14 +56,20 @@ class Finished:
 class NoJournal:
     """Nothing is kept: every node is fitted. `Journal` has the same methods, by which a fit asks and tells it.
 
-    >>> NoJournal().settled("answer", lambda: 42), NoJournal().step()
+    >>> NoJournal().settled("answer", lambda: 42, int), NoJournal().step()
     (42, 0)
     """
 
-    def settled(self, name: str, choose: Callable[[], Any]) -> Any:
-        """What this run settled before under that name, or settles now: any JSON value."""
+    def settled(self, name: str, choose: Callable[[], Any], read: Callable[[Any], T]) -> T:
+        """What this run settled before under that name, or settles now.
+
+        Args:
+            name: of the file without its ending.
+            choose: makes any JSON value.
+            read: what is made of that value; raises `TypeError`, `ValueError` or `KeyError` for what `choose` never makes.
+        """
         del name
-        return choose()
+        return read(choose())
 
     def step(self) -> int:
         """The number of the next step, the same in every run with the same fields."""
@@ -205,14 +213,21 @@ class Journal(NoJournal):
         self._log = self._opened()
         self._discard()
 
-    def settled(self, name: str, choose: Callable[[], Any]) -> Any:
-        """The interrupted run's value; else the one chosen now, which is written down."""
+    def settled(self, name: str, choose: Callable[[], Any], read: Callable[[Any], T]) -> T:
+        """The interrupted run's value; else the one chosen now, which is written down.
+
+        Raises:
+            HmkctaError: `Corruption`, reason ``partial-damaged``: what is written down is no such value.
+        """
         if (self.folder / f"{name}.json").exists():
-            return self._read(f"{name}.json")
+            try:
+                return read(self._read(f"{name}.json"))
+            except (TypeError, ValueError, KeyError) as error:
+                raise self._useless(f"{name}.json that is none", "the files of a run") from error
         value = choose()
         with self._as_io():
             self._write(f"{name}.json", value)
-        return value
+        return read(value)
 
     def step(self) -> int:
         """The number of the next step."""

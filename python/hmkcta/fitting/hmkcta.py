@@ -89,8 +89,9 @@ def _begun(request: FitRequest) -> Hierarchy:
     """The hierarchy before any level, in memory or streamed."""
     source, plan, journal = request.source, request.plan, request.run.journal
     sizes = mode_sizes(source.axes, plan.organisation)
-    budget = journal.settled("budget", lambda: memory_budget(request.memory))
-    limit = journal.settled(f"limit-{journal.step()}", lambda: memory_limit(plan, sizes, request.memory, budget))
+    budget = journal.settled("budget", lambda: memory_budget(request.memory), int)
+    limit = journal.settled(f"limit-{journal.step()}", lambda: memory_limit(plan, sizes, request.memory, budget),
+                            int)
     if is_streamed(prod(source.shape), limit):
         check_worksets(plan, sizes, limit, request.memory)
         return whole(Streamed(source, plan.organisation, request.run.threads, limit))

@@ -9,18 +9,20 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from math import exp, inf, isinf, log, prod, sqrt
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from ..metrics import snr_db as decibels
 from ..support.executors import in_order
 from .coded import CodedBlocks, LayoutCoder
 from .judging import Judge, Verdict
-from .layout import Layout, Modes, first_layouts, neighbours
+from .layout import Layout, Modes, first_layouts, neighbours, read_layout
 from .rate_model import MODEL
 from .roots import OVERSHOT, USED, meet
 from .values import Values
 
-#: Bytes beyond which float64 is needed to tell what is stored: float32 Gram matrices end at some 65 dB.
+T = TypeVar("T")
+
+#: SNR in dB beyond which float64 is needed to tell what is stored: float32 Gram matrices end at some 65 dB.
 PRECISE_SNR = 50.0
 #: D begins at this share of the root mean square, and is never less than that: it leaves some 110 dB, more than float32
 #: arithmetic and float16 bases keep, and numbers of any block within 32 bits.
@@ -28,9 +30,9 @@ FIRST_STEP, LEAST_STEP = 0.1, 1e-5
 
 
 class Settled(Protocol):
-    """The JSON value that was chosen before under a name, else what `choose` makes."""
+    """What `read` makes of the JSON value that was chosen before under a name, else of what `choose` makes."""
 
-    def __call__(self, name: str, choose: Callable[[], Any], /) -> Any: ...
+    def __call__(self, name: str, choose: Callable[[], Any], read: Callable[[Any], T], /) -> T: ...
 
 
 @dataclass(frozen=True)
@@ -139,7 +141,7 @@ class Search:
     overhead: int = 600
     threads: int = 1
     on_progress: Callable[[str, float], None] = lambda _stage, _fraction: None
-    settled: Settled = lambda _name, choose: choose()
+    settled: Settled = lambda _name, choose, read: read(choose())
     judged: dict[tuple[Layout, float, int], Verdict] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -171,8 +173,21 @@ class Search:
             finalists = self._ranked(ranked[: self.effort.finalists], step, self.effort.elements[1])
             return [step, [[layout.modes, layout.edges] for layout in finalists]]
 
-        step, finalists = self.settled("explored", chosen)
-        return step, [Layout(tuple(map(tuple, modes)), tuple(edges)) for modes, edges in finalists]
+        return self.settled("explored", chosen, self._read_explored)
+
+    def _read_explored(self, value: Any) -> tuple[float, list[Layout]]:
+        """Step and layouts that `explore` wrote down.
+
+        Raises:
+            TypeError, ValueError: it did not.
+        """
+        step, finalists = value
+        return self._read_step(step), [read_layout(self.values.shape, *layout) for layout in finalists]
+
+    def _read_step(self, step: Any) -> float:
+        if not isinstance(step, float) or not self.steps[0] / 2 <= step <= self.steps[1] * 2:
+            raise ValueError("no step")
+        return step
 
     def estimated(self, layout: Layout, step: float) -> tuple[float, float]:
         """Bytes of the file of a layout and its SNR in dB, by its J on the larger sample about a step."""
@@ -185,8 +200,11 @@ class Search:
             found = made[place] = self._met(layout, step)
             return [found.nbytes, None if isinf(found.snr) else found.snr, found.coded.step]
 
-        nbytes, snr, own = self.settled(f"coded-{place}", chosen)
-        return Score.of(self.goal, nbytes, inf if snr is None else snr), own
+        def read(value: Any) -> tuple[Score, float]:
+            nbytes, snr, own = value
+            return Score.of(self.goal, int(nbytes), inf if snr is None else float(snr)), self._read_step(own)
+
+        return self.settled(f"coded-{place}", chosen, read)
 
     def again(self, found: Found, goal: Goal) -> Found:
         """The same layout for another goal."""

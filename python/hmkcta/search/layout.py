@@ -48,6 +48,23 @@ class Layout:
         return tuple(prod(block[axis] for axis in mode) for mode in self.modes)
 
 
+def read_layout(shape: Sequence[int], modes: Sequence[Sequence[int]], edges: Sequence[int]) -> Layout:
+    """The layout of an array of this shape that lists describe, as JSON has them.
+
+    Raises:
+        TypeError, ValueError: they describe none.
+
+    >>> read_layout((8, 8, 3), [[0, 2], [1]], [4, 8, 3])
+    Layout(modes=((0, 2), (1,)), edges=(4, 8, 3))
+    """
+    found = Layout(tuple(tuple(mode) for mode in modes), tuple(edges))
+    if sorted(axis for mode in found.modes for axis in mode) != list(range(len(shape))):
+        raise ValueError("modes that are none")
+    if not all(isinstance(edge, int) and 1 <= edge <= size for edge, size in zip(edges, shape, strict=True)):
+        raise ValueError("edges that are none")
+    return found
+
+
 def organisations(order: int) -> list[Modes]:
     """Every way to merge axes into two modes or more (one axis: one mode).
 
