@@ -93,8 +93,7 @@ def compress(
         device: ``cpu``; or ``cuda``, by which the kernels work on an NVIDIA GPU, through CuPy. Where there is none
             that works it is the CPU, with a warning that says what is missing. Files of another device differ, by
             rounding. Or what `backends.find_device` found, which then keeps count of kernel calls.
-        progress: called with a stage's name and the fraction of it done, 0 to 1. Where plans are compared by their fits
-            the name says which is fitted, ``level 1, plan 2 of 5``; the 5 are those known by then, and may grow.
+        progress: called with a stage's name and the fraction of it done, 0 to 1.
         journal: keeps what is finished, so that an interrupted call can go on.
 
     Returns:
@@ -106,7 +105,7 @@ def compress(
 
     Warns:
         GoalMissed: the SNR is out of reach; the model is the best found.
-        UserWarning: a plan chosen for an SNR missed it, and another one is fitted; a device is missing; the model is no
+        UserWarning: a device is missing; the model is no
             better than zeros alone, of which the SNR is 0 dB; it holds an offset, and little of what varies around it.
 
     >>> import numpy as np

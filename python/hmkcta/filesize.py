@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from math import isinf
 
 from ._version import __version__
-from .packed import LevelBounds, LevelQuality, Metadata
 from .axes import Organisation
+from .packed import LevelBounds, LevelQuality, Metadata
 from .plan import Plan
 from .streaming.source import Source
 

@@ -66,7 +66,7 @@ class NoJournal:
         Args:
             name: of the file without its ending.
             choose: makes any JSON value.
-            read: what is made of that value; raises `TypeError`, `ValueError` or `KeyError` for what `choose` never makes.
+            read: makes the result of it; raises `TypeError`, `ValueError` or `KeyError` for what `choose` never makes.
         """
         del name
         return read(choose())

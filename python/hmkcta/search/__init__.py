@@ -1,1 +1,1 @@
-"""The search for a goal: layouts compared by J on samples of blocks, the best coded, each with the step that meets it."""
+"""The search for a goal: layouts are compared by J on samples of blocks, the best are coded."""

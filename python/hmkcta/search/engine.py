@@ -1,7 +1,7 @@
 """The search: layouts judged by J on samples of blocks at one step D, the best of them coded, each with a D of its own.
 
 Everything that is chosen (organisation, grid, undecomposed modes, ranks) minimises J = error / D^2 + lambda * bits; the
-goal is met by D alone. `docs/design.md` says what is measured, and what was tried.
+goal is met by D alone. `docs/design-notes.md` says what is measured, and what was tried.
 """
 
 from __future__ import annotations
@@ -275,7 +275,8 @@ class Search:
     def _coder(self, layout: Layout, step: float) -> LayoutCoder:
         known = self.judged.get((layout, step, self.effort.elements[1]))
         sets = (known or self.judge.verdict(layout, step, self.effort.elements[1])).sets
-        return LayoutCoder(self.values, layout, sets, self.decode_cost, threads=self.threads, precise=self.judge.precise)
+        return LayoutCoder(self.values, layout, sets, self.decode_cost, threads=self.threads,
+                           precise=self.judge.precise)
 
     def _coded(self, layout: Layout, step: float, coder: LayoutCoder | None = None) -> Found:
         """A layout coded at a step."""
@@ -286,12 +287,17 @@ class Search:
     def _met(self, layout: Layout, step: float, coder: LayoutCoder | None = None) -> Found:
         """A layout coded at the step that meets the goal, or comes closest to it."""
         coder = coder or self._coder(layout, step)
+        best: list[tuple[Score, float, Found]] = []
 
         def attempt(step: float) -> tuple[float, Found]:
             found = self._coded(layout, step, coder)
+            best.append((Score.of(self.goal, found.nbytes, found.snr), step, found))
+            best[:] = [min(best, key=lambda one: one[:2])]
             return self._excess(found.nbytes, found.coded.error), found
 
         by_size = self.goal.size is not None
         tolerance = -log(USED) if by_size else OVERSHOT * log(10) / 10
         slope = -1.0 if by_size else 1.3
-        return meet(attempt, max(step, self.steps[0]), tolerance, slope, bounds=self.steps).result
+        meet(attempt, max(step, self.steps[0]), tolerance, slope, bounds=self.steps)
+        # Not the closest: where the decode cost bounds a layout, ever smaller steps end in numbers that are clipped.
+        return best[0][2]

@@ -25,7 +25,7 @@ KEPT = 0.25
 #: Bytes for each element of blocks that are worked on: values, Gram matrices, cores of a few sets and what is made of
 #: them (measured on the process: 30 to 40).
 WORKING = 40
-#: Most elements of a block of an array that is read part by part: samples have twelve, and all are read again and again.
+#: Most elements of a block of an array that is read part by part, as samples have twelve of them.
 LARGEST_READ = 1 << 20
 
 
