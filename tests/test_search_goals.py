@@ -64,7 +64,7 @@ def test_arrays_of_any_kind_meet_an_snr(name: str) -> None:
     assert snr_of(model, ODD[name]) >= 39.99
 
 
-@pytest.mark.parametrize("name", ODD.keys() - {"noise"})
+@pytest.mark.parametrize("name", [name for name in ODD if name != "noise"])
 def test_arrays_of_any_kind_keep_to_a_size(name: str) -> None:
     model = hmkcta.compress(ODD[name], size=2500, quality="fast")
     assert model.nbytes <= 2500
