@@ -22,7 +22,7 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
 def small_slabs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Slabs that small data are larger than."""
     monkeypatch.setattr("hmkcta.streaming.streamed.SLAB", 15_000)
-    monkeypatch.setattr("hmkcta.measure_streamed.SLAB", 40_000)
+    monkeypatch.setattr("hmkcta.fitting.measure_streamed.SLAB", 40_000)
 
 
 @pytest.fixture(scope="session")

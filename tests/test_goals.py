@@ -191,19 +191,6 @@ def test_a_size_for_a_plan_of_fixed_shape_is_not_ignored() -> None:
     assert refused(plan="R=2", size=900).where == "size"
 
 
-@pytest.mark.parametrize("plan", [None, "R=8"])
-def test_a_size_below_the_tables_names_the_least(plan: str | None) -> None:
-    """What is named as the least is enough, and of packed numbers at most what all their bits would take."""
-    error = refused(plan=plan, size=700, quality="fast", axes=dataset("light_field").axes)
-    assert error.reason == "size-too-small"
-    assert "header, tables and the least that can be stored of each row" in str(error)
-    least = int("".join(filter(str.isdigit, str(error.allowed).split("bytes")[0])))
-    assert fitted("light_field", plan=plan, size=least, quality="fast").nbytes <= least
-    less = least - (1 if plan else least // 3)
-    again = refused(plan=plan, size=less, quality="fast", axes=dataset("light_field").axes)
-    assert again.allowed == error.allowed
-
-
 @pytest.mark.parametrize(("shape", "cost"), [((30, 40, 50), 16), ((3, 4, 5, 6), 1)])
 def test_an_snr_is_met_whatever_the_data(shape: tuple[int, ...], cost: int) -> None:
     """Noise has no ranks to find: as float16, two bytes an element, it meets any goal up to some 70 dB."""

@@ -105,8 +105,8 @@ def compress(
 
     Warns:
         GoalMissed: the SNR is out of reach; the model is the best found.
-        UserWarning: a device is missing; the model is no
-            better than zeros alone, of which the SNR is 0 dB; it holds an offset, and little of what varies around it.
+        UserWarning: a device is missing; the model is no better than zeros alone, of which the SNR is 0 dB; it holds an
+            offset, and little of what varies around it.
 
     >>> import numpy as np
     >>> ramp = np.add.outer(np.arange(32.0), np.arange(24.0))

@@ -12,10 +12,10 @@ from ..axes import mode_sizes
 from ..errors import invalid
 from ..filesize import metadata_of, undecomposed_in
 from ..measure import measure_both
-from ..measure_streamed import measure_streamed
+from .measure_streamed import measure_streamed
 from ..metrics import snr_db
 from ..model import Model
-from ..pack import pack_levels
+from .pack import pack_levels
 from ..packed import LevelQuality, Metadata, PackedLevel, bounds_of
 from ..plan import AUTO, SCHEMES, LevelSpec, Plan
 from ..plan_checks import check_plan

@@ -18,7 +18,7 @@ from ..cells import Cells, zero_cells
 from ..errors import invalid
 from ..fitting.hierarchy import Node
 from ..model import Model
-from ..pack import pack_levels
+from ..fitting.pack import pack_levels
 from ..packed import LevelQuality, Metadata, bounds_of
 from ..plan import LevelSpec, parse_plan
 from ..support.grouping import rows_of_parts

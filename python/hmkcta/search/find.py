@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import exp, log
 from time import perf_counter
 
 from ..axes import Organisation
@@ -19,6 +20,7 @@ from ..support.memory import memory_budget
 from ..wanted import Wanted
 from .engine import EFFORTS, Found, Goal, Search
 from .layout import Layout, Modes
+from .roots import meet
 from .stages import stages_of
 from .values import Values
 
@@ -77,6 +79,8 @@ def find_model(source: Source, wanted: Wanted, goal: Goal, *, quality: str, kind
             break
         found = search.again(found, short)
         model = _model(source, found, kind, run)
+    if goal.snr is not None and model.metadata.is_transformed and abs(model.snr - goal.snr) > OVERSHOT_TRANSFORMED / 2:
+        model = _met_untransformed(search, found, goal.snr, lambda found: _model(source, found, kind, run))
     if goal.size is not None and model.nbytes > goal.size:
         raise invalid("size-too-small", "size", f"{goal.size} bytes", f"at least {model.nbytes} bytes",
                       "ask for more bytes")
@@ -134,9 +138,17 @@ def _short_of(model: Model, goal: Goal, found: Found) -> Goal | None:
         return None if model.nbytes <= goal.size else Goal(size=max(1, goal.size - over))
     assert goal.snr is not None, "a goal has one of the two"
     over = model.snr - goal.snr
-    # Bytes of transformed values are smooth in their own SNR, that of the values is met by way of it.
-    closely = over <= OVERSHOT_TRANSFORMED or not model.metadata.is_transformed
-    return None if over >= -0.005 and closely else Goal(snr=max(found.snr - over + 0.01, 0.1))
+    met = over >= -0.005 or model.metadata.is_transformed
+    return None if met else Goal(snr=max(found.snr - over + 0.01, 0.1))
+
+
+def _met_untransformed(search: Search, found: Found, snr: float, model_of: Callable[[Found], Model]) -> Model:
+    """The model whose values, before the transform, have an SNR in dB: met by way of that of the transformed ones."""
+    def attempt(step: float) -> tuple[float, Model]:
+        model = model_of(search.again(found, Goal(snr=max(log(step), 0.1))))
+        return snr - model.snr, model
+
+    return meet(attempt, exp(found.snr), OVERSHOT_TRANSFORMED, -1.0).result
 
 
 def _organisation(source: Source, layout: Layout) -> Organisation:

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .cells import round_cores
-from .fitting.hierarchy import Node
-from .packed import PackedLevel
-from .streaming.pieces import places_of
+from ..cells import round_cores
+from .hierarchy import Node
+from ..packed import PackedLevel
+from ..streaming.pieces import places_of
 
 Ragged = list[NDArray[Any]]
 
