@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..arrays import F32
 from ..support.executors import in_order
 from ..support.extension import native
+from ..support.memory import give_back_freed_memory
 from .blocks import Region, as_tensor, by_shape, cut, regions
 from .hosvd import BlockBatch, Undecomposed
 from .judging import Choice, choose
@@ -22,6 +23,8 @@ from .values import Values
 
 #: An array is coded as at least so many parts, that threads share.
 SHARES = 4
+#: Numbers that are put in order at once.
+REORDERED = 1 << 18
 
 Batch = tuple[NDArray[np.intp], BlockBatch]
 
@@ -74,6 +77,7 @@ class LayoutCoder:
         if not self.values.in_memory:
             for found in in_order(lambda region: pieces(self._batches(region)), parts, self.threads):
                 yield from found
+                give_back_freed_memory()
             return
         if self._held is None:
             self._held = list(in_order(self._batches, parts, self.threads))
@@ -172,12 +176,19 @@ def _lengths(pieces: Sequence[_Piece]) -> list[int]:
 
 def _reordered(arrays: Sequence[NDArray[Any]], numbers: NDArray[np.intp], lengths: NDArray[np.int64]) -> NDArray[Any]:
     """Ragged parts of `lengths`, which belong to the nodes `numbers`, in the order of the nodes."""
-    flat = np.concatenate(arrays)
-    order = np.argsort(numbers, kind="stable")
-    starts = np.cumsum(lengths) - lengths
-    wanted = lengths[order]
-    first = np.repeat(starts[order] - (np.cumsum(wanted) - wanted), wanted)
-    return flat[first + np.arange(len(flat))]
+    flat, order = np.concatenate(arrays), np.argsort(numbers, kind="stable")
+    starts, wanted = (np.cumsum(lengths) - lengths)[order], lengths[order]
+    ends = np.cumsum(wanted)
+    found = np.empty_like(flat)
+    first = 0
+    while first < len(order):  # few at a time, as indices take more memory than what they order
+        done = int(ends[first] - wanted[first])
+        last = max(first + 1, int(np.searchsorted(ends, done + REORDERED)))
+        end, own = int(ends[last - 1]), slice(first, last)
+        shifts = starts[own] - (ends[own] - wanted[own])
+        found[done:end] = flat[np.repeat(shifts, wanted[own]) + np.arange(done, end)]
+        first = last
+    return found
 
 
 def _root(shape: Sequence[int], layout: Layout) -> dict[str, Any]:

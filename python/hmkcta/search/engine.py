@@ -27,6 +27,8 @@ PRECISE_SNR = 50.0
 #: D begins at this share of the root mean square, and is never less than that: it leaves some 110 dB, more than float32
 #: arithmetic and float16 bases keep, and numbers of any block within 32 bits.
 FIRST_STEP, LEAST_STEP = 0.1, 1e-5
+#: Organisations whose J was this many times that of another on each grid where both were judged are not tried again.
+HOPELESS_MODES = 1.5
 
 
 class Settled(Protocol):
@@ -223,12 +225,26 @@ class Search:
                 # Many layouts need not be judged again at another step: those far behind stay there.
                 step, ranked = near, ranked[: self.effort.finalists]
                 ranked = self._ranked(ranked, step, self.effort.elements[0])
+            behind = self._behind()
             varied = [other for place, layout in enumerate(ranked[: self.effort.varied])
-                      for other in neighbours(layout, self.values.shape, organise=not place and self.modes is None)]
+                      for other in neighbours(layout, self.values.shape, organise=not place and self.modes is None)
+                      if behind.get(other.modes, 0.0) < HOPELESS_MODES]
             layouts = list(dict.fromkeys([*ranked[: self.effort.finalists], *self._held(varied)]))
             if all((layout, step, self.effort.elements[0]) in self.judged for layout in layouts):
                 break
         return step, self._ranked(layouts, step, self.effort.elements[0])
+
+    def _behind(self) -> dict[Modes, float]:
+        """How many times the least J on a grid each organisation had so far, on the grid that suits it best."""
+        least: dict[object, float] = {}
+        for (layout, step, elements), verdict in self.judged.items():
+            grid = layout.edges, step, elements
+            least[grid] = min(verdict.cost, least.get(grid, inf))
+        found: dict[Modes, float] = {}
+        for (layout, step, elements), verdict in self.judged.items():
+            ratio = verdict.cost / least[layout.edges, step, elements] if verdict.cost > 0 else 1.0
+            found[layout.modes] = min(ratio, found.get(layout.modes, inf))
+        return found
 
     def _held(self, layouts: Iterable[Layout]) -> list[Layout]:
         """The layouts whose blocks memory suffices for."""
