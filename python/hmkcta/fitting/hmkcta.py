@@ -12,10 +12,8 @@ from ..axes import mode_sizes
 from ..errors import invalid
 from ..filesize import metadata_of, undecomposed_in
 from ..measure import measure_both
-from .measure_streamed import measure_streamed
 from ..metrics import snr_db
 from ..model import Model
-from .pack import pack_levels
 from ..packed import LevelQuality, Metadata, PackedLevel, bounds_of
 from ..plan import AUTO, SCHEMES, LevelSpec, Plan
 from ..plan_checks import check_plan
@@ -25,6 +23,8 @@ from ..streaming.streamed import Streamed
 from ..support.memory import give_back_freed_memory, memory_budget
 from .fit import EFFORTS
 from .hierarchy import Hierarchy, ascend, backfit, descend, fit_nodes, grid_labels, restore, saved, thinned, whole
+from .measure_streamed import measure_streamed
+from .pack import pack_levels
 from .run import Run
 from .workset import check_worksets
 

@@ -13,7 +13,6 @@ import numpy as np
 
 from .. import backends as kernels
 from ..arrays import F32
-from .hierarchy import Hierarchy, Node
 from ..measure import Sums
 from ..metrics import in_float64, snr_db, squared_norm
 from ..packed import LevelQuality
@@ -23,6 +22,7 @@ from ..streaming.streamed import Streamed
 from ..support.executors import in_order
 from ..support.progress import Progress
 from ..transform import Transform
+from .hierarchy import Hierarchy, Node
 
 #: Elements of a slab: many, so that the parts of small nodes in it are not tiny; some 12 bytes each. And how many slabs
 #: memory is shared out to: not one for each thread, as sums of slabs would differ in their last digits.

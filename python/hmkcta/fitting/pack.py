@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cells import round_cores
-from .hierarchy import Node
 from ..packed import PackedLevel
 from ..streaming.pieces import places_of
+from .hierarchy import Node
 
 Ragged = list[NDArray[Any]]
 

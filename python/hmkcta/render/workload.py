@@ -17,8 +17,8 @@ from ..axes import Axis, Organisation, mode_sizes
 from ..cells import Cells, zero_cells
 from ..errors import invalid
 from ..fitting.hierarchy import Node
-from ..model import Model
 from ..fitting.pack import pack_levels
+from ..model import Model
 from ..packed import LevelQuality, Metadata, bounds_of
 from ..plan import LevelSpec, parse_plan
 from ..support.grouping import rows_of_parts
