@@ -36,8 +36,8 @@ START = 64
 def foreign(start: bytes) -> HmkctaError:
     r"""The error of a file that does not begin as an `.hmk` file does, which says what it looks like.
 
-    >>> print(foreign(b"\x1f\x8b\x08"))
-    header: found what begins like a file packed by gzip, allowed an .hmk file. Next: unpack it: gunzip. [Io/foreign-file]
+    >>> foreign(b"\x1f\x8b\x08").found
+    'what begins like a file packed by gzip'
     """
     begins = start.lstrip().lower() if start.lstrip().startswith(b"<") else start.lower()
     # Of safetensors there is a JSON object behind its length.
