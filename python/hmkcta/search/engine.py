@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from functools import partial
 from math import exp, inf, isinf, log, prod, sqrt
 from typing import Any, Protocol, TypeVar
 
 from ..metrics import snr_db as decibels
 from ..support.executors import in_order
 from .coded import CodedBlocks, LayoutCoder
-from .judging import Judge, Verdict
+from .judging import Judge, Sample, Verdict
 from .layout import Layout, Modes, first_layouts, neighbours, read_layout
 from .rate_model import MODEL
 from .roots import OVERSHOT, USED, meet
@@ -29,6 +30,8 @@ PRECISE_SNR = 50.0
 FIRST_STEP, LEAST_STEP = 0.1, 1e-5
 #: Organisations whose J was this many times that of another on each grid where both were judged are not tried again.
 HOPELESS_MODES = 1.5
+#: Layouts that are judged before the best of them becomes the bar of the next ones, whatever the threads.
+AT_ONCE = 8
 
 
 class Settled(Protocol):
@@ -193,7 +196,7 @@ class Search:
 
     def estimated(self, layout: Layout, step: float) -> tuple[float, float]:
         """Bytes of the file of a layout and its SNR in dB, by its J on the larger sample about a step."""
-        bits, error = self._bits_and_error(layout, step, self.effort.elements[1])
+        bits, error = self._bits_and_error(self.judge.kept(layout, self.effort.elements[1]), step)
         return bits / 8 + self.overhead, decibels(self.energy, error)
 
     def _score(self, layout: Layout, step: float, place: int, made: dict[int, Found]) -> tuple[Score, float]:
@@ -255,11 +258,14 @@ class Search:
         todo = [layout for layout in dict.fromkeys(layouts) if (layout, step, elements) not in self.judged]
         known = [found.cost for (_, at, of), found in self.judged.items() if (at, of) == (step, elements)]
         bar = min(known, default=inf)
-        largest = max((prod(layout.block(self.values.shape)) for layout in todo), default=1)
-        workers = min(self.threads, max(1, self.values.together // largest))
-        verdicts = in_order(lambda layout: self.judge.verdict(layout, step, elements, bar), todo, workers)
-        for layout, found in zip(todo, verdicts, strict=True):
-            self.judged[layout, step, elements] = found
+        for first in range(0, len(todo), AT_ONCE):  # after each few the bar is higher
+            own = todo[first : first + AT_ONCE]
+            largest = max(prod(layout.block(self.values.shape)) for layout in own)
+            workers = min(self.threads, max(1, self.values.together // largest))
+            judge = partial(self.judge.verdict, step=step, elements=elements, bar=bar)
+            for layout, found in zip(own, in_order(judge, own, workers), strict=True):
+                self.judged[layout, step, elements] = found
+                bar = min(bar, found.cost)
         return sorted(dict.fromkeys(layouts), key=lambda layout: (self.judged[layout, step, elements].cost, layout))
 
     def _step_for(self, layout: Layout, step: float) -> float:
@@ -267,16 +273,18 @@ class Search:
 
         J is least in everything but D, so its derivative by log D is -2 error / D^2, and J says bits and errors both.
         """
+        sample = self.judge.kept(layout, self.effort.elements[0])
+
         def attempt(step: float) -> tuple[float, None]:
-            bits, error = self._bits_and_error(layout, step, self.effort.elements[0])
+            bits, error = self._bits_and_error(sample, step)
             return self._excess(bits / 8 + self.overhead, error), None
 
         slope = -1.0 if self.goal.size is not None else 1.3
         return meet(attempt, step, 0.05, slope, bounds=self.steps, tries=6).step
 
-    def _bits_and_error(self, layout: Layout, step: float, elements: int) -> tuple[float, float]:
+    def _bits_and_error(self, sample: Sample, step: float) -> tuple[float, float]:
         """Bits of the code of a layout and its squared error: J(D) is least in everything else (envelope theorem)."""
-        low, high = (self.judge.verdict(layout, step * exp(by), elements).cost for by in (-0.05, 0.05))
+        low, high = (sample.verdict(step * exp(by)).cost for by in (-0.05, 0.05))
         error = max((low - high) / 0.2, 1e-9)  # in units of D^2
         return max(((low + high) / 2 - error) / MODEL.trade, 8.0), error * step * step
 

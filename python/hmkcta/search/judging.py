@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from math import inf, prod
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import F32, F64
+from ..arrays import F64
 from .blocks import Slices, as_tensor, by_shape, grid_block, sample
 from .hosvd import BlockBatch, Undecomposed
 from .kernels import U32, best_boxes
@@ -64,41 +64,64 @@ class Judge:
         self.values, self.decode_cost, self.threads, self.precise = values, decode_cost, threads, precise
 
     def verdict(self, layout: Layout, step: float, elements: int, bar: float = inf) -> Verdict:
-        """J by a sample of about so many elements, at least twelve blocks.
+        """J by a sample of about so many elements; see `Sample.verdict`."""
+        return Sample(self, layout, elements).verdict(step, bar)
 
-        A few scouts among them try all sets of undecomposed modes, the others those that are best for the scouts. A
-        layout whose scouts promise a J of more than `HOPELESS` times `bar` is looked at no further.
-        """
+    def kept(self, layout: Layout, elements: int) -> Sample:
+        """A sample to judge at several steps."""
+        return Sample(self, layout, elements, keeps=True)
+
+
+class Sample:
+    """Blocks that stand for all blocks of a layout, at least twelve: a few scouts, and others."""
+
+    def __init__(self, judge: Judge, layout: Layout, elements: int, *, keeps: bool = False) -> None:
+        """Pick the blocks; `keeps`: their HOSVDs are held, where there is memory for them."""
+        self.judge, shape = judge, judge.values.shape
         # The longest mode last, where sums along it are fastest; J is the same in any order.
-        order = sorted(range(len(layout.modes)), key=layout.sizes(layout.block(self.values.shape)).__getitem__)
-        layout = Layout(tuple(layout.modes[n] for n in order), layout.edges)
-        count = prod(layout.blocks(self.values.shape))
-        size = max(1, self.values.size // count)
-        picked = sample(count, size, elements, self.values.detail_of(layout))
-        blocks = [grid_block(self.values.shape, layout, number) for number in picked.tolist()]
+        self.order = sorted(range(len(layout.modes)), key=layout.sizes(layout.block(shape)).__getitem__)
+        self.layout = Layout(tuple(layout.modes[n] for n in self.order), layout.edges)
+        self.largest, count = prod(layout.block(shape)), prod(layout.blocks(shape))
+        size = max(1, judge.values.size // count)
+        picked = sample(count, size, elements, judge.values.detail_of(self.layout))
+        blocks = [grid_block(shape, self.layout, number) for number in picked.tolist()]
         every = max(1, len(blocks) // SCOUTS)
-        scouts, others = blocks[::every], [block for n, block in enumerate(blocks) if n % every]
-        seen = _Seen(self.values.size)
-        for batch in self._batches(scouts, layout):
+        self.scouts, self.others = blocks[::every], [block for n, block in enumerate(blocks) if n % every]
+        self.keeps = keeps and (judge.values.in_memory or len(blocks) * size <= judge.values.together // SCOUTS)
+        self._kept: dict[int, list[BlockBatch]] = {}
+
+    def verdict(self, step: float, bar: float = inf) -> Verdict:
+        """J of the whole array at a step D.
+
+        Scouts try all sets of undecomposed modes, the others those that are best for the scouts. A layout whose scouts
+        promise a J of more than `HOPELESS` times `bar` is looked at no further.
+        """
+        seen = _Seen(self.judge.values.size)
+        for batch in self._batches(self.scouts):
             sets = tuple(batch.undecomposed_sets())
-            seen.add(batch, choose(batch, sets, step, self.decode_cost))
+            seen.add(batch, choose(batch, sets, step, self.judge.decode_cost))
         if seen.cost <= HOPELESS * bar:
-            for batch in self._batches(others, layout):
+            for batch in self._batches(self.others):
                 sets = seen.best(MOST_SETS, tuple(batch.undecomposed_sets()))
-                seen.add(batch, choose(batch, sets, step, self.decode_cost))
-        sets = [tuple(sorted(order[n] for n in undecomposed)) for undecomposed in seen.best(MOST_SETS)]
-        return Verdict(seen.cost, tuple(sorted(sets)))
+                seen.add(batch, choose(batch, sets, step, self.judge.decode_cost))
+        best = [tuple(sorted(self.order[n] for n in undecomposed)) for undecomposed in seen.best(MOST_SETS)]
+        return Verdict(seen.cost, tuple(sorted(best)))
 
-    def _batches(self, blocks: Sequence[Slices], layout: Layout) -> Iterator[BlockBatch]:
+    def _batches(self, blocks: list[Slices]) -> Iterable[BlockBatch]:
+        if not self.keeps:
+            return self._decomposed(blocks)
+        if id(blocks) not in self._kept:
+            self._kept[id(blocks)] = list(self._decomposed(blocks))
+        return self._kept[id(blocks)]
+
+    def _decomposed(self, blocks: Sequence[Slices]) -> Iterator[BlockBatch]:
+        """Blocks of one shape with their HOSVDs, as many at a time as memory is shared out for."""
+        together = max(1, self.judge.values.together // self.judge.threads // self.largest)
         for numbers in by_shape(blocks).values():
-            count = max(1, self.values.together // self.threads // prod(layout.block(self.values.shape)))
-            for first in range(0, len(numbers), count):
-                own = [blocks[b] for b in numbers[first : first + count]]
-                yield BlockBatch(self.gather(own, layout), precise=self.precise)
-
-    def gather(self, blocks: Sequence[Slices], layout: Layout) -> F32:
-        """Blocks of one shape as tensors, `[blocks, *modes]`."""
-        return as_tensor(np.stack([self.values[block] for block in blocks]), layout.modes)
+            for first in range(0, len(numbers), together):
+                own = [self.judge.values[blocks[b]] for b in numbers[first : first + together]]
+                tensors = as_tensor(np.stack(own), self.layout.modes)
+                yield BlockBatch(tensors, precise=self.judge.precise, keeps=self.keeps)
 
 
 class _Seen:
