@@ -197,7 +197,7 @@ class Search:
     def estimated(self, layout: Layout, step: float) -> tuple[float, float]:
         """Bytes of the file of a layout and its SNR in dB, by its J on the larger sample about a step."""
         bits, error = self._bits_and_error(self.judge.kept(layout, self.effort.elements[1]), step)
-        return bits / 8 + self.overhead, decibels(self.energy, error)
+        return bits / 8 + self.overhead, decibels(self.energy, error) if self.energy > 0 else inf
 
     def _score(self, layout: Layout, step: float, place: int, made: dict[int, Found]) -> tuple[Score, float]:
         """The score of a finalist coded for the goal, and its step; `made` has it where it had to be coded now."""
@@ -245,7 +245,8 @@ class Search:
             least[grid] = min(verdict.cost, least.get(grid, inf))
         found: dict[Modes, float] = {}
         for (layout, step, elements), verdict in self.judged.items():
-            ratio = verdict.cost / least[layout.edges, step, elements] if verdict.cost > 0 else 1.0
+            least_here = least[layout.edges, step, elements]
+            ratio = verdict.cost / least_here if least_here > 0 else 1.0
             found[layout.modes] = min(ratio, found.get(layout.modes, inf))
         return found
 
