@@ -37,7 +37,7 @@ def test_frames_are_cut_apart_where_each_has_low_ranks() -> None:
     """Blocks of four frames and more come to 47 and 58 dB."""
     small, large = (compress(puffs(), axes="time,z,y,x", size=size, threads=1) for size in (40_000, 80_000))
     assert small.snr > 50
-    assert large.snr > 67  # what float16 keeps of the widened numbers
+    assert large.snr > 70  # more than float16 keeps of one level
 
 
 def test_moving_pixels_are_merged() -> None:

@@ -90,6 +90,28 @@ def test_an_snr_of_transformed_values_is_met_in_the_values_themselves(light_fiel
     assert snr_of(model, array) == pytest.approx(model.snr, abs=0.01)
 
 
+@pytest.mark.parametrize("goal", [75.0, 90.0, 110.0])
+def test_an_snr_beyond_float16_is_met_by_a_second_level(goal: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    z, y, x = np.mgrid[:24, :28, :32] / 16
+    smooth = (1 / (0.1 + z**2 + (y - x / 2) ** 2)).astype(np.float32)
+    model = hmkcta.compress(smooth, snr=goal, quality="fast")
+    assert goal - 0.01 <= model.snr <= goal + 0.3
+    assert snr_of(model, smooth) == pytest.approx(model.snr, abs=0.05)
+    assert sum(not stage.is_cut for stage in model.stages) == 2
+    assert model.nbytes < 10_000
+    monkeypatch.setattr(find, "HELD", 10**9)
+    assert saved(hmkcta.compress(smooth, snr=goal, quality="fast")) == saved(model)
+
+
+def test_bytes_beyond_float16_go_to_a_second_level() -> None:
+    z, y, x = np.mgrid[:24, :28, :32] / 16
+    smooth = (1 / (0.1 + z**2 + (y - x / 2) ** 2)).astype(np.float32)
+    snr = [hmkcta.compress(smooth, size=size, quality="fast").snr for size in (2000, 4000, 8000)]
+    assert snr[0] > 60
+    assert snr[1] > snr[0] + 10
+    assert snr[2] > snr[1] + 10
+
+
 def test_axes_are_merged_as_the_organisation_says(light_field: F32) -> None:
     model = hmkcta.compress(light_field, axes="u,v,y,x,c", organisation="u+v, y+x, c", size=5000, quality="fast")
     assert model.metadata.organisation == (("u", "v"), ("y", "x"), ("c",))

@@ -61,6 +61,7 @@ WITHIN = {
         ("judging",),
         ("coded",),
         ("engine", "stages"),
+        ("second_level",),
         ("find",),
     ),
     "streaming": (

@@ -56,10 +56,11 @@ class LayoutCoder:
 
     def __init__(
         self, values: Values, layout: Layout, sets: Sequence[Undecomposed], decode_cost: float, *, threads: int = 1,
-        precise: bool = False
+        precise: bool = False, filled: bool = False
     ) -> None:
+        """Nothing is coded yet; `filled`: every block stores something, as only such blocks have a level below."""
         self.values, self.layout, self.sets, self.decode_cost = values, layout, tuple(sets), decode_cost
-        self.precise, self.threads = precise, threads
+        self.precise, self.threads, self.filled = precise, threads, filled
         self.count = prod(layout.blocks(values.shape))
         self._held: list[list[Batch]] | None = None
 
@@ -96,6 +97,8 @@ class LayoutCoder:
     def _code_batch(self, numbers: NDArray[np.intp], batch: BlockBatch, step: float) -> list[_Piece]:
         sets = self.sets if all(n in s for s in self.sets for n in _forced(batch)) else (_forced(batch),)
         choice = choose(batch, sets, step, self.decode_cost)
+        if self.filled:
+            _fill(choice, batch.sizes)
         return [_piece(numbers, batch, choice, k, step) for k in np.unique(choice.chosen).tolist()]
 
     def bytes_of(self, coded: CodedBlocks) -> int:
@@ -103,15 +106,19 @@ class LayoutCoder:
         stages = self.stages(coded)
         return sum(native.count_stage(stage, places) for stage, places in stages)
 
-    def stages(self, coded: CodedBlocks) -> list[tuple[dict[str, Any], dict[str, Any]]]:
-        """What the native coder takes of each stage: a grid where there are several blocks, and the blocks."""
-        root = _root(self.values.shape, self.layout)
-        order = len(self.layout.modes)
-        if self.count == 1:
-            return [(_cells(coded, root["rows"].reshape(1, order)), root)]
-        grid = _grid_stage(self.values.shape, self.layout)
-        places = native.next_stage(grid["shape"], grid["children"], grid["part"], root)
-        return [(grid, root), (_cells(coded, places["rows"].reshape(-1, order)), places)]
+    def stages(self, *levels: CodedBlocks) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+        """What the native coder takes of each stage: a grid where there are several blocks, and levels of blocks."""
+        found, places = list[tuple[dict[str, Any], dict[str, Any]]](), _root(self.values.shape, self.layout)
+        if self.count > 1:
+            grid = _grid_stage(self.values.shape, self.layout)
+            found.append((grid, places))
+            places = native.next_stage(grid["shape"], grid["children"], grid["part"], places)
+        for level in levels:
+            stage = _cells(level, places["rows"].reshape(self.count, -1), last=level is levels[-1])
+            found.append((stage, places))
+            if level is not levels[-1]:
+                places = native.next_stage(stage["shape"], stage["children"], stage["part"], places)
+        return found
 
 
 def _forced(batch: BlockBatch) -> Undecomposed:
@@ -139,6 +146,14 @@ def _piece(numbers: NDArray[np.intp], batch: BlockBatch, choice: Choice, k: int,
     found = code_blocks(batch.values[at], batch.cores(undecomposed, at), bases, choice.ranks[at], step)
     return _Piece(numbers[at], batch.sizes, undecomposed, choice.ranks[at], found.exponents, found.bases, found.core,
                   float(found.errors.sum()))
+
+
+def _fill(choice: Choice, sizes: Sequence[int]) -> None:
+    """Give blocks that store nothing one column in each decomposed mode."""
+    nothing = choice.ranks[:, 0] == 0
+    for k, undecomposed in enumerate(choice.sets):
+        one = [size if n in undecomposed else 1 for n, size in enumerate(sizes)]
+        choice.ranks[nothing & (choice.chosen == k)] = one
 
 
 def _of(basis: F32 | None, at: NDArray[np.intp]) -> F32:
@@ -223,11 +238,11 @@ def grid_parts(shape: Sequence[int], layout: Layout, mode: int) -> NDArray[np.ui
     return part.astype(np.uint16)
 
 
-def _cells(coded: CodedBlocks, rows: NDArray[np.uint32]) -> dict[str, Any]:
-    """The last stage, one node a block, `rows` `[S, N]`."""
+def _cells(coded: CodedBlocks, rows: NDArray[np.uint32], *, last: bool) -> dict[str, Any]:
+    """A stage of one node a block, `rows` `[S, N]`, each with the whole of it as its child unless it is the last."""
+    parts = [] if last else [np.zeros(int(own), np.uint16) for own in rows.astype(np.int64).sum(axis=0)]
     decomposed = coded.shape[:, 1] > 0
     cluster = [np.zeros(int((rows[:, n] * decomposed[:, n]).sum()), np.uint16) for n in range(rows.shape[1])]
-    return {"last": True, "coded": True, "shape": coded.shape.ravel(), "children": np.zeros(len(rows), np.uint32),
-            "cluster": cluster, "part": [], "column": list(coded.exponents), "core": coded.core,
-            "basis": list(coded.bases)}
-
+    children = np.full(len(rows), not last, np.uint32)
+    return {"last": last, "coded": True, "shape": coded.shape.ravel(), "children": children, "cluster": cluster,
+            "part": parts, "column": list(coded.exponents), "core": coded.core, "basis": list(coded.bases)}

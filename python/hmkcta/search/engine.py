@@ -113,6 +113,7 @@ class Found:
         coded: the blocks at the step that meets the goal.
         nbytes: of the code, with `overhead`.
         snr: in dB, of the values as decoded.
+        above: levels whose residual is coded, the first of them of the values.
     """
 
     layout: Layout
@@ -120,6 +121,12 @@ class Found:
     coded: CodedBlocks
     nbytes: int
     snr: float
+    above: tuple[CodedBlocks, ...] = ()
+
+    @property
+    def levels(self) -> tuple[CodedBlocks, ...]:
+        """The blocks of every level."""
+        return *self.above, self.coded
 
 
 @dataclass(eq=False)
@@ -169,7 +176,7 @@ class Search:
             if min(coded)[1] != place:  # only the best is held
                 made.pop(place, None)
         _, place, step = min(coded)
-        return made.get(place) or self._coded(finalists[place], step)
+        return made.get(place) or self.code(finalists[place], step)
 
     def explore(self) -> tuple[float, list[Layout]]:
         """The step at which the best layouts meet the goal, and the finalists, best first."""
@@ -202,7 +209,7 @@ class Search:
     def _score(self, layout: Layout, step: float, place: int, made: dict[int, Found]) -> tuple[Score, float]:
         """The score of a finalist coded for the goal, and its step; `made` has it where it had to be coded now."""
         def chosen() -> Any:
-            found = made[place] = self._met(layout, step)
+            found = made[place] = self.meet(layout, step)
             return [found.nbytes, None if isinf(found.snr) else found.snr, found.coded.step]
 
         def read(value: Any) -> tuple[Score, float]:
@@ -214,7 +221,7 @@ class Search:
     def again(self, found: Found, goal: Goal) -> Found:
         """The same layout for another goal."""
         self.goal = goal
-        return self._met(found.layout, found.coded.step, found.coder)
+        return self.meet(found.layout, found.coded.step, found.coder)
 
     def _explore(self, step: float) -> tuple[float, list[Layout]]:
         """The step at which the best layouts meet the goal, and all layouts judged at it, best first."""
@@ -303,19 +310,19 @@ class Search:
         return LayoutCoder(self.values, layout, sets, self.decode_cost, threads=self.threads,
                            precise=self.judge.precise)
 
-    def _coded(self, layout: Layout, step: float, coder: LayoutCoder | None = None) -> Found:
+    def code(self, layout: Layout, step: float, coder: LayoutCoder | None = None) -> Found:
         """A layout coded at a step."""
         coder = coder or self._coder(layout, step)
         coded = coder.code(step)
         return Found(layout, coder, coded, coder.bytes_of(coded) + self.overhead, decibels(self.energy, coded.error))
 
-    def _met(self, layout: Layout, step: float, coder: LayoutCoder | None = None) -> Found:
+    def meet(self, layout: Layout, step: float, coder: LayoutCoder | None = None) -> Found:
         """A layout coded at the step that meets the goal, or comes closest to it."""
         coder = coder or self._coder(layout, step)
         best: list[tuple[Score, float, Found]] = []
 
         def attempt(step: float) -> tuple[float, Found]:
-            found = self._coded(layout, step, coder)
+            found = self.code(layout, step, coder)
             best.append((Score.of(self.goal, found.nbytes, found.snr), step, found))
             best[:] = [min(best, key=lambda one: one[:2])]
             return self._excess(found.nbytes, found.coded.error), found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import exp, log
+from math import exp, log, log10
 from time import perf_counter
 
 from ..axes import Organisation
@@ -18,9 +18,10 @@ from ..streaming.budget import PROCESS
 from ..streaming.source import Source
 from ..support.memory import memory_budget
 from ..wanted import Wanted
-from .engine import EFFORTS, Found, Goal, Search
+from .engine import EFFORTS, Found, Goal, Score, Search
 from .layout import Layout, Modes
 from .roots import meet
+from .second_level import again, two_levels
 from .stages import stages_of
 from .values import Values
 
@@ -68,23 +69,35 @@ def find_model(source: Source, wanted: Wanted, goal: Goal, *, quality: str, kind
     found = search.run()
     if wanted.ceiling is not None and found.snr > wanted.ceiling:
         goal = Goal(snr=wanted.ceiling)
-        found = search.again(found, goal)
     else:  # of this header, and not of one of the usual length
         search.overhead = _with_metadata(source, found, kind, run.seed).nbytes - (found.nbytes - HEADER_BYTES)
-        found = search.again(found, goal)
-    model = _model(source, found, kind, run)
-    for _ in range(MOST_REPEATS):
-        short = _short_of(model, goal, found)
-        if short is None:
-            break
-        found = search.again(found, short)
-        model = _model(source, found, kind, run)
-    if goal.snr is not None and model.metadata.is_transformed and abs(model.snr - goal.snr) > OVERSHOT_TRANSFORMED / 2:
-        model = _met_untransformed(search, found, goal.snr, lambda found: _model(source, found, kind, run))
+
+    def model_of(found: Found) -> Model:
+        return _model(source, found, kind, run)
+
+    found, model = _closest(search, again(search, found, goal), goal, model_of)
+    if goal.snr is not None and model.metadata.is_transformed:
+        if abs(model.snr - goal.snr) > OVERSHOT_TRANSFORMED / 2:
+            model = _met_untransformed(search, found, goal.snr, model_of)
+    elif _ends(model, found, goal):
+        _, deeper = _closest(search, two_levels(search, found, goal), goal, model_of)
+        model = min(model, deeper, key=lambda made: Score.of(goal, made.nbytes, made.snr))
     if goal.size is not None and model.nbytes > goal.size:
         raise invalid("size-too-small", "size", f"{goal.size} bytes", f"at least {model.nbytes} bytes",
                       "ask for more bytes")
     return model
+
+
+def _closest(search: Search, found: Found, goal: Goal, model_of: Callable[[Found], Model]) -> tuple[Found, Model]:
+    """Coded again where a header or the rounding of stored numbers made it miss the goal, and its model."""
+    model = model_of(found)
+    for _ in range(MOST_REPEATS):
+        short = _short_of(model, goal, found)
+        if short is None:
+            break
+        found = again(search, found, short)
+        model = model_of(found)
+    return found, model
 
 
 def estimate_model(source: Source, wanted: Wanted, goal: Goal, *, quality: str, run: Run) -> Estimate:
@@ -137,9 +150,24 @@ def _short_of(model: Model, goal: Goal, found: Found) -> Goal | None:
         over = model.nbytes - found.nbytes  # of the header
         return None if model.nbytes <= goal.size else Goal(size=max(1, goal.size - over))
     assert goal.snr is not None, "a goal has one of the two"
-    over = model.snr - goal.snr
-    met = over >= -0.005 or model.metadata.is_transformed
-    return None if met else Goal(snr=max(found.snr - over + 0.01, 0.1))
+    left = _share(goal.snr) - _rounding(model, found)
+    met = model.snr >= goal.snr - 0.005 or model.metadata.is_transformed
+    return None if met or left <= 0 else Goal(snr=-10 * log10(left))
+
+
+def _share(snr: float) -> float:
+    """The share of the energy that an error of this SNR in dB has."""
+    return 10 ** (-snr / 10)
+
+
+def _rounding(model: Model, found: Found) -> float:
+    """The share that rounding stored numbers to float16 adds to the error of whole numbers times steps."""
+    return max(0.0, _share(model.snr) - _share(found.snr))
+
+
+def _ends(model: Model, found: Found, goal: Goal) -> bool:
+    """Whether it is the rounding to float16 that a goal, or more of it, cannot be had for."""
+    return _rounding(model, found) > _share(found.snr) and (goal.snr is None or model.snr < goal.snr)
 
 
 def _met_untransformed(search: Search, found: Found, snr: float, model_of: Callable[[Found], Model]) -> Model:
@@ -166,7 +194,7 @@ def _with_metadata(
     source: Source, found: Found, kind: str, seed: int, stages: Sequence[PackedLevel] | None = None,
     quality: tuple[Sequence[LevelQuality], Sequence[LevelQuality]] | None = None,
 ) -> Model:
-    stages = stages_of(found.coder, found.coded, source.unit) if stages is None else tuple(stages)
+    stages = stages_of(found.coder, found.levels, source.unit) if stages is None else tuple(stages)
     bounds = [bounds_of(stage, "none" if stage.is_cut else "most") for stage in stages]
     organisation = _organisation(source, found.layout)
     return Model(metadata_of(source, organisation, bounds, kind, seed, *(quality or ())), stages)

@@ -13,18 +13,18 @@ from ..support.extension import native
 from .coded import CodedBlocks, LayoutCoder
 
 
-def stages_of(coder: LayoutCoder, coded: CodedBlocks, scale: float = 1.0) -> tuple[PackedLevel, ...]:
+def stages_of(coder: LayoutCoder, levels: Sequence[CodedBlocks], scale: float = 1.0) -> tuple[PackedLevel, ...]:
     """The arrays of every stage, as a reader widens them from the file.
 
     Args:
         coder: of the layout.
-        coded: its blocks.
+        levels: its blocks, level by level.
         scale: power of two that values were divided by before they were coded.
     """
     stages: list[PackedLevel] = []
-    coders = coder.stages(coded)
-    for (stage, places), after in zip(coders, [*(at for _, at in coders[1:]), None], strict=True):
-        step = float(np.float32(coded.step * scale)) if stage["coded"] else None
+    coders = coder.stages(*levels)
+    steps = [*[None] * (len(coders) - len(levels)), *(float(np.float32(level.step * scale)) for level in levels)]
+    for (stage, places), after, step in zip(coders, [*(at for _, at in coders[1:]), None], steps, strict=True):
         stages.append(_widened(stage, places, after, step))
     return tuple(stages)
 
