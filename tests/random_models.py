@@ -106,8 +106,8 @@ def _in_steps(rng: np.random.Generator, level: PackedLevel) -> PackedLevel:
         filled = np.ones(clusters, bool)
         for n in range(level.order):
             if mixture[n]:
-                members = level.cluster[n][slice(*level.cluster_offset[n][s : s + 2])]
-                there = np.isin(np.arange(clusters[n]), members)
+                members: NDArray[np.uint16] = level.cluster[n][slice(*level.cluster_offset[n][s : s + 2])]
+                there: NDArray[np.bool_] = np.isin(np.array(range(clusters[n])), members)
                 filled &= there.reshape([-1 if m == n else 1 for m in range(level.order)])
         cells = filled.reshape(-1)
         whole = (whole.reshape(max(1, cells.size), -1) * cells[:, None]).reshape(-1) if whole.size else whole

@@ -77,21 +77,23 @@ def code_block(
             whole.append(np.zeros((0, 0), np.int32))
             decoded.append(None)
             continue
-        energies = np.square(np.moveaxis(kept, n, 0)).reshape(ranks[n], -1).sum(axis=1) / step**2
-        exponent = np.clip(np.round(np.log2(np.maximum(energies, 1))), 0, MOST_EXPONENT)
-        scale = 2.0 ** (exponent / 2)
-        numbers = rounded(basis[:, : ranks[n]] * scale, model)
-        columns = numbers / scale
+        rows: F64 = np.moveaxis(kept, n, 0).reshape(ranks[n], -1)
+        energies: F64 = np.einsum("ij,ij->i", rows, rows) / step**2
+        exponent = np.clip(np.round(np.log2(np.maximum(energies, 1.0))), 0, MOST_EXPONENT).astype(np.float64)
+        scale: F64 = np.exp2(exponent / 2)
+        numbers: F64 = np.asarray(rounded(basis[:, : ranks[n]] * scale, model), np.float64)
+        columns: F64 = numbers / scale
         gram = columns.T @ columns + 1e-9 * np.eye(ranks[n])
-        tensor = along_mode(np.linalg.solve(gram, columns.T), tensor, n)
+        fitted: F64 = np.asarray(np.linalg.solve(gram, columns.T), np.float64)
+        tensor = along_mode(fitted, tensor, n)
         exponents.append(exponent.astype(np.uint8))
         whole.append(numbers.astype(np.int32))
         decoded.append(columns)
-    numbers = rounded(tensor / step, model)
-    approximation = numbers * step
-    for n, columns in enumerate(decoded):
-        if columns is not None:
-            approximation = along_mode(columns, approximation, n)
+    numbers = np.asarray(rounded(tensor / step, model), np.float64)
+    approximation: F64 = numbers * step
+    for n, own in enumerate(decoded):
+        if own is not None:
+            approximation = along_mode(own, approximation, n)
     error = float(np.square(values - approximation).sum())
     return BlockCode(tuple(exponents), tuple(whole), numbers.astype(np.int32), error)
 

@@ -34,15 +34,8 @@ def cut(size: int, edge: int) -> list[Span]:
     return [slice(first, last) for first, last in pairwise(ends)]
 
 
-def grid_blocks(shape: Sequence[int], layout: Layout) -> list[Slices]:
-    """All blocks of a layout's grid as slices of the axes, in the order of the nodes: C order of the merged modes."""
-    order = axis_order(layout.modes)
-    back = np.argsort(order)
-    return [tuple(block[n] for n in back) for block in product(*(cut(shape[a], layout.edges[a]) for a in order))]
-
-
 def grid_block(shape: Sequence[int], layout: Layout, number: int) -> Slices:
-    """One block of a layout's grid, by its number in the order of `grid_blocks`."""
+    """One block of a layout's grid, by its number in the order of the nodes: C order of the merged modes."""
     order = axis_order(layout.modes)
     counts = layout.blocks(shape)
     places = np.unravel_index(number, [counts[axis] for axis in order])

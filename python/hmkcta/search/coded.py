@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from math import prod
 from typing import Any
 
@@ -208,9 +209,9 @@ def _reordered(arrays: Sequence[NDArray[Any]], numbers: NDArray[np.intp], length
 
 def _root(shape: Sequence[int], layout: Layout) -> dict[str, Any]:
     extents = [shape[axis] for mode in layout.modes for axis in mode]
-    ends = np.cumsum([0, *(len(mode) for mode in layout.modes)])
+    ends = [0, *accumulate(len(mode) for mode in layout.modes)]
     return {"rows": np.array(layout.sizes(shape), np.uint32), "extents": np.array(extents, np.uint32),
-            "ends": ends.astype(np.uint32)}
+            "ends": np.array(ends, np.uint32)}
 
 
 def _grid_stage(shape: Sequence[int], layout: Layout) -> dict[str, Any]:
@@ -219,10 +220,10 @@ def _grid_stage(shape: Sequence[int], layout: Layout) -> dict[str, Any]:
     parts = [grid_parts(shape, layout, n) for n in range(order)]
     table = np.zeros((1, 3, order), np.uint32)
     counts = layout.blocks(shape)
-    table[0, 0] = [int(np.prod([counts[axis] for axis in mode])) for mode in layout.modes]
+    table[0, 0] = [prod(counts[axis] for axis in mode) for mode in layout.modes]
     none = [np.zeros(0, np.uint16)] * order
     return {"last": False, "coded": False, "shape": table.ravel(), "part": parts, "cluster": none,
-            "children": np.array([int(np.prod(table[0, 0]))], np.uint32), "column": [np.zeros(0, np.uint8)] * order,
+            "children": np.array([prod(counts)], np.uint32), "column": [np.zeros(0, np.uint8)] * order,
             "core": np.zeros(0, np.int32), "basis": [np.zeros(0, np.int32)] * order}
 
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import partial
 from math import exp, inf, isinf, log, prod, sqrt
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeAlias, TypeVar
 
 from ..metrics import snr_db as decibels
 from ..support.executors import in_order
@@ -22,6 +22,8 @@ from .roots import OVERSHOT, USED, meet
 from .values import Values
 
 T = TypeVar("T")
+#: A layout, the step at which it was judged, and the elements of the sample.
+Judged: TypeAlias = "tuple[Layout, float, int]"
 
 #: SNR in dB beyond which float64 is needed to tell what is stored: float32 Gram matrices end at some 65 dB.
 PRECISE_SNR = 50.0
@@ -154,7 +156,7 @@ class Search:
     threads: int = 1
     on_progress: Callable[[str, float], None] = lambda _stage, _fraction: None
     settled: Settled = lambda _name, choose, read: read(choose())
-    judged: dict[tuple[Layout, float, int], Verdict] = field(init=False, default_factory=dict)
+    judged: dict[Judged, Verdict] = field(init=False, default_factory=dict["Judged", Verdict])
 
     def __post_init__(self) -> None:
         precise = (self.goal.snr or 0.0) > PRECISE_SNR

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from math import prod
+from typing import Any
 
 #: Axes of at most this many indices are not cut by the first grids, but wholly or not at all (RGB, few views).
 SHORT_AXIS = 9
@@ -48,7 +49,7 @@ class Layout:
         return tuple(prod(block[axis] for axis in mode) for mode in self.modes)
 
 
-def read_layout(shape: Sequence[int], modes: Sequence[Sequence[int]], edges: Sequence[int]) -> Layout:
+def read_layout(shape: Sequence[int], modes: Sequence[Sequence[Any]], edges: Sequence[Any]) -> Layout:
     """The layout of an array of this shape that lists describe, as JSON has them.
 
     Raises:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +51,8 @@ def best_boxes(
     flat = np.where(product <= decode_cost, costs, np.inf).reshape(len(cores), -1)
     place = flat.argmin(axis=1)
     least = flat[np.arange(len(cores)), place]
-    ranks = np.stack(np.unravel_index(place, costs.shape[1:]), axis=1).astype(np.uint32) + 1
+    indices = cast("tuple[NDArray[np.intp], ...]", np.unravel_index(place, costs.shape[1:]))
+    ranks = np.stack(indices, axis=1).astype(np.uint32) + 1
     for n in (n for n in range(order) if not decomposed[n]):
         ranks[:, n] = cores.shape[n + 1]
     ranks[least >= 0] = 0

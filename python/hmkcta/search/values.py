@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from itertools import product
 from math import prod
 from threading import Lock
+from typing import TypeAlias
 
 import numpy as np
 
@@ -18,6 +19,8 @@ from .layout import Layout
 #: Values of a part of the array given by slices, float32, in the array's axes.
 ReadPart = Callable[[Slices], F32]
 
+#: Where a part starts and stops along each axis.
+Ends: TypeAlias = "tuple[tuple[int, int], ...]"
 #: Elements that are looked at together when all are scanned, and that are decomposed and coded together, at most.
 SCANNED, TOGETHER = 1 << 20, 1 << 22
 #: Of the bytes allowed, the share of parts that are kept because samples are read again.
@@ -51,7 +54,7 @@ class Values:
     detail: F64 = field(init=False)
     together: int = field(init=False)
     _room: float = field(init=False, default=0.0)
-    _kept: OrderedDict[tuple[tuple[int, int], ...], F32] = field(init=False, default_factory=OrderedDict)
+    _kept: OrderedDict[Ends, F32] = field(init=False, default_factory=lambda: OrderedDict[Ends, F32]())
     _lock: Lock = field(init=False, default_factory=Lock)
 
     def __post_init__(self) -> None:
@@ -100,7 +103,7 @@ class Values:
         return found
 
     def detail_of(self, layout: Layout) -> F64:
-        """Detail of every block of a grid, in the order of `grid_blocks`; blocks may share cells of the map."""
+        """Detail of every block of a grid, in the order of the nodes; blocks may share cells of the map."""
         sums = self.detail
         for axis, (size, edge) in enumerate(zip(self.shape, layout.edges, strict=True)):
             starts = np.array([part.start // _cell(size) for part in cut(size, edge)])
@@ -137,8 +140,8 @@ def _changes(part: F32, skipped: Sequence[int], steps: Sequence[int]) -> F64:
     own = tuple(slice(skip, None) for skip in skipped)
     sums = np.zeros(part[own].shape, np.float64)
     for axis, skip in enumerate(skipped):
-        change = np.diff(part, axis=axis)[(*own[:axis], slice(None), *own[axis + 1 :])]
-        sums[(*(slice(None),) * axis, slice(1 - skip, None))] += change * change
+        change: F64 = np.diff(part, axis=axis).astype(np.float64)[(*own[:axis], slice(None), *own[axis + 1 :])]
+        sums[(*(slice(None),) * axis, slice(1 - skip, None))] += np.square(change)
     for axis, step in enumerate(steps):
-        sums = np.add.reduceat(sums, np.arange(0, sums.shape[axis], step), axis=axis)
+        sums = np.add.reduceat(sums, np.array(range(0, sums.shape[axis], step)), axis=axis)
     return sums
