@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import hmkcta
-from cli_tools import finish, report, run, saved, smooth, start
+from cli_tools import finish, refused, report, run, saved, smooth, start
 from hmkcta import synthetic
 from hmkcta.cli import main
 from hmkcta.cli import progress as progress_module
@@ -484,3 +484,10 @@ def test_demo(tmp_path: Path) -> None:
 def test_every_command_is_a_click_command() -> None:
     assert set(main.commands) == {"compress", "plan", "info", "verify", "decompress", "view", "render", "bench", "demo"}
     assert all(isinstance(command, click.Command) for command in main.commands.values())
+
+
+def test_time_is_read_with_its_unit(source: Path, tmp_path: Path) -> None:
+    run("compress", source, "-o", tmp_path / "a.hmk", "--quality", "fast", "--time", "2min")
+    words = "compress", source, "-o", tmp_path / "b.hmk"
+    assert "is no time: write seconds above 0" in run(*words, "--time", "soon", code=2).output
+    assert "beside a plan" in refused(*words, "--plan", "R=1", "--time", "9", code=2)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import pytest
 import hmkcta
 from hmkcta.arrays import F32
 from hmkcta.search import find
+from hmkcta.search.judging import Judge
 
 EIGHT = np.random.default_rng(3).normal(size=(3, 2, 3, 2, 3, 2, 3, 2))
 ODD = {
@@ -172,3 +174,26 @@ def test_an_estimate_is_near_what_compress_makes(light_field: F32) -> None:
     assert found.snr == pytest.approx(model.snr, abs=1.5)
     assert found.organisation == model.metadata.organisation
     assert found.seconds > 0
+
+
+def test_a_search_ends_in_time_with_the_best_so_far(light_field: F32, monkeypatch: pytest.MonkeyPatch) -> None:
+    judged: list[object] = []
+    verdict = Judge.verdict
+
+    def counted(judge: Judge, *words: Any, **options: Any) -> Any:
+        judged.append(words)
+        return verdict(judge, *words, **options)
+
+    monkeypatch.setattr(Judge, "verdict", counted)
+    hmkcta.compress(light_field, size=9000, quality="fast", threads=1)
+    count = len(judged)
+    judged.clear()
+    short = hmkcta.compress(light_field, size=9000, quality="fast", threads=1, time="0.001s")
+    assert len(judged) < count / 2
+    assert 8900 < short.nbytes <= 9000
+    assert short.snr > 40
+    with pytest.raises(hmkcta.HmkctaError, match="time beside a plan"):
+        hmkcta.compress(light_field, "R=2", time=3)
+    for nonsense in ("soon", 0, -1.0):
+        with pytest.raises(hmkcta.HmkctaError, match="seconds above 0"):
+            hmkcta.compress(light_field, size=9000, time=nonsense)

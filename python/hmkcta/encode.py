@@ -21,7 +21,7 @@ from .errors import GoalMissed, expect, invalid, shown
 from .fitting.fit import EFFORTS
 from .fitting.hmkcta import FitRequest, fit_plan
 from .fitting.run import Run
-from .goals import misses
+from .goals import misses, time_given
 from .hmkfile import KINDS
 from .journal import Journal, decisive
 from .model import Model
@@ -53,6 +53,7 @@ def compress(
     size: int | str | None = None,
     decode_cost: int = 4096,
     quality: str = "medium",
+    time: float | str | None = None,
     organisation: str | Sequence[Sequence[str]] | None = None,
     scheme: str | None = None,
     transform: str | None = None,
@@ -78,6 +79,8 @@ def compress(
             50 dB, whichever is less.
         decode_cost: most multiply-adds for one scattered element of what is chosen. Written ranks are kept.
         quality: ``fast``, ``medium`` or ``thorough``: how long the fit tries.
+        time: seconds, or a text such as ``"5min"``, after which a search for a goal takes the best layout found so far;
+            that one is then coded to its end. What is found depends on the machine; None: as long as it takes.
         organisation: axes merged into modes, ``"light+rgb, view, y+x"``, or their names for each mode, as
             `Plan.organisation` has them; None: the `Plan`'s, chosen, or a mode for each axis.
         scheme: ``most``, ``least``, ``uniform`` or ``auto`` (the best of the three) subdivision of written levels;
@@ -117,6 +120,7 @@ def compress(
     device = _found(device)
     run = replace(_run(quality, decode_cost, seed, threads, progress), device=device.name)
     snr, size = the_goal(snr, size)
+    time = time_given(time)
     _check_types(array, transform, nan)
     expect("plan", plan, Plan | str | None, "text such as R=4,4,6,6, or a Plan")
     expect("journal", journal, Journal | None, "a Journal")
@@ -127,6 +131,8 @@ def compress(
         check_kind(source.axes, kind or source.kind)
         if plan is not None:
             plan = read_plan(plan, source, wanted, scheme)
+            if time is not None:
+                raise invalid("time", "time", "a time beside a plan", "no time", "a written plan takes what it takes")
         # Before anything is kept of a run that cannot be.
         check_least_memory(prod(source.shape), wanted.max_memory, choosing=plan is None)
         if journal is not None:
@@ -137,7 +143,7 @@ def compress(
         with kernels.use(device):
             if plan is None:
                 model = find_model(source, wanted, _goal(source, wanted), quality=quality, kind=kind or source.kind,
-                                   run=run)
+                                   run=run, seconds=time)
             else:
                 model = fit_plan(FitRequest(source, plan, kind or source.kind, run, wanted.max_memory))
                 model.made_by = plan

@@ -22,6 +22,7 @@ from .layout import layout_lines, layout_of
 from .notes import notes
 from .options import (
     Command,
+    Duration,
     File,
     OutputFile,
     apart,
@@ -55,6 +56,8 @@ USED = 0.99
 @click.argument("source", metavar="SRC", type=File())
 @click.option("-o", "--output", required=True, type=OutputFile(), metavar="FILE", help="File to write.")
 @goal_options
+@click.option("--time", type=Duration(), metavar="TIME",
+              help="Search about as long at most, 90s or 5min; what is found by then is taken.")
 @together(device_option, resume_option, overwrite_option, json_option, quiet_option, verbose_option)
 def compress_command(source: str, output: str, plan: str | None, device: str, resume: bool, overwrite: bool,
                      as_json: bool, quiet: bool, verbose: bool, **options: Any) -> None:

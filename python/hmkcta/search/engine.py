@@ -6,10 +6,11 @@ goal is met by D alone. `docs/design-notes.md` says what is measured, and what w
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from math import exp, inf, isinf, log, prod, sqrt
+from math import exp, inf, isinf, log, log2, prod, sqrt
+from time import monotonic
 from typing import Any, Protocol, TypeAlias, TypeVar
 
 from ..metrics import snr_db as decibels
@@ -145,6 +146,7 @@ class Search:
         threads: layouts that are judged at a time; the result does not depend on it.
         on_progress: called with a stage's name and the fraction of it that is done.
         settled: the JSON value that an interrupted search chose under a name, else what the function given chooses.
+        deadline: of `time.monotonic`, after which no further layout is looked at.
     """
 
     values: Values
@@ -156,6 +158,7 @@ class Search:
     threads: int = 1
     on_progress: Callable[[str, float], None] = lambda _stage, _fraction: None
     settled: Settled = lambda _name, choose, read: read(choose())
+    deadline: float = inf
     judged: dict[Judged, Verdict] = field(init=False, default_factory=dict["Judged", Verdict])
 
     def __post_init__(self) -> None:
@@ -171,14 +174,24 @@ class Search:
         step, finalists = self.explore()
         coded: list[tuple[Score, int, float]] = []  # with the place of the layout, and its step
         made: dict[int, Found] = {}
-        for place, layout in enumerate(finalists[: self.effort.coded]):
+        finalists = self._apart(finalists)
+        for place, layout in enumerate(finalists):
             self.on_progress("code", place / self.effort.coded)
             score, step = self._score(layout, step, place, made)
             coded.append((score, place, step))
             if min(coded)[1] != place:  # only the best is held
                 made.pop(place, None)
+            if monotonic() > self.deadline:
+                break
         _, place, step = min(coded)
         return made.get(place) or self.code(finalists[place], step)
+
+    def _apart(self, finalists: Sequence[Layout]) -> list[Layout]:
+        """The finalists to code: the best of each octave of the number of blocks, which J tells least of."""
+        best: dict[int, Layout] = {}
+        for layout in finalists:
+            best.setdefault(round(log2(prod(layout.blocks(self.values.shape)))), layout)
+        return [layout for layout in finalists if layout in best.values()][: self.effort.coded]
 
     def explore(self) -> tuple[float, list[Layout]]:
         """The step at which the best layouts meet the goal, and the finalists, best first."""
@@ -242,7 +255,8 @@ class Search:
                       for other in neighbours(layout, self.values.shape, organise=not place and self.modes is None)
                       if behind.get(other.modes, 0.0) < HOPELESS_MODES]
             layouts = list(dict.fromkeys([*ranked[: self.effort.finalists], *self._held(varied)]))
-            if all((layout, step, self.effort.elements[0]) in self.judged for layout in layouts):
+            judged = all((layout, step, self.effort.elements[0]) in self.judged for layout in layouts)
+            if judged or monotonic() > self.deadline:
                 break
         return step, self._ranked(layouts, step, self.effort.elements[0])
 
@@ -270,6 +284,9 @@ class Search:
         bar = min(known, default=inf)
         for first in range(0, len(todo), AT_ONCE):  # after each few the bar is higher
             own = todo[first : first + AT_ONCE]
+            if bar < inf and monotonic() > self.deadline:  # these are not looked at
+                self.judged.update({(layout, step, elements): Verdict(inf, ((),)) for layout in own})
+                continue
             largest = max(prod(layout.block(self.values.shape)) for layout in own)
             workers = min(self.threads, max(1, self.values.together // largest))
             judge = partial(self.judge.verdict, step=step, elements=elements, bar=bar)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import exp, log, log10
-from time import perf_counter
+from math import exp, inf, log, log10
+from time import monotonic, perf_counter
 
 from ..axes import Organisation
 from ..errors import invalid
@@ -59,13 +59,17 @@ class Estimate:
     seconds: float
 
 
-def find_model(source: Source, wanted: Wanted, goal: Goal, *, quality: str, kind: str, run: Run) -> Model:
-    """The best model found for a size in bytes or an SNR in dB.
+def find_model(
+    source: Source, wanted: Wanted, goal: Goal, *, quality: str, kind: str, run: Run, seconds: float | None = None
+) -> Model:
+    """The best model found for a size in bytes or an SNR in dB, of layouts that are looked at within some seconds.
 
     Raises:
         HmkctaError: reason ``size-too-small``: header and tables alone take more.
     """
+    begun = monotonic()
     search = _search(source, wanted, goal, quality, run)
+    search.deadline = inf if seconds is None else begun + seconds
     found = search.run()
     if wanted.ceiling is not None and found.snr > wanted.ceiling:
         goal = Goal(snr=wanted.ceiling)

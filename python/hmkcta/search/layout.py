@@ -66,6 +66,17 @@ def read_layout(shape: Sequence[int], modes: Sequence[Sequence[Any]], edges: Seq
     return found
 
 
+def canonical(modes: Modes, sizes: Sequence[int]) -> Modes:
+    """The organisation with axes of one index in its first mode: wherever they are they change nothing.
+
+    >>> canonical(((0,), (1, 3), (2,)), (8, 9, 1, 1))
+    ((0, 2, 3), (1,))
+    """
+    rest = [tuple(axis for axis in mode if sizes[axis] > 1) for mode in modes]
+    long = [mode for mode in rest if mode] or [()]
+    return tuple(sorted((*long[0], *(axis for axis, size in enumerate(sizes) if size == 1)))), *long[1:]
+
+
 def organisations(order: int) -> list[Modes]:
     """Every way to merge axes into two modes or more (one axis: one mode).
 
@@ -125,8 +136,9 @@ def first_layouts(shape: Sequence[int], modes: Modes | None = None) -> list[Layo
         grids.add(tuple(grid))
     if modes is not None:
         return [Layout(modes, grid) for grid in sorted(grids) if large_enough(grid, shape)]
-    matrices = [Layout(two, tuple(shape)) for two in organisations(order) if len(two) <= 2]
-    return [*matrices, *(Layout(single, grid) for grid in sorted(grids) if large_enough(grid, shape))]
+    matrices = [Layout(canonical(two, shape), tuple(shape)) for two in organisations(order) if len(two) <= 2]
+    single = canonical(single, shape)
+    return [*dict.fromkeys(matrices), *(Layout(single, grid) for grid in sorted(grids) if large_enough(grid, shape))]
 
 
 def large_enough(edges: Sequence[int], shape: Sequence[int]) -> bool:
@@ -139,7 +151,7 @@ def neighbours(layout: Layout, shape: Sequence[int], *, organise: bool) -> Itera
     order = len(shape)
     others = organisations(order) if order <= ALL_ORGANISATIONS else moves(layout.modes)
     others = others if organise else ()
-    for modes in others:
+    for modes in dict.fromkeys(canonical(modes, shape) for modes in others):
         if modes != layout.modes:
             yield Layout(modes, layout.edges)
     for axis, count in enumerate(layout.blocks(shape)):
