@@ -66,12 +66,12 @@ def compress(
     progress: Progress | None = None,
     journal: Journal | None = None,
 ) -> Model:
-    """Approximate an array by HMK-CTA (paper, section 4), by a given plan or one chosen for a goal.
+    """Approximate an array by HMK-CTA (paper, section 4), by a given plan, or for a goal by what a search finds.
 
     Args:
         array: real numbers or booleans of any dtype, order and layout, 1 to 8 axes; NumPy array or memory map.
         plan: levels as `parse_plan` reads them, or a `Plan`, whose goal counts unless `snr` or `size` says another;
-            None: chosen for the goal on a sample of the data.
+            None: blocks, modes and ranks are searched for the goal.
         axes: names (``light``, or ``gloss:space`` with a role) or `Axis` objects, in array order; or the names as one
             text, ``"light, view, y, x"``; None: those of an xarray or a `Model`.
         snr: least SNR in dB of the stored numbers. With explicit levels: no deeper than needed.
@@ -100,7 +100,7 @@ def compress(
         journal: keeps what is finished, so that an interrupted call can go on.
 
     Returns:
-        The model; `Model.save` writes the file. `Model.made_by` is the plan that was best, for other arrays like it.
+        The model; `Model.save` writes the file. `Model.made_by` is the plan that was given.
 
     Raises:
         HmkctaError: an argument is out of range, the array holds NaN or infinity, memory would not do, or the journal

@@ -81,7 +81,7 @@ class Model:
         self._sizes: Final = mode_sizes(metadata.axes, metadata.organisation)
         order = iter(axis_order(metadata.axes, metadata.organisation))
         self._axes_of_mode: Final = [[next(order) for _ in mode] for mode in metadata.organisation]
-        #: The plan with its goal by which `compress` made the model, for another array like it; None of a file.
+        #: The written plan by which `compress` made the model, for another array like it; None of a search and a file.
         self.made_by: Plan | None = None
 
     @property
