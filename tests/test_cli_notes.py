@@ -189,7 +189,7 @@ def test_advice_fits_what_was_asked(tmp_path: Path) -> None:
     text = run("compress", source, "-o", tmp_path / "b.hmk", "--snr", 200, "--quality", "fast", code=7).stderr
     reached = floor(hmkcta.open(tmp_path / "b.hmk").snr)
     assert reached > 65
-    assert f"ask for up to {reached} dB, or write a level more" in text
+    assert f"ask for up to {reached} dB: a search makes two levels" in text
     words = ("--plan", "R=6,8,10", "--snr", 100)
     assert '--plan "R=.. / R=.."' in run("compress", source, "-o", tmp_path / "d.hmk", *words, code=7).stderr
     words = ("--plan", "R=6,8,10 / R=6,8,10", "--snr", 200)

@@ -210,6 +210,8 @@ def advice(model: Model, plan: str | None) -> str:
     levels = len(model.levels)
     if model.snr > FLOAT32_SNR:
         return f"ask for up to {floor(model.snr)} dB: everything is decoded in float32"
+    if plan is None and model.snr > LEVEL_SNR:
+        return f"ask for up to {floor(model.snr)} dB: a search makes two levels of float16 numbers at most"
     if model.snr > LEVEL_SNR * levels:
         text = " / ".join(["R=.."] * (levels + 1))
         return (f"ask for up to {floor(model.snr)} dB, or write a level more, for what float16 numbers leave: "

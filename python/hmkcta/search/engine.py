@@ -187,11 +187,17 @@ class Search:
         return made.get(place) or self.code(finalists[place], step)
 
     def _apart(self, finalists: Sequence[Layout]) -> list[Layout]:
-        """The finalists to code: the best of each octave of the number of blocks, which J tells least of."""
-        best: dict[int, Layout] = {}
+        """The finalists to code: the best, and the best of other octaves of the number of blocks."""
+        best = list(finalists[: max(1, 3 * self.effort.coded // 4)])
+        octaves = {self._octave(layout) for layout in best}
         for layout in finalists:
-            best.setdefault(round(log2(prod(layout.blocks(self.values.shape)))), layout)
-        return [layout for layout in finalists if layout in best.values()][: self.effort.coded]
+            if len(best) < self.effort.coded and self._octave(layout) not in octaves:
+                octaves.add(self._octave(layout))
+                best.append(layout)
+        return best
+
+    def _octave(self, layout: Layout) -> int:
+        return round(log2(prod(layout.blocks(self.values.shape))))
 
     def explore(self) -> tuple[float, list[Layout]]:
         """The step at which the best layouts meet the goal, and the finalists, best first."""
