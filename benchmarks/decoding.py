@@ -75,9 +75,17 @@ def _level(
 
 
 def _ways_down(rng: np.random.Generator, rows: list[int], parts: int) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Part of each row, in turn but shuffled, and its position there."""
-    orders = [rng.permutation(count) for count in rows]
-    return np.concatenate([order % parts for order in orders]), np.concatenate([order // parts for order in orders])
+    """Part of each row, in turn but shuffled, and its position there: rows of a part keep their order."""
+    part = [rng.permutation(count) % parts for count in rows]
+    return np.concatenate(part), np.concatenate([_places(each, parts) for each in part])
+
+
+def _places(part: NDArray[Any], parts: int) -> NDArray[Any]:
+    places = np.empty(len(part), np.intp)
+    for c in range(parts):
+        rows = np.flatnonzero(part == c)
+        places[rows] = np.arange(len(rows))
+    return places
 
 
 def _offsets(counts: Any) -> NDArray[np.uint32]:

@@ -22,13 +22,7 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
 def small_slabs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Slabs that small data are larger than."""
     monkeypatch.setattr("hmkcta.streaming.streamed.SLAB", 15_000)
-    monkeypatch.setattr("hmkcta.measure_streamed.SLAB", 40_000)
-
-
-@pytest.fixture
-def one_goal(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Plans of the goal that is asked for have to do: steps of the other goal, which may hide them, are left out."""
-    monkeypatch.setattr("hmkcta.comparing.both_goals.STEPS", 0)
+    monkeypatch.setattr("hmkcta.fitting.measure_streamed.SLAB", 40_000)
 
 
 @pytest.fixture(scope="session")

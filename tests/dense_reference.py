@@ -86,11 +86,11 @@ def node_sum(level: PackedLevel, s: int) -> F64:
 
 
 def cell_basis(level: PackedLevel, s: int, n: int, cell: Sequence[int]) -> F64:
-    """U_n,c with its zero rows; an identity for an undecomposed mode."""
+    """U_n,c with its zero rows; an identity for a mode that is undecomposed in the node, K = 0."""
     clusters, mixture, ranks = (tuple(int(v) for v in row) for row in level.shape[s])
-    basis, cluster = level.basis[n], level.cluster[n]
-    if basis is None or cluster is None:
+    if not mixture[n]:
         return np.eye(ranks[n])
+    basis, cluster = level.basis[n], level.cluster[n]
     others = [c for m, c in enumerate(clusters) if m != n]
     flat = int(np.ravel_multi_index([c for m, c in enumerate(cell) if m != n], others)) if others else 0
     members = _part(cluster, level.cluster_offset[n], s).reshape(-1, mixture[n])

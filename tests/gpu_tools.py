@@ -78,16 +78,20 @@ class Kind:
     organisation: tuple[tuple[str, ...], ...] | None = None
     undecomposed: tuple[int, ...] = ()
     transform: str = "identity"
-    levels: int = 3
-    eight_from: int | None = None  # level from which numbers are stored in eight bits
+    stages: int = 3
+    cuts: tuple[int, ...] = ()  # stages, from 1, that have no numbers
+    cut: float = 0.0  # chance of a cut among other nodes
+    own: float = 0.0  # chance that a mode is undecomposed in a node
+    coded: float = 0.0  # share of the stages with numbers that has whole ones of a step
 
     def model(self, seed: int = 0) -> Model:
         """A random model of this kind, with nodes of different shapes, empty nodes and leaves above the last level."""
         axes = name_axes(self.sizes, AXIS_NAMES[: len(self.sizes)])
         organisation = self.organisation or tuple((axis.name,) for axis in axes)
         metadata, levels = random_model(
-            np.random.default_rng(seed), mode_sizes(axes, organisation), self.levels, self.undecomposed, axes=axes,
-            organisation=organisation, shapes=Shapes(zero=0.1, leaf=0.2), eight_from=self.eight_from)
+            np.random.default_rng(seed), mode_sizes(axes, organisation), self.stages, self.undecomposed, axes=axes,
+            organisation=organisation, shapes=Shapes(zero=0.1, leaf=0.2, cut=self.cut, own=self.own),
+            coded=self.coded, cuts=self.cuts)
         scaled = {} if self.transform in ("identity", "sqrt") else {"scale": 0.25}
         return Model(replace(metadata, transform={"name": self.transform, **scaled}), levels)
 
@@ -101,7 +105,7 @@ KINDS = (
     Kind("order-5", (4, 3, 4, 5, 3)),
     Kind("order-6", (3, 2, 4, 3, 3, 2)),
     Kind("order-8", (2, 2, 3, 2, 1, 2, 2, 3)),
-    Kind("five-levels", (16, 12, 10), levels=5),
+    Kind("five-levels", (16, 12, 10), stages=5),
     Kind("folded-colour", (6, 5, 4, 4, 3), (("light", "rgb"), ("view",), ("y",), ("x",))),
     Kind("merged-texels", (6, 5, 4, 4, 3), (("light", "rgb"), ("view",), ("y", "x"))),
     Kind("merged-angles", (6, 5, 4, 4, 3), (("view", "light"), ("x", "y"), ("rgb",))),
@@ -111,7 +115,15 @@ KINDS = (
     Kind("log1p", (6, 5, 4), transform="log1p"),
     Kind("asinh", (6, 5, 4), transform="asinh"),
     Kind("sqrt", (6, 5, 4), transform="sqrt"),
-    Kind("eight-bits", (5, 4, 6, 3), eight_from=2),
+    Kind("own-undecomposed", (6, 5, 4), own=0.4),
+    Kind("blocks", (9, 8, 6), stages=2, cuts=(1,), own=0.4),
+    Kind("blocks-of-blocks", (9, 8, 10), cuts=(1, 2), own=0.3),
+    Kind("blocks-merged", (6, 5, 4, 4, 3), (("light", "rgb"), ("view",), ("y", "x")), stages=2, cuts=(1,), own=0.3),
+    Kind("blocks-below-a-level", (6, 5, 7, 4), (("light",), ("view",), ("y", "x")), cuts=(2,), own=0.2),
+    Kind("blocks-undecomposed", (6, 5, 4, 4, 3), (("light", "rgb"), ("view",), ("y", "x")), (0,), stages=2, cuts=(1,)),
+    Kind("cuts-anywhere", (9, 8, 7), stages=4, cut=0.3, own=0.3),
+    Kind("coded", (5, 4, 6, 3), coded=1.0),
+    Kind("coded-blocks", (9, 8, 10), cuts=(1, 2), own=0.3, coded=0.7),
 )
 
 

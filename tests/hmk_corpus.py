@@ -5,21 +5,72 @@ Deliberately independent of `hmkcta.hmkfile`: it takes files apart and puts them
 
 from __future__ import annotations
 
-import hashlib
 import json
+import struct
 import zlib
-from dataclasses import dataclass, field
-from itertools import takewhile
-from math import prod
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
 TESTS = Path(__file__).parent
-CORPUS = TESTS / "corpus"
+CORPUS = TESTS / "corpus" / "cases.json"
 FIXTURES = TESTS / "fixtures"
 
-_ITEM_SIZES = {"I8": 1, "U8": 1, "F16": 2, "F32": 4, "F64": 8, "U16": 2, "U32": 4}
-_U32_MAX = 2**32 - 1
+MAGIC = bytes.fromhex("89484d4b0d0a1a0a")
+PREFIX = 20
+
+
+@dataclass
+class Parts:
+    """A file in parts: header text, and payloads of its sections."""
+
+    text: bytes
+    sections: list[bytes]
+    version: int = 1
+
+    @classmethod
+    def split(cls, data: bytes) -> Parts:
+        """Take a sound file apart."""
+        version, length = struct.unpack("<II", data[8:16])
+        text, at = data[PREFIX : PREFIX + length], PREFIX + length
+        sections: list[bytes] = []
+        for size in _lengths(json.loads(text)):
+            sections.append(data[at : at + size])
+            at += size + 4
+        assert at == len(data)
+        return cls(text, sections, version)
+
+    @property
+    def header(self) -> dict[str, Any]:
+        """The header's object."""
+        return json.loads(self.text)
+
+    def with_header(self, header: Any) -> Parts:
+        """The same with another header."""
+        text = json.dumps(header, ensure_ascii=False, separators=(",", ":")).encode("utf-8", "surrogatepass")
+        return Parts(text, self.sections, self.version)
+
+    def join(self) -> bytes:
+        """The file, its checksums made anew."""
+        prefix = MAGIC + struct.pack("<III", self.version, len(self.text), zlib.crc32(self.text))
+        closed = (payload + struct.pack("<I", zlib.crc32(payload)) for payload in self.sections)
+        return b"".join([prefix, self.text, *closed])
+
+
+def _lengths(header: dict[str, Any]) -> list[int]:
+    """Bytes of the sections' payloads."""
+    lengths: list[int] = []
+    for axis in header["axes"]:
+        if isinstance(given := axis.get("coordinates"), dict):
+            lengths.append(
+                axis["size"]
+                * max(1, int(cast("dict[str, Any]", given)["width"]))
+                * {"F32": 4, "F64": 8}[given["dtype"]]
+            )
+    for stage in header["stages"]:
+        for _, coded, cells, core, *basis in stage["runs"]:
+            lengths.append(coded + (4 * cells + 2 * (core + sum(basis)) if "bits" in stage else 0))
+    return lengths
 
 
 @dataclass(frozen=True)
@@ -27,17 +78,15 @@ class Case:
     """One case: how its bytes are made and what a reader must say of them."""
 
     name: str
-    base: str | None
+    base: str
     edits: list[dict[str, Any]]
     limits: dict[str, int]
     kind: str
     reason: str
     where: str | None
 
-    def build(self) -> bytes | None:
-        """The bytes of the case; None if there must be no file at all."""
-        if self.base is None:
-            return None
+    def build(self) -> bytes:
+        """The bytes of the case."""
         data = (FIXTURES / self.base).read_bytes() if self.base else b""
         for edit in self.edits:
             data = apply_edit(data, edit)
@@ -45,160 +94,56 @@ class Case:
 
 
 def read_corpus() -> list[Case]:
-    """All cases of all files of the corpus."""
-    cases: list[Case] = []
-    for path in sorted(CORPUS.glob("*.json")):
-        for item in json.loads(path.read_text(encoding="utf-8"))["cases"]:
-            expected = item["expect"]
-            cases.append(Case(item["name"], item["base"], item.get("edits", []), item.get("limits", {}),
-                              expected["kind"], expected["reason"], expected.get("where")))
-    return cases
+    """All cases of the corpus."""
+    cases = json.loads(CORPUS.read_text(encoding="utf-8"))["cases"]
+    return [
+        Case(
+            case["name"],
+            case["base"],
+            case.get("edits", []),
+            case.get("limits", {}),
+            case["kind"],
+            case["reason"],
+            case.get("where"),
+        )
+        for case in cases
+    ]
 
 
 def apply_edit(data: bytes, edit: dict[str, Any]) -> bytes:
     """One edit of a case: bytes to bytes."""
-    op = cast("str", edit["op"])
-    if op in ("bytes", "truncate", "append"):
-        return _edit_bytes(data, op, edit)
+    op, new = edit["op"], bytes.fromhex(edit.get("hex", ""))
+    if op == "append":
+        return data + new
+    if op == "truncate":
+        return data[: edit["size"]]
+    if op == "bytes":
+        at = edit["at"] % len(data)
+        return data[:at] + new + data[at + len(new) :]
     parts = Parts.split(data)
-    if op.startswith("header"):
-        return _edit_header(parts, op, edit)
-    if op.startswith("metadata"):
-        _edit_metadata(parts, op, edit)
+    if op == "text":  # the first of some bytes of the header become others
+        parts.text = parts.text.replace(bytes.fromhex(edit["from"]), new, 1)
+    elif op == "rewrite":  # the header and the first section, whose lengths go together
+        head = parts.header
+        for change in edit["header"]:
+            head = _changed(head, change["path"], change)
+        parts = Parts(parts.with_header(head).text, [new, *parts.sections[1:]])
+    elif op == "section":
+        own: bytes = parts.sections[int(edit["number"])]
+        at = int(edit["at"]) % len(own) if "at" in edit else 0
+        parts.sections[int(edit["number"])] = own[:at] + new + (own[at + len(new) :] if "at" in edit else b"")
     else:
-        _edit_array(parts, op, edit)
+        parts = parts.with_header(_changed(parts.header, edit["path"], edit))
     return parts.join()
 
 
-def _edit_bytes(data: bytes, op: str, edit: dict[str, Any]) -> bytes:
-    if op == "append":
-        return data + bytes.fromhex(edit["hex"])
-    if op == "truncate":
-        return data[:edit["size"]]
-    new = bytes.fromhex(edit["hex"])
-    at = edit["at"] % len(data)
-    return data[:at] + new + data[at + len(new):]
-
-
-@dataclass
-class Parts:
-    """A file taken apart: header object, metadata text, and for each array in file order dtype, shape and bytes."""
-
-    header: dict[str, Any]
-    text: str
-    arrays: dict[str, tuple[str, list[int], bytes]] = field(default_factory=dict[str, tuple[str, list[int], bytes]])
-    data: bytes = b""
-
-    @classmethod
-    def split(cls, data: bytes) -> Parts:
-        """Take a well-formed file apart."""
-        length = int.from_bytes(data[:8], "little")
-        header = json.loads(data[8:8 + length])
-        body = data[8 + length:]
-        arrays = {name: (entry["dtype"], entry["shape"], body[slice(*entry["data_offsets"])])
-                  for name, entry in header.items() if name != "__metadata__"}
-        return cls(header, header["__metadata__"]["hmkcta"], arrays, body)
-
-    def join(self) -> bytes:
-        """Put the file together: offsets and SHA-256 are made anew, nothing else is."""
-        digest = hashlib.sha256(self.text.encode()).hexdigest()
-        header: dict[str, Any] = {"__metadata__": {"hmkcta": self.text, "hmkcta_sha256": digest}}
-        begin = 0
-        for name, (dtype, shape, data) in self.arrays.items():
-            header[name] = {"dtype": dtype, "shape": shape, "data_offsets": [begin, begin + len(data)]}
-            begin += len(data)
-        return frame(compact(header), b"".join(data for _, _, data in self.arrays.values()), lead=self.lead)
-
-    @property
-    def lead(self) -> int:
-        """Bytes of the U8 arrays at the beginning."""
-        first = takewhile(lambda array: array[0] == "U8", self.arrays.values())
-        return sum(len(data) for _, _, data in first)
-
-    def record(self, name: str) -> None:
-        """Make the metadata's record of an array anew, or remove it with the array."""
-        metadata = json.loads(self.text)
-        if name in self.arrays:
-            dtype, shape, data = self.arrays[name]
-            crc = zlib.crc32(data)
-            short = metadata["version"] in ("1.2", "1.4")
-            metadata["arrays"][name] = crc if short else {"dtype": dtype, "shape": shape, "crc32": crc}
-        else:
-            del metadata["arrays"][name]
-        self.text = compact(metadata)
-
-
-def frame(header: str, body: bytes, pad: int | None = None, lead: int = 0) -> bytes:
-    """Length, header text, padding (unless given up to where `lead` bytes more end at a multiple of 8) and body."""
-    raw = header.encode("utf-8", "surrogatepass")
-    raw += b" " * (-(len(raw) + lead) % 8 if pad is None else pad)
-    return len(raw).to_bytes(8, "little") + raw + body
-
-
-def compact(value: Any) -> str:
-    """Compact JSON, characters beyond ASCII as they are."""
-    return json.dumps(value, ensure_ascii=False, separators=(",", ":"))
-
-
-def set_path(root: Any, edit: dict[str, Any]) -> None:
-    """Set or remove the value at a path of keys and list positions."""
-    *path, last = edit["path"]
-    for key in path:
-        root = root[key]
-    if edit.get("remove"):
-        del root[last]
+def _changed(value: Any, path: list[str | int], edit: dict[str, Any]) -> Any:
+    """A JSON value with what is at the path replaced by `to`, or left out."""
+    if not path:
+        return edit["to"]
+    first, *rest = path
+    if not rest and "to" not in edit:
+        del value[first]
     else:
-        root[last] = edit["value"]
-
-
-def replace_once(text: str, edit: dict[str, Any]) -> str:
-    """Replace a piece of text, which must occur."""
-    assert edit["old"] in text, edit
-    return text.replace(edit["old"], edit["new"], 1)
-
-
-def _edit_header(parts: Parts, op: str, edit: dict[str, Any]) -> bytes:
-    if op == "header":
-        set_path(parts.header, edit)
-        return frame(compact(parts.header), parts.data, lead=parts.lead)
-    text = compact(parts.header)
-    text = replace_once(text, edit) if op == "header-text" else text
-    return frame(text, parts.data, edit.get("pad"), parts.lead)
-
-
-def _edit_metadata(parts: Parts, op: str, edit: dict[str, Any]) -> None:
-    if op == "metadata":
-        metadata = json.loads(parts.text)
-        set_path(metadata, edit)
-        parts.text = compact(metadata)
-    else:
-        parts.text = replace_once(parts.text, edit)
-
-
-def _edit_array(parts: Parts, op: str, edit: dict[str, Any]) -> None:
-    name: str = edit["name"]
-    if op == "array-drop":
-        del parts.arrays[name]
-    elif op == "array-last":
-        parts.arrays[name] = parts.arrays.pop(name)
-    elif op == "array-put":
-        dtype, shape, old = parts.arrays[name]
-        new = pack(edit["values"], dtype) if "values" in edit else bytes.fromhex(edit["hex"])
-        at = edit["at"] * _ITEM_SIZES[dtype]
-        assert at + len(new) <= len(old), edit
-        parts.arrays[name] = (dtype, shape, old[:at] + new + old[at + len(new):])
-    else:
-        assert op == "array-set", op
-        dtype, shape = edit["dtype"], edit["shape"]
-        data = pack(edit["values"], dtype) if "values" in edit else bytes(prod(shape) * _ITEM_SIZES[dtype])
-        parts.arrays[name] = (dtype, shape, data)
-        if edit.get("first"):
-            parts.arrays = {name: parts.arrays.pop(name), **parts.arrays}
-    parts.record(name)
-
-
-def pack(values: list[int], dtype: str) -> bytes:
-    """Whole numbers as little-endian U8, U16 or U32."""
-    assert dtype in ("U8", "U16", "U32")
-    assert all(0 <= value <= _U32_MAX for value in values)
-    return b"".join(value.to_bytes(_ITEM_SIZES[dtype], "little") for value in values)
+        value[first] = _changed(value[first] if rest else None, rest, edit)
+    return value

@@ -11,21 +11,18 @@ import sys
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hmkcta import Axis, Model, compress, synthetic
-from hmkcta.bitstream import I32
-from hmkcta.core_parameters import core_parameters
-from hmkcta.narrow import BASIS_NUMBERS, CORE_NUMBERS, U8, narrowed, widened
-from hmkcta.packed import F16, U32, PackedLevel
-from hmkcta.parameters import BELOW_ONE, bytes_of, from_whole, most_of_core, of_columns, whole
+from hmkcta.axes import mode_sizes
 from hmkcta.render import Camera, Compare, Light, Look, Renderer, Scene, Surface, Tone, Viewpoint
 from hmkcta.render.layout import value_range
+from random_models import Shapes, random_model
 
 SIZE = 64
+RANDOM_SEED = 7
 LEVELS = "R=3,3,4,4 / R=1,1,2,2 C=2 K=2"
 
 
@@ -83,7 +80,7 @@ def ageing() -> tuple[Model, Any]:
 
 
 def merged() -> tuple[Model, Any]:
-    """Angles and texels merged, as the automatic plan likes it."""
+    """Angles and texels merged."""
     return _compressed(synthetic.material(9, 9, 16), "R=6,6 / R=2,2 C=3,2 K=2,1", "light+view+rgb, y+x")
 
 
@@ -114,75 +111,38 @@ def deep() -> tuple[Model, Any]:
     return _compressed(synthetic.volume(size=16, frames=2), "R=2,5,5,5 / R=2,2,2,2 C=1,2,2,2 K=1,2,2,2")
 
 
-def volume_in_bytes() -> tuple[Model, Any]:
-    """The volume with its core and basis numbers in a byte each."""
-    model, values = volume()
-    return Model(model.metadata, [in_bytes(level) for level in model.levels]), values
+def cut_volume() -> tuple[Model, Any]:
+    """The volume as the search for a goal makes it: cut into blocks, which leave different modes undecomposed."""
+    data = synthetic.volume(size=12, frames=3)
+    model = compress(data.values, axes=data.axes, kind=data.kind, snr=20)
+    cut, blocks = model.stages
+    undecomposed = (blocks.shape[:, 1] == 0) & (blocks.shape[:, 2] > 0)
+    assert cut.is_cut
+    assert blocks.step is not None
+    assert len(np.unique(undecomposed, axis=0)) > 1
+    return model, data.values
 
 
-def in_bytes(level: PackedLevel) -> PackedLevel:
-    """A level of the nearest numbers that bytes stand for; the largest of each core is 1."""
-    core, scale = level.core.astype(np.float32), level.core_scale.copy()
-    for s in range(level.nodes):
-        cells = slice(int(level.cell_offset[s]), int(level.cell_offset[s + 1]))
-        cores = core[level.core_offset[s] : level.core_offset[s + 1]].reshape(scale[cells].size, -1)
-        largest = np.abs(cores).max(axis=1, initial=1e-30)
-        cores /= largest[:, None]
-        scale[cells] *= largest
-    basis = tuple(None if each is None else _nearest(each, BASIS_NUMBERS) for each in level.basis)
-    return replace(level, core=_nearest(core, CORE_NUMBERS), core_scale=scale, basis=basis, bits=8)
+def coded_material() -> tuple[Model, Any]:
+    """The material as the search for a goal makes it: one block of whole numbers."""
+    data = synthetic.material(9, 9, 16)
+    model = compress(data.values, axes=data.axes, kind=data.kind, snr=30, organisation="light+rgb, view, y, x")
+    assert all(stage.is_cut or stage.step is not None for stage in model.stages)
+    return model, data.values
 
 
-def _nearest(values: NDArray[Any], numbers: F16) -> F16:
-    return widened(narrowed(values, numbers), numbers)
-
-
-def volume_packed() -> tuple[Model, Any]:
-    """The volume with all of its levels packed."""
-    model, values = volume()
-    return Model(model.metadata, [in_columns(level) for level in model.levels]), values
-
-
-def in_columns(level: PackedLevel) -> PackedLevel:
-    """A packed level without undecomposed modes: columns of finer and coarser steps, cores in steps of 1/8192."""
-    bases = [own.copy() for own in level.basis if own is not None]
-    rice = [[np.zeros(0, np.uint8)] for _ in bases]
-    core, scale = level.core.copy(), level.core_scale.copy()
-    for s, ranks in enumerate(level.shape[:, 2]):
-        if not ranks.any():
-            continue
-        own, cells = _of_node(level.core_offset, s), _of_node(level.cell_offset, s)
-        numbers, steps = _in_steps(core[own].reshape(-1, *ranks))
-        entries = list[U8 | None]()
-        for n, of_core in enumerate(core_parameters(numbers, [True] * ranks.size)):
-            part = _of_node(level.basis_offset[n], s)
-            basis = _by_turns(bases[n][part].reshape(-1, ranks[n]))
-            bases[n][part] = basis.reshape(-1)
-            entries.append(bytes_of(of_columns(basis.astype(np.float32)), cast("U8", of_core)))
-        most = most_of_core(entries, ranks[None])
-        core[own] = from_whole(numbers, most).reshape(-1)
-        scale[cells] *= np.ldexp(steps, int(most[0]) + BELOW_ONE)
-        for told, each in zip(rice, entries, strict=True):
-            told.append(cast("U8", each))
-    return replace(level, core=core, core_scale=scale, basis=tuple(bases), bits=8,
-                   rice=tuple(np.concatenate(own) for own in rice))
-
-
-def _of_node(offsets: U32 | None, s: int) -> slice:
-    first, end = cast("U32", offsets)[s : s + 2].tolist()
-    return slice(first, end)
-
-
-def _in_steps(cores: F16) -> tuple[I32, NDArray[np.float32]]:
-    """Whole numbers up to 8192, the largest of each cell, and how much one is."""
-    steps = np.abs(cores.reshape(len(cores), -1)).max(axis=1, initial=1e-4).astype(np.float32) / 8192
-    return np.rint((cores / steps.reshape(-1, *[1] * (cores.ndim - 1))).astype(np.float16)).astype(np.int32), steps
-
-
-def _by_turns(basis: F16) -> F16:
-    """The nearest numbers of the parameter that is the column's turn."""
-    k = np.resize(np.array([9, 7, 5, 3, 1], np.uint8), basis.shape[1])
-    return from_whole(whole(basis, k), k)
+def random_volume() -> tuple[Model, Any]:
+    """Noise of three levels, of which one has float16 numbers, with cut nodes in stages of their own and in others."""
+    data = synthetic.volume(size=12, frames=3)
+    organisation = (("time",), ("z",), ("y", "x"))
+    metadata, stages = random_model(
+        np.random.default_rng(RANDOM_SEED), mode_sizes(data.axes, organisation), 5, axes=data.axes,
+        organisation=organisation, shapes=Shapes(zero=0.1, leaf=0.2, cut=0.3, own=0.3), coded=0.7, cuts=(1, 4))
+    numbered = [stage for stage in stages if not stage.is_cut]
+    assert len(numbered) == 3
+    assert 0 < sum(stage.step is None for stage in numbered) < 3
+    model = Model(replace(metadata, kind="volume"), stages)
+    return model, model.reconstruct()
 
 
 def stack() -> tuple[Model, Any]:
@@ -260,9 +220,10 @@ def renamed() -> tuple[Model, Any]:
 
 
 MAKERS = {"material": material, "ageing": ageing, "merged": merged, "grids": grids,
-          "lightfield": light_field, "volume": volume, "deep": deep, "bytes": volume_in_bytes, "packed": volume_packed,
-          "stack": stack, "bare": bare, "series": series, "renamed": renamed, "wide": wide,
-          "constant": constant, "photographs": photographs, "photograph": photograph, "painted": painted}
+          "lightfield": light_field, "volume": volume, "deep": deep, "cut": cut_volume,
+          "coded": coded_material, "random": random_volume, "stack": stack, "bare": bare,
+          "series": series, "renamed": renamed, "wide": wide, "constant": constant, "photographs": photographs,
+          "photograph": photograph, "painted": painted}
 
 
 def patch(path: Path) -> None:
@@ -290,6 +251,7 @@ def _cases() -> list[Case]:
         Case("material-original", "material", Scene(compare=Compare("split", None)), {"Show": "split"}),
         Case("material-mesh", "material", Scene(), mesh="patch.glb"),
         Case("material-time", "ageing", Scene(time=1), {"Frame": "1"}),
+        Case("material-coded", "coded", Scene()),
         Case("merged", "merged", Scene()),
         Case("merged-cloth", "merged", Scene(surface=Surface("cloth")), {"Shape": "cloth"}),
         Case("grids", "grids", Scene()),
@@ -302,10 +264,9 @@ def _cases() -> list[Case]:
              {"Column": "0.5", "Focus": "8"}),
         Case("slices-wide", "wide", Scene(kind="generic"), {"Show as": "generic", "camera": "1"}),
         Case("volume", "volume", Scene()),
-        Case("volume-bytes", "bytes", Scene()),
-        Case("volume-bytes-level-1", "bytes", Scene(level=1), low),
-        Case("volume-packed", "packed", Scene()),
-        Case("volume-packed-level-1", "packed", Scene(level=1), low),
+        Case("volume-cut", "cut", Scene()),
+        Case("volume-random", "random", Scene(time=1), {"Frame": "1"}),
+        Case("volume-random-level-1", "random", Scene(level=1), low),
         Case("volume-turned", "volume", Scene(camera=Camera(azimuth=50, elevation=33), time=2),
              {"Frame": "2"}, (-50, 20)),
         Case("volume-iso", "volume", Scene(volume=Look("iso", "viridis", iso=0.4), level=1),

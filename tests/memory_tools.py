@@ -6,12 +6,11 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-#: Compresses a file, or chooses its plan, and says what that took.
+#: Compresses a file, or estimates that, and says what that took.
 PROGRAM = """
 import json, sys
 import hmkcta
@@ -21,10 +20,6 @@ made = getattr(hmkcta, work)(hmkcta.open_array(path), **{"threads": 2} | json.lo
 print(json.dumps({"peak": peak_memory(), "snr": getattr(made, "snr", None)}))
 """
 
-#: Peaks of two runs that are alike.
-ALIKE = 1.04
-
-
 def printed(program: str, *words: object) -> str:
     """What a program says in a process of its own."""
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
@@ -33,15 +28,8 @@ def printed(program: str, *words: object) -> str:
 
 
 def taken(work: str, path: Path, /, **options: object) -> dict[str, float]:
-    """Most memory of `compress` or `choose_plan` on a file, and the SNR of a model."""
+    """Most memory of `compress` or `estimate` on a file, and the SNR of what it finds."""
     return json.loads(printed(PROGRAM, path, work, json.dumps(options)))
-
-
-def runs(once: Callable[[], dict[str, float]]) -> list[dict[str, float]]:
-    """What two runs take, and a third where the most memory of the two differs: threads meet there by chance."""
-    found = [once(), once()]
-    low, high = sorted(took["peak"] for took in found)
-    return found if high < ALIKE * low else [*found, once()]
 
 
 def write_waves(path: Path, side: int) -> None:

@@ -17,6 +17,7 @@ from typing import Any, TypeAlias, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_stages import random_stage, root_places
 from hmkcta import _native
 from hmkcta.backends.decoding import _flat_arrays  # pyright: ignore[reportPrivateUsage]
 from random_models import random_model
@@ -140,6 +141,46 @@ def model_call(rng: Generator, name: str) -> Arguments:
     return [levels, coords, np.zeros(5, np.float32 if name.endswith("f32") else np.float64)]
 
 
+def stage_call(rng: Generator, name: str) -> Arguments:
+    """A stage of one node, coded or not, and what lies below it."""
+    extents = [some(rng, 1, 4, int(rng.integers(1, 3))) for _ in range(int(rng.integers(1, 4)))]
+    here, order, last = root_places(extents), len(extents), bool(rng.random() < 0.3)
+    arrays = random_stage(rng, here, order, last=last, coded=bool(rng.random() < 0.7))
+    if name in ("encode_stage", "count_stage"):
+        return [arrays, here, 1 << 18]
+    if name == "next_stage":
+        part = arrays["part"] or [np.zeros(rows, np.uint16) for rows in here["rows"]]
+        return [arrays["shape"], arrays["children"], part, here]
+    coded = _native.encode_stage(arrays, here)
+    below = _native.next_stage(arrays["shape"], arrays["children"], arrays["part"], here) if not last else None
+    rows = [0] * order if below is None else below["rows"].reshape(-1, order).sum(axis=0).tolist()
+    header: dict[str, Any] = {
+        "last": last, "step": 0.25 if arrays["coded"] else None, "raw": False, "largest": arrays["shape"],
+        "next": (0 if below is None else below["rows"].size // order, rows)}
+    return [header, here, [(np.frombuffer(data, np.uint8), counts) for data, counts in coded]]
+
+
+def whole_call(rng: Generator, _: str) -> Arguments:
+    sizes = some(rng, 2, 6, int(rng.integers(1, 4)))
+    level = random_model(rng, sizes, levels=1, coded=1.0)[1][0]
+    arrays: dict[str, Any] = {
+        "step": level.step or 1.0, "shape": level.shape.reshape(-1), "cluster": list(level.cluster),
+        "column": list(level.column), "core": level.core.view(np.uint16), "core_scale": level.core_scale,
+        "basis": [basis.view(np.uint16) for basis in level.basis]}
+    return [arrays, root_places([[size] for size in sizes])]
+
+
+def blocks_call(rng: Generator, name: str) -> Arguments:
+    sizes, blocks = some(rng, 1, 5, int(rng.integers(1, 4))), int(rng.integers(0, 4))
+    decomposed = [bool(rng.random() < 0.8) for _ in sizes]
+    cores = floats(rng, blocks * int(np.prod(sizes)))
+    if name == "rank_boxes":
+        return [cores, sizes, decomposed, 0.1, (1.0, 1.0, 0.5, 2.0), 100.0]
+    bases = [floats(rng, blocks * size * size if own else 0) for size, own in zip(sizes, decomposed, strict=True)]
+    ranks = [int(rng.integers(1, size + 1)) if own else size for size, own in zip(sizes, decomposed, strict=True)]
+    return [cores, cores.copy(), bases, sizes, decomposed, np.tile(np.array(ranks, np.uint32), blocks), 0.1, 0.1]
+
+
 CALLS: dict[str, Callable[[Generator, str], Arguments]] = {
     **dict.fromkeys(["fit_cells", "accumulate", "project_cells", "project_pair", "dense_basis", "orthonormalise"],
                     cells_call),
@@ -150,6 +191,9 @@ CALLS: dict[str, Callable[[Generator, str], Arguments]] = {
     "magnitudes": lambda rng, _: [floats(rng, int(rng.integers(0, 50)))],
     **dict.fromkeys(["nearest_with_room", "cluster_rows"], kmeans_call),
     **dict.fromkeys(["decode_scattered_f32", "decode_scattered_f64", "decode_block"], model_call),
+    **dict.fromkeys(["encode_stage", "count_stage", "decode_stage", "next_stage"], stage_call),
+    "whole_stage": whole_call,
+    **dict.fromkeys(["rank_boxes", "code_blocks"], blocks_call),
     "set_threads": lambda _, __: [2],
     "MapWatch": lambda _, __: [mmap.mmap(-1, 1 << 14)],
 }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, replace
 from math import prod
 from typing import Any, TypeVar
@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmkcta.axes import Axis, Organisation, name_axes, separate
-from hmkcta.narrow import BASIS_NUMBERS, CORE_NUMBERS, U8, widened
-from hmkcta.packed import F16, U16, U32, LevelBounds, LevelQuality, Metadata, PackedLevel
+from hmkcta.packed import F16, U16, U32, LevelQuality, Metadata, PackedLevel, bounds_of
 
 Sizes = tuple[int, ...]
 Ints = NDArray[np.int64]
@@ -21,20 +20,22 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 @dataclass(frozen=True)
 class Shapes:
-    """How large the nodes of a random model get, and how often a node adds nothing or has no children."""
+    """How large the nodes of a random model get, and how often a node is of a certain kind."""
 
     max_clusters: int = 3
     max_mixture: int = 2
     max_rank: int = 3
     max_cells: int = 12  # PC of a node, which bounds the number of its children
     zero: float = 0.15  # chance that a node below level 1 has shape zero
-    leaf: float = 0.15  # chance that a node above the last level has no children
-    tidy: bool = False  # rows go where their first cluster is, and keep their order
+    leaf: float = 0.15  # chance that a node above the last stage has no children
+    cut: float = 0.0  # chance that a node between the root and the last stage is a cut
+    own: float = 0.0  # chance that a mode is undecomposed in a node, whatever it is in others
+    tidy: bool = False  # rows go where their first cluster is
 
 
 @dataclass(frozen=True, eq=False)
 class Node:
-    """One node before packing: rows, C, K and R a mode, and the arrays of its rows."""
+    """One node before packing: rows, C, K and R a mode, and the arrays of its rows; no entries where undecomposed."""
 
     rows: Sizes
     clusters: Sizes
@@ -42,173 +43,219 @@ class Node:
     ranks: Sizes
     core: F16  # [PC, R_1, .., R_N]
     scale: NDArray[np.float32]  # [PC]
-    cluster: tuple[U16 | None, ...]  # [m, K_n]
-    basis: tuple[F16 | None, ...]  # [m, K_n, PC_-n, R_n]
-    part: tuple[U16 | None, ...]  # [m]
-    local: tuple[U32 | None, ...]  # [m]
+    cluster: tuple[U16, ...]  # [m, K_n]
+    basis: tuple[F16, ...]  # [m, K_n, PC_-n, R_n]
+    part: tuple[U16, ...]  # [m]
+    local: tuple[U32, ...]  # [m]
     children: tuple[Sizes, ...]  # rows of each child
 
 
-def random_model(rng: np.random.Generator, sizes: Sequence[int], levels: int = 2, undecomposed: Sequence[int] = (), *,
-                 shapes: Shapes = Shapes(), axes: tuple[Axis, ...] | None = None,
-                 organisation: Organisation | None = None, eight_from: int | None = None, packed_share: float = 0.0
-                 ) -> tuple[Metadata, tuple[PackedLevel, ...]]:
-    """A random model of a tensor with these mode sizes; every choice the format leaves open is drawn from `rng`.
+def random_model(
+    rng: np.random.Generator,
+    sizes: Sequence[int],
+    levels: int = 2,
+    undecomposed: Sequence[int] = (),
+    *,
+    shapes: Shapes = Shapes(),
+    axes: tuple[Axis, ...] | None = None,
+    organisation: Organisation | None = None,
+    coded: float = 0.0,
+    cuts: Sequence[int] = (),
+) -> tuple[Metadata, tuple[PackedLevel, ...]]:
+    """A random model of a tensor with these mode sizes; every choice that is open is drawn from `rng`.
 
     The quality in the metadata is made up. With `axes` and `organisation` modes can be merged axes, of these sizes.
-    Core and basis numbers of the levels from `eight_from` on are stored in eight bits, but that share of these levels
-    is packed, as far as they have decomposed modes.
+    Of `levels` stages, those numbered in `cuts` (from 1) have no numbers, but cut their nodes; `undecomposed` modes are
+    so in all nodes.
+    `coded`: which share of the stages with numbers has whole ones of a step, the others float16.
     """
     axes = axes if axes is not None else name_axes(sizes)
     packed: list[PackedLevel] = []
     rows = [tuple(sizes)]
     for level in range(1, levels + 1):
-        nodes = [_random_node(rng, owned, undecomposed, shapes, root=level == 1, last=level == levels)
-                 for owned in rows]
-        packed.append(_pack(nodes, len(sizes), undecomposed, last=level == levels))
+        own = replace(shapes, cut=1.0) if level in cuts else shapes
+        nodes = [_random_node(rng, owned, undecomposed, own, root=level == 1, last=level == levels) for owned in rows]
+        packed.append(_pack(nodes, len(sizes), last=level == levels))
         rows = [child for node in nodes for child in node.children]
-    if eight_from is not None:
-        packed[eight_from - 1:] = [_in_bytes(rng, level) for level in packed[eight_from - 1:]]
-        packed[eight_from - 1:] = [_in_columns(rng, level) if rng.random() < packed_share else level
-                                   for level in packed[eight_from - 1:]]
-    quality = tuple(LevelQuality(float(snr), float(1 / snr), float(2 / snr)) for snr in 10.0 + 8.0 * np.arange(levels))
-    metadata = Metadata("float32", axes, organisation or separate(axes), tuple(map(bounds_of, packed)),
-                        tuple(undecomposed), quality=quality, source={"sha256": "0" * 64}, writer="random_models")
+    packed = [_in_steps(rng, level) if not level.is_cut and rng.random() < coded else level for level in packed]
+    figures = 10.0 + 8.0 * np.arange(sum(not level.is_cut for level in packed))
+    quality = tuple(LevelQuality(float(snr), float(1 / snr), float(2 / snr)) for snr in figures)
+    metadata = Metadata(
+        "float32",
+        axes,
+        organisation or separate(axes),
+        tuple(map(bounds_of, packed)),
+        quality=quality,
+        source={"sha256": "0" * 64},
+        writer="random_models",
+    )
     return metadata, tuple(packed)
 
 
-def _in_bytes(rng: np.random.Generator, level: PackedLevel) -> PackedLevel:
-    """The level with core and basis numbers that bytes stand for, each byte as likely as any."""
-    def drawn(array: F16, numbers: F16) -> F16:
-        return widened(rng.integers(-128, 128, array.size, np.int8), numbers)
-
-    basis = tuple(None if array is None else drawn(array, BASIS_NUMBERS) for array in level.basis)
-    return replace(level, core=drawn(level.core, CORE_NUMBERS), basis=basis, bits=8)
-
-
-def _in_columns(rng: np.random.Generator, level: PackedLevel) -> PackedLevel:
-    """The level packed, node after node, with columns of any parameters and numbers of their sizes."""
-    stored = [n for n, basis in enumerate(level.basis) if basis is not None]
-    if not stored:
-        return level
-    rice: list[list[U8]] = [[] for _ in level.basis]
-    cores, bases = list[F16](), [list[F16]() for _ in level.basis]
-    for s, (clusters, _, ranks) in enumerate(level.shape.tolist()):
-        own = np.full(ranks, 15)
-        for n in stored:
-            lower, upper = (_parameters(rng, int(ranks[n])) for _ in range(2))
-            rice[n].append((lower + 16 * upper).astype(np.uint8))
-            own = np.minimum(own, upper.reshape([-1 if m == n else 1 for m in range(level.order)]))
-            count = _lengths(level.basis_offset[n])[s]
-            bases[n].append(_drawn(rng, np.resize(lower, count), np.resize(lower, count)))
-        each = np.tile(own.reshape(-1), prod(clusters))
-        cores.append(_drawn(rng, each, np.full(each.size, own.max(initial=0))))
-    return replace(
-        level,
-        core=np.concatenate([np.zeros(0, np.float16), *cores]),
-        basis=tuple(np.concatenate([np.zeros(0, np.float16), *own]) if n in stored else None
-                    for n, own in enumerate(bases)),
-        rice=tuple(np.concatenate([np.zeros(0, np.uint8), *own]) if n in stored else None
-                   for n, own in enumerate(rice)),
-    )
-
-
-def _parameters(rng: np.random.Generator, columns: int) -> Ints:
-    return rng.integers(16, size=columns)
-
-
-def _lengths(starts: U32 | None) -> list[int]:
-    assert starts is not None
-    return np.diff(starts.astype(np.int64)).tolist()
+def _in_steps(rng: np.random.Generator, level: PackedLevel) -> PackedLevel:
+    """The level with whole numbers of a step: core numbers up to 2^24, columns of any k."""
+    step = float(np.float32(rng.uniform(0.01, 1.0)))
+    core, scale = level.core.copy(), level.core_scale.copy()
+    column, basis = [list[NDArray[Any]]() for _ in level.basis], [array.copy() for array in level.basis]
+    rows = [np.diff(offset.astype(np.int64)) for offset in level.row_offset]
+    for s in range(level.nodes):
+        clusters, mixture, ranks = level.shape[s].astype(int).tolist()
+        part = slice(*level.core_offset[s : s + 2])
+        whole = _whole(rng, core[part].size)
+        e = next(e for e in range(15) if np.abs(whole).max(initial=0) <= 2047 * 2**e)
+        filled = np.ones(clusters, bool)
+        for n in range(level.order):
+            if mixture[n]:
+                members: NDArray[np.uint16] = level.cluster[n][slice(*level.cluster_offset[n][s : s + 2])]
+                there: NDArray[np.bool_] = np.isin(np.array(range(clusters[n])), members)
+                filled &= there.reshape([-1 if m == n else 1 for m in range(level.order)])
+        cells = filled.reshape(-1)
+        whole = (whole.reshape(max(1, cells.size), -1) * cells[:, None]).reshape(-1) if whole.size else whole
+        e = next(e for e in range(15) if np.abs(whole).max(initial=0) <= 2047 * 2**e)
+        core[part] = (whole / 2.0**e).astype(np.float32)
+        scale[slice(*level.cell_offset[s : s + 2])] = np.float32(np.float32(step) * np.float32(2**e))
+        for n in range(level.order):
+            if not mixture[n] or not ranks[n]:
+                continue
+            k = rng.integers(0, 40, (cells.size, ranks[n])) * cells[:, None]
+            column[n].append(k.reshape(-1))
+            members = level.cluster[n][slice(*level.cluster_offset[n][s : s + 2])].reshape(rows[n][s], mixture[n])
+            own = np.moveaxis(k.reshape(*clusters, ranks[n]), n, 0).reshape(clusters[n], -1, ranks[n])[members]
+            alive = np.moveaxis(filled, n, 0).reshape(clusters[n], -1)[members]
+            q = np.rint(rng.normal(size=own.shape) * 2.0 ** (own / 2 - 1)) * alive[..., None]
+            unit = np.where(own % 2, np.float32(0.70710678118654752), np.float32(1)) * np.float32(2.0) ** -(own // 2)
+            basis[n][slice(*level.basis_offset[n][s : s + 2])] = (
+                q.astype(np.float32) * unit.astype(np.float32)
+            ).reshape(-1)
+    columns = tuple(np.concatenate([np.zeros(0), *own]).astype(np.uint8) for own in column)
+    return replace(level, core=core, core_scale=scale, basis=tuple(basis), step=step, column=columns)
 
 
-def _drawn(rng: np.random.Generator, parameters: Ints, steps: Ints) -> F16:
-    """Whole numbers in steps that go with other parameters: most below where codes are longest, some beyond."""
-    most = np.where(rng.random(parameters.size) < 1 / 8, 16, 8) << parameters
-    folded = rng.integers(0, np.minimum(most, 1 << 16))
-    whole = np.where(folded % 2 == 0, folded // 2, -(folded + 1) // 2)
-    return (whole / 2.0 ** (steps + 2)).astype(np.float16)
+def _whole(rng: np.random.Generator, count: int) -> Ints:
+    """Whole numbers, some of them as large as can be."""
+    small = np.rint(rng.laplace(0, 3, count)).astype(np.int64)
+    large = rng.integers(-(2**24) + 1, 2**24, count) >> rng.integers(0, 20, count)
+    return np.where(rng.random(count) < 0.05, large, small)
 
 
-def bounds_of(level: PackedLevel) -> LevelBounds:
-    """The largest C, K and R of a level's nodes."""
-    clusters, mixture, ranks = (tuple(map(int, row)) for row in level.shape.max(axis=0, initial=0))
-    return LevelBounds(clusters, mixture, ranks, "most")
-
-
-def _random_node(rng: np.random.Generator, rows: Sizes, undecomposed: Sequence[int], shapes: Shapes, *, root: bool,
-                 last: bool) -> Node:
+def _random_node(
+    rng: np.random.Generator, rows: Sizes, undecomposed: Sequence[int], shapes: Shapes, *, root: bool, last: bool
+) -> Node:
     order = len(rows)
     zero = 0 in rows or (not root and rng.random() < shapes.zero)
-    clusters, mixture, ranks = _random_shape(rng, rows, undecomposed, shapes) if not zero else ((0,) * order,) * 3
+    if not zero and not last and rng.random() < shapes.cut * (shapes.cut == 1 or not root):
+        return _random_cut(rng, rows, shapes)
+    own = {n for n in range(order) if n in undecomposed or (shapes.own and rng.random() < shapes.own)}
+    clusters, mixture, ranks = _random_shape(rng, rows, own, shapes) if not zero else ((0,) * order,) * 3
     inner = not zero and not last and rng.random() >= shapes.leaf
 
-    def decomposed(make: Callable[[int], NDArray[Scalar]]) -> tuple[NDArray[Scalar] | None, ...]:
-        return tuple(None if n in undecomposed else make(n) for n in range(order))
-
     def subsets(n: int) -> U16:
-        chosen = [np.sort(rng.permutation(clusters[n])[:mixture[n]]) for _ in range(rows[n])]
+        chosen = [np.sort(rng.permutation(clusters[n])[: mixture[n]]) for _ in range(rows[n])]
         return np.array(chosen, np.uint16).reshape(rows[n], mixture[n])
 
     def basis(n: int) -> F16:
-        others = prod(clusters[:n] + clusters[n + 1:])
+        others = prod(clusters[:n] + clusters[n + 1 :])
         return rng.uniform(-1, 1, (rows[n], mixture[n], others, ranks[n])).astype(np.float16)
 
     def parts(n: int) -> U16:
-        return rng.integers(clusters[n], size=rows[n]).astype(np.uint16) if inner else np.zeros(rows[n], np.uint16)
+        drawn = inner and n not in own
+        return (rng.integers(clusters[n], size=rows[n]) if drawn else np.zeros(rows[n])).astype(np.uint16)
 
-    part = decomposed(parts)
-    keep = shapes.tidy or not inner or prod(clusters) == 1
-    cluster = decomposed(subsets) if shapes.tidy else ()
+    part = tuple(map(parts, range(order)))
+    cluster = tuple(map(subsets, range(order)))
     if shapes.tidy and inner:
-        part = tuple(None if c is None else c[:, 0] for c in cluster)
-    local = tuple(None if p is None else _random_places(rng, p, keep, inner) for p in part)
+        part = tuple(p if n in own else c[:, 0] for n, (p, c) in enumerate(zip(part, cluster, strict=True)))
     core = rng.normal(size=(prod(clusters), *ranks)).astype(np.float16)
     scale = rng.uniform(0.25, 2.0, prod(clusters)).astype(np.float32)
-    children = _child_rows(rows, clusters, part) if inner else ()
-    return Node(rows, clusters, mixture, ranks, core, scale, cluster or decomposed(subsets), decomposed(basis), part,
-                local, children)
+    children = _child_rows(clusters, part) if inner else ()
+    return Node(
+        rows,
+        clusters,
+        mixture,
+        ranks,
+        core,
+        scale,
+        cluster,
+        tuple(map(basis, range(order))),
+        part,
+        tuple(_places(p) if inner else np.zeros(p.size, np.uint32) for p in part),
+        children,
+    )
 
 
-def _random_shape(rng: np.random.Generator, rows: Sizes, undecomposed: Sequence[int], shapes: Shapes
-                  ) -> tuple[Sizes, Sizes, Sizes]:
+def _random_cut(rng: np.random.Generator, rows: Sizes, shapes: Shapes) -> Node:
+    """A node without numbers: its rows go to parts along a grid, one of two axes, say, or to any."""
+    order = len(rows)
+    clusters = [min(rows[n], int(rng.integers(1, shapes.max_clusters + 2))) for n in range(order)]
+    while prod(clusters) > max(2, shapes.max_cells):
+        clusters[int(np.argmax(clusters))] = 1
+    if prod(clusters) < 2:
+        clusters[int(rng.integers(order))] = 2
+
+    def parts(n: int) -> U16:
+        i, c = np.arange(rows[n]), clusters[n]
+        if rng.random() < 1 / 3:
+            return rng.integers(c, size=rows[n]).astype(np.uint16)
+        inside = next(size for size in (3, 2, 1) if rows[n] % size == 0)  # of a merged axis that is not cut
+        return (i // inside * c * inside // rows[n]).astype(np.uint16)
+
+    part = tuple(map(parts, range(order)))
+    zeros = (0,) * order
+    none = tuple(np.zeros(0, np.uint16) for _ in rows)
+    return Node(
+        rows,
+        tuple(clusters),
+        zeros,
+        zeros,
+        np.zeros(0, np.float16),
+        np.zeros(0, np.float32),
+        none,
+        tuple(np.zeros(0, np.float16) for _ in rows),
+        part,
+        tuple(map(_places, part)),
+        _child_rows(tuple(clusters), part),
+    )
+
+
+def _random_shape(rng: np.random.Generator, rows: Sizes, own: Set[int], shapes: Shapes) -> tuple[Sizes, Sizes, Sizes]:
     """C, K and R of a node; where there would be too many cells, the most clustered modes lose their clusters."""
-    clusters = [1 if n in undecomposed else int(rng.integers(1, shapes.max_clusters + 1)) for n in range(len(rows))]
+    clusters = [1 if n in own else int(rng.integers(1, shapes.max_clusters + 1)) for n in range(len(rows))]
     while prod(clusters) > shapes.max_cells:
         clusters[int(np.argmax(clusters))] = 1
-    mixture = tuple(int(rng.integers(1, min(c, shapes.max_mixture) + 1)) for c in clusters)
-    ranks = tuple(m if n in undecomposed else int(rng.integers(1, shapes.max_rank + 1)) for n, m in enumerate(rows))
+    mixture = tuple(
+        0 if n in own else int(rng.integers(1, min(c, shapes.max_mixture) + 1)) for n, c in enumerate(clusters)
+    )
+    ranks = tuple(m if n in own else int(rng.integers(1, shapes.max_rank + 1)) for n, m in enumerate(rows))
     return tuple(clusters), mixture, ranks
 
 
-def _random_places(rng: np.random.Generator, part: U16, keep: bool, inner: bool) -> U32:
-    """Positions in the children: any order within a part, unless an only child has to keep it; 0 in a leaf."""
+def _places(part: U16) -> U32:
+    """Positions in the children: rows of one part keep their order."""
     local = np.zeros(part.size, np.uint32)
-    if inner:
-        for p in np.unique(part):
-            count = int((part == p).sum())
-            local[part == p] = np.arange(count) if keep else rng.permutation(count)
+    for p in np.unique(part):
+        local[part == p] = np.arange(int((part == p).sum()))
     return local
 
 
-def _child_rows(rows: Sizes, clusters: Sizes, part: tuple[U16 | None, ...]) -> tuple[Sizes, ...]:
+def _child_rows(clusters: Sizes, part: tuple[U16, ...]) -> tuple[Sizes, ...]:
     """Rows of the PC children, in the order of their flattened part numbers."""
-    counts = [np.array([m]) if p is None else np.bincount(p, minlength=c)
-              for m, c, p in zip(rows, clusters, part, strict=True)]
-    return tuple(tuple(int(count[i]) for count, i in zip(counts, index, strict=True))
-                 for index in np.ndindex(*clusters))
+    counts = [np.bincount(p, minlength=c) for c, p in zip(clusters, part, strict=True)]
+    return tuple(
+        tuple(int(count[i]) for count, i in zip(counts, index, strict=True)) for index in np.ndindex(*clusters)
+    )
 
 
-def _pack(nodes: Sequence[Node], order: int, undecomposed: Sequence[int], *, last: bool) -> PackedLevel:
-    def ragged(get: Callable[[Node], NDArray[Any] | None], dtype: type[Scalar]) -> tuple[NDArray[Scalar], U32]:
-        parts = [part.reshape(-1) for node in nodes if (part := get(node)) is not None]
+def _pack(nodes: Sequence[Node], order: int, *, last: bool) -> PackedLevel:
+    def ragged(get: Callable[[Node], NDArray[Any]], dtype: type[Scalar]) -> tuple[NDArray[Scalar], U32]:
+        parts = [get(node).reshape(-1) for node in nodes]
         joined = np.concatenate([np.empty(0, dtype), *parts]).astype(dtype)
         return joined, offsets([part.size for part in parts])
 
-    def modes(get: Callable[[Node], Sequence[NDArray[Any] | None]], dtype: type[Scalar]
-              ) -> tuple[tuple[NDArray[Scalar] | None, ...], tuple[U32 | None, ...]]:
-        packed = [None if n in undecomposed else ragged(lambda node, n=n: get(node)[n], dtype) for n in range(order)]
-        return tuple(p and p[0] for p in packed), tuple(p and p[1] for p in packed)
+    def modes(
+        get: Callable[[Node], Sequence[NDArray[Any]]], dtype: type[Scalar]
+    ) -> tuple[tuple[NDArray[Scalar], ...], tuple[U32, ...]]:
+        packed = [ragged(lambda node, n=n: get(node)[n], dtype) for n in range(order)]
+        return tuple(p[0] for p in packed), tuple(p[1] for p in packed)
 
     core, core_offset = ragged(lambda node: node.core, np.float16)
     scale, cell_offset = ragged(lambda node: node.scale, np.float32)
@@ -220,8 +267,14 @@ def _pack(nodes: Sequence[Node], order: int, undecomposed: Sequence[int], *, las
         shape=shape.reshape(len(nodes), 3, order),
         child=None if last else offsets([len(node.children) for node in nodes]),
         row_offset=tuple(offsets([node.rows[n] for node in nodes]) for n in range(order)),
-        core=core, core_offset=core_offset, core_scale=scale, cell_offset=cell_offset,
-        cluster=cluster, cluster_offset=cluster_offset, basis=basis, basis_offset=basis_offset,
+        core=core,
+        core_offset=core_offset,
+        core_scale=scale,
+        cell_offset=cell_offset,
+        cluster=cluster,
+        cluster_offset=cluster_offset,
+        basis=basis,
+        basis_offset=basis_offset,
         part=absent if last else modes(lambda node: node.part, np.uint16)[0],
         local=absent if last else modes(lambda node: node.local, np.uint32)[0],
     )

@@ -31,7 +31,7 @@ class Wanted:
 
 @st.composite
 def wanted(draw: st.DrawFn) -> Wanted:
-    """Levels of clusters, grids and cuts, of merged and undecomposed modes; the last perhaps of ranks of its own."""
+    """Levels of clusters and grids, of merged and undecomposed modes."""
     shape = tuple(draw(st.lists(st.sampled_from([1, 2, 3, 5, 8, 12]), min_size=1, max_size=4)))
     modes: list[list[str]] = []
     for name in draw(st.permutations([f"a{n}" for n in range(len(shape))])):
@@ -41,22 +41,21 @@ def wanted(draw: st.DrawFn) -> Wanted:
             modes.append([name])
     kept = [draw(st.integers(0, 5)) == 0 for _ in modes]
     levels = draw(st.integers(1, 3))
-    own = draw(st.booleans())
-    plan = " / ".join(draw(level(modes, kept, own=own and number == levels - 1)) for number in range(levels))
-    goals: list[dict[str, Any]] = [{"snr": 20.0}, {"snr": 60.0}, {"size": 900}, {"size": 4000}]
-    goal = draw(st.sampled_from(goals if own else [{}, *goals]))
+    plan = " / ".join(draw(level(modes, kept)) for _ in range(levels))
+    goals: list[dict[str, Any]] = [{}, {"snr": 20.0}, {"snr": 60.0}, {"size": 900}, {"size": 4000}]
+    goal = draw(st.sampled_from(goals))
     return Wanted(shape, ", ".join(map("+".join, modes)), plan, goal, draw(st.integers(0, 9)))
 
 
 @st.composite
-def level(draw: st.DrawFn, modes: list[list[str]], kept: list[bool], *, own: bool) -> str:
+def level(draw: st.DrawFn, modes: list[list[str]], kept: list[bool]) -> str:
     ranks = ",".join("*" if skip else str(draw(st.integers(1, 3))) for skip in kept)
     axes = [name for mode, skip in zip(modes, kept, strict=True) if not skip for name in mode]
     grid = ",".join(f"{name}:{draw(st.integers(1, 4))}" for name in axes[: draw(st.integers(1, 3))])
     clusters = ",".join("1" if skip else str(draw(st.integers(1, 2))) for skip in kept)
     cells = draw(st.sampled_from(["", f" C={clusters}", f" C={clusters} K=2" if "2" in clusters else "",
-                                  *([f" grid={grid}"] if axes else []), *([f" cut<={grid}"] if axes and own else [])]))
-    return f"R{'<' if own else ''}={ranks}{cells}"
+                                  *([f" grid={grid}"] if axes else [])]))
+    return f"R={ranks}{cells}"
 
 
 @pytest.mark.filterwarnings("ignore::hmkcta.GoalMissed")

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hmkcta import HmkctaError, choose_plan, compress, open_array
+from hmkcta import HmkctaError, compress, estimate, open_array, parse_plan
 
 WAVE: NDArray[np.float64] = np.add.outer(np.sin(np.arange(20) / 3), np.arange(18.0) / 9)
 
@@ -36,7 +36,7 @@ def test_so_may_memory(tmp_path: Path) -> None:
     assert np.array_equal(model.reconstruct(max_memory="100KB"), model.reconstruct())
     assert np.array_equal(open_array(tmp_path / "a.npz", max_memory="100KB"), WAVE)
     calls: tuple[Callable[..., object], ...] = (
-        partial(compress, WAVE, "R=2"), partial(choose_plan, WAVE, snr=20), model.reconstruct)
+        partial(compress, WAVE, "R=2"), partial(estimate, WAVE, snr=20), model.reconstruct)
     for call in calls:
         sentences: list[str] = []
         for memory in (1000, "1 KB", "lots"):
@@ -49,8 +49,8 @@ def test_so_may_memory(tmp_path: Path) -> None:
 
 def test_an_organisation_may_be_lists_of_names() -> None:
     assert compress(WAVE, "R=1", organisation=[["axis1", "axis0"]]).metadata.organisation == (("axis1", "axis0"),)
-    plan = choose_plan(WAVE, snr=20, organisation=(("axis1",), ("axis0",)))
-    assert plan.organisation == (("axis1",), ("axis0",))
+    plan = parse_plan("R=1", (("axis1",), ("axis0",)))
+    assert estimate(WAVE, snr=20, organisation=plan.organisation).organisation == plan.organisation
     assert compress(WAVE, plan, organisation=plan.organisation).metadata.organisation == plan.organisation
 
 

@@ -17,7 +17,6 @@ import pytest
 
 import hmkcta
 from cli_tools import PYTHON, finish, refused, report, run, saved, smooth, start
-from hmkcta.journal import MOST_STEPS
 
 PLAN = ("--plan", "R=1")
 
@@ -117,14 +116,14 @@ def test_a_file_that_is_no_hmk_file_is_recognised(content: bytes, part: str, tmp
 
 
 def test_safetensors_of_somebody_else_are_no_hmk_file(tmp_path: Path) -> None:
-    """They begin as an `.hmk` file does, so the header tells."""
+    """What they begin like is told."""
     header = b'{"weight":{"dtype":"F32","shape":[3],"data_offsets":[0,12]}}'
     (tmp_path / "other.safetensors").write_bytes(len(header).to_bytes(8, "little") + header + bytes(12))
     with pytest.raises(hmkcta.HmkctaError) as caught:
         hmkcta.open(tmp_path / "other.safetensors")
-    assert (caught.value.kind.label, caught.value.reason) == ("Compatibility", "not-hmk")
-    assert "found safetensors without hmkcta, allowed an .hmk file" in refused("info", tmp_path / "other.safetensors",
-                                                                               code=3)
+    assert (caught.value.kind.label, caught.value.reason) == ("Io", "foreign-file")
+    assert "found what begins like safetensors, allowed an .hmk file" in refused("info", tmp_path / "other.safetensors",
+                                                                                 code=3)
 
 
 @pytest.mark.parametrize("content", [bytes(range(200, 230)) * 3, b"plain text of somebody" * 3])
@@ -136,7 +135,7 @@ def test_what_looks_like_nothing_is_not_guessed_at(content: bytes, tmp_path: Pat
 def test_a_damaged_hmk_file_is_not_taken_for_another(source: Path, tmp_path: Path) -> None:
     run("compress", source, "-o", tmp_path / "a.hmk", *PLAN, "--quiet")
     whole = (tmp_path / "a.hmk").read_bytes()
-    for damaged, code in ((whole[:40], 4), (whole[:5] + b"\x01" + whole[6:], 6), (whole[:8] + b"[" + whole[9:], 4)):
+    for damaged, code in ((whole[:40], 4), (whole[:15] + b"\xff" + whole[16:], 6), (whole[:20] + b"[" + whole[21:], 4)):
         (tmp_path / "a.hmk").write_bytes(damaged)
         assert "foreign-file" not in refused("info", tmp_path / "a.hmk", code=code)
 
@@ -173,7 +172,7 @@ def test_words_that_cannot_be(words: tuple[str, ...], part: str) -> None:
 
 
 @pytest.mark.parametrize("plan", [
-    "R=7,8,10", "R=1 C=9,1,1", "R=1 grid=axis0:7", "R<=3", "R=1 / R<=2 / R=1", "R=2 C=2 K=3",
+    "R=7,8,10", "R=1 C=9,1,1", "R=1 grid=axis0:7", "R<=3", "R=1 bits=8", "R=2 C=2 K=3",
 ])
 def test_plan_refuses_what_compress_refuses(plan: str, source: Path, tmp_path: Path) -> None:
     sentence = refused("plan", source, "--plan", plan, code=2)
@@ -235,27 +234,29 @@ def test_a_link_keeps_pointing_where_it_does(source: Path, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(("name", "content"), [
-    ("run.json", "[]"), ("run.json", "{"), ("run.json", None), ("plan.json", '{"levels": 3}'), ("plan.json", "\udcff"),
+    ("run.json", "[]"), ("run.json", "{"), ("run.json", None), ("explored.json", '{"levels"'),
+    ("explored.json", '{"levels": 3}'), ("explored.json", "[0.1, [[3, 4]]]"), ("coded-0.json", "[]"),
+    ("explored.json", "\udcff"),
 ])
 def test_a_journal_that_makes_no_sense(name: str, content: str | None, source: Path, tmp_path: Path) -> None:
     folder = tmp_path / "a.hmk.partial"
     with pytest.raises(KeyboardInterrupt), hmkcta.Journal(folder) as journal:
-        hmkcta.compress(np.load(source), snr=20.0, journal=journal, progress=stop_at_levels)
-    kept = sorted(path.name for path in folder.iterdir())
-    first = MOST_STEPS + 1  # of the first plan
-    assert kept == ["budget.json", f"limit-{first}.json", "nodes.log", "plan.json", "run.json"]
+        hmkcta.compress(np.load(source), snr=20.0, quality="fast", journal=journal, progress=stop_at_measuring)
+    kept = {path.name for path in folder.iterdir()}
+    assert {"run.json", "explored.json", "coded-0.json"} <= kept
     (folder / name).unlink()
     if content is not None:
         (folder / name).write_text(content, errors="surrogateescape")
-    words = ("compress", source, "-o", tmp_path / "a.hmk", "--snr", 20)
+    words = ("compress", source, "-o", tmp_path / "a.hmk", "--snr", 20, "--quality", "fast")
     assert "begin again with --overwrite" in refused(*words, "--resume", code=4)
     run(*words, "--overwrite")
     assert not folder.exists()
 
 
-def stop_at_levels(stage: str, fraction: float) -> None:
-    """Progress that stops once the plan is followed."""
-    if stage.startswith("level 1") and fraction > 0:
+def stop_at_measuring(stage: str, fraction: float) -> None:
+    """Progress that stops once the search is over."""
+    del fraction
+    if stage == "measuring":
         raise KeyboardInterrupt
 
 

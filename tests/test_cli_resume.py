@@ -169,7 +169,7 @@ import hmkcta.encode as e, time
 def slow(*a, **k):
     open({str(ready)!r}, "w").close()
     time.sleep(60)
-e.tune = slow
+e.find_model = slow
 """
     process = start("compress", source, "-o", tmp_path / "a.hmk", *CHOSEN, before=slow)
     await_size(ready, 0)
@@ -177,8 +177,8 @@ e.tune = slow
     code, _, err = finish(process)
     assert code == 130
     assert err.splitlines()[-1] == (
-        "hmkcta: interrupted; nothing is left half written, and nothing kept, as the choice of a plan is kept only "
-        "once it is complete. Next: the same command, which begins anew.")
+        "hmkcta: interrupted; nothing is left half written, and nothing kept, as the search keeps only "
+        "what it has settled. Next: the same command, which begins anew.")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["ready"]
 
 

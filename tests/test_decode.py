@@ -1,10 +1,9 @@
-"""The reference decoder against a plain loop over the elements, written from docs/format.md, section 4, alone."""
+"""The reference decoder against a plain loop over the elements (`literal_decode.py`)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import product
 from math import prod
 from typing import Any
 
@@ -17,13 +16,17 @@ from numpy.typing import NDArray
 from hmkcta import backends
 from hmkcta.decode import decode_block, decode_elements, dense, scattered
 from hmkcta.errors import HmkctaError
-from hmkcta.packed import PackedLevel
+from hmkcta.packed import PackedLevel, level_ends
+from literal_decode import element
 from random_models import Shapes, random_model
 
 Levels = Sequence[PackedLevel]
 
-#: Mode sizes, levels, undecomposed modes, node shapes: the paper's family from PCA to hierarchies, and odd corners.
-MODELS: dict[str, tuple[tuple[int, ...], int, tuple[int, ...], Shapes]] = {
+#: Blocks: nodes with ranks and undecomposed modes of their own, most of one cell.
+BLOCKS = Shapes(1, 1, 4, own=0.4)
+#: Mode sizes, stages, undecomposed modes, node shapes, and the stages that are cuts: the paper's family from PCA to
+#: hierarchies, blocks of a grid, and odd corners.
+MODELS: dict[str, tuple[Any, ...]] = {
     "three levels": ((7, 6, 5, 8), 3, (), Shapes(max_clusters=3)),
     "dense tree": ((9, 8, 7), 3, (), Shapes(max_clusters=3, max_cells=18, zero=0.0, leaf=0.0)),
     "pca": ((20, 6), 1, (1,), Shapes(max_clusters=1)),
@@ -35,6 +38,12 @@ MODELS: dict[str, tuple[tuple[int, ...], int, tuple[int, ...], Shapes]] = {
     "sizes of one": ((1, 5, 1), 2, (), Shapes()),
     "hosvd": ((9, 8, 7), 1, (), Shapes(max_clusters=1, max_rank=7)),
     "flat, many clusters": ((16, 12, 10), 1, (), Shapes(max_clusters=8, max_mixture=3, max_cells=200)),
+    "own undecomposed modes": ((7, 6, 5), 3, (), Shapes(own=0.4)),
+    "blocks": ((12, 10, 9), 2, (), replace(BLOCKS, max_clusters=4, max_cells=64), (1,)),
+    "blocks of blocks": ((12, 10, 9), 3, (), replace(BLOCKS, max_clusters=3), (1, 2)),
+    "blocks below a level": ((12, 10, 9), 3, (), Shapes(2, 2, 3, own=0.2), (2,)),
+    "blocks of merged axes": ((36, 3, 20), 2, (1,), replace(BLOCKS, max_clusters=5, max_cells=36), (1,)),
+    "cuts here and there": ((9, 8, 7), 4, (), Shapes(2, 2, 3, cut=0.4, own=0.3)),
     "many clusters in the last mode": ((5, 60), 1, (), Shapes(max_clusters=40, max_cells=80)),
 }
 
@@ -45,50 +54,9 @@ def _the_readable_decoder(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(backends, "name", "reference")
 
 
-def slow_value(levels: Levels, index: Sequence[int], upto: int) -> float:
-    """format.md, section 4, line by line, in float64."""
-    s, pos, value = 0, list(index), 0.0
-    for number, level in enumerate(levels[:upto], start=1):
-        clusters, mixture, ranks = level.shape[s].tolist()
-        if not any(clusters):
-            break
-        rows = [int(offset[s + 1]) - int(offset[s]) for offset in level.row_offset]
-        core = part_of(level.core, level.core_offset, s, (*clusters, *ranks))
-        scale = part_of(level.core_scale, level.cell_offset, s, clusters)
-        for k in product(*map(range, mixture)):
-            c = [0 if level.cluster[n] is None else
-                 int(part_of(level.cluster[n], level.cluster_offset[n], s, (rows[n], mixture[n]))[pos[n], k[n]])
-                 for n in range(len(index))]
-            term = core[tuple(c)].astype(np.float64)
-            for n in range(len(index)):
-                others = [c[m] for m in range(len(index)) if m != n]
-                shape = (rows[n], mixture[n], *(clusters[m] for m in range(len(index)) if m != n), ranks[n])
-                u = np.eye(ranks[n])[pos[n]] if level.basis[n] is None else \
-                    part_of(level.basis[n], level.basis_offset[n], s, shape)[(pos[n], k[n], *others)]
-                term = np.tensordot(u.astype(np.float64), term, axes=(0, 0))
-            value += float(scale[tuple(c)]) * float(term)
-        if number < upto:
-            assert level.child is not None
-            if level.child[s] == level.child[s + 1]:
-                break
-            flat = 0
-            for n in range(len(index)):
-                part, local = level.part[n], level.local[n]
-                if part is not None and local is not None:
-                    row = int(level.row_offset[n][s]) + pos[n]
-                    flat, pos[n] = flat * clusters[n] + int(part[row]), int(local[row])
-            s = int(level.child[s]) + flat
-    return value
-
-
-def part_of(array: NDArray[Any] | None, offset: NDArray[Any] | None, s: int, shape: Sequence[int]) -> NDArray[Any]:
-    assert array is not None
-    assert offset is not None
-    return array[offset[s] : offset[s + 1]].reshape(shape)
-
-
 def slow_tensor(levels: Levels, sizes: Sequence[int], upto: int) -> NDArray[np.float64]:
-    return np.array([slow_value(levels, index, upto) for index in np.ndindex(*sizes)]).reshape(sizes)
+    """Up to a stage."""
+    return np.array([element(levels, index, upto) for index in np.ndindex(*sizes)]).reshape(sizes)
 
 
 def every_index(sizes: Sequence[int]) -> NDArray[np.intp]:
@@ -102,17 +70,17 @@ def assert_close(found: NDArray[Any], expected: NDArray[Any], relative: float = 
 
 
 def some_model(name: str, seed: int = 0) -> tuple[tuple[int, ...], Levels]:
-    sizes, depth, undecomposed, shapes = MODELS[name]
-    _, levels = random_model(np.random.default_rng([seed, *map(ord, name)]), sizes, depth, undecomposed, shapes=shapes)
-    return sizes, levels
+    sizes, depth, undecomposed, shapes, *cuts = MODELS[name]
+    rng = np.random.default_rng([seed, *map(ord, name)])
+    return sizes, random_model(rng, sizes, depth, undecomposed, shapes=shapes, cuts=cuts[0] if cuts else ())[1]
 
 
 @pytest.mark.parametrize("name", MODELS)
 def test_elements_and_block_equal_the_plain_loop_at_every_level(name: str) -> None:
     for seed in range(2):
         sizes, levels = some_model(name, seed)
-        for upto in range(1, len(levels) + 1):
-            expected = slow_tensor(levels, sizes, upto)
+        for upto, stages in enumerate(level_ends(levels), 1):
+            expected = slow_tensor(levels, sizes, stages)
             assert np.abs(expected).max() > 0
             elements = decode_elements(levels, sizes, every_index(sizes), upto)
             assert elements.dtype == np.float32
@@ -136,7 +104,7 @@ def test_every_way_to_decode_a_block_gives_the_same(name: str, way: str, monkeyp
         monkeypatch.setattr(dense, "BATCH", 50)
         monkeypatch.setattr("hmkcta.decode.cells.STEP", 1)
         monkeypatch.setattr("hmkcta.decode.cells.DENSE", 0)
-    sizes, levels = some_model(name, 5)
+    sizes, levels = some_model(name, 6)
     rng = np.random.default_rng(3)
     rows = [rng.integers(0, size, size + 2) for size in sizes]
     expected = decode_elements(levels, sizes, every_index(sizes), dtype=np.float64).reshape(sizes)[np.ix_(*rows)]
@@ -164,8 +132,10 @@ def test_blocks_of_any_rows_equal_the_elements(seed: int, data: st.DataObject) -
     sizes = tuple(data.draw(st.lists(st.integers(1, 9), min_size=1, max_size=4)))
     undecomposed = [n for n in range(len(sizes)) if rng.random() < 0.2]
     depth = data.draw(st.integers(1, 3))
-    eight_from = data.draw(st.none() | st.integers(1, depth))
-    _, levels = random_model(rng, sizes, depth, undecomposed, eight_from=eight_from)
+    coded = data.draw(st.sampled_from([0.0, 0.5, 1.0]))
+    shapes, cuts = data.draw(st.sampled_from([(Shapes(), ()), (Shapes(cut=0.3, own=0.3), ()), (BLOCKS, (1,))]))
+    cuts = cuts if depth > 1 else ()
+    _, levels = random_model(rng, sizes, depth, undecomposed, coded=coded, shapes=shapes, cuts=cuts)
     rows = [np.array(data.draw(st.lists(st.integers(0, size - 1), max_size=6)), np.int16) for size in sizes]
     coords = np.stack([axis.reshape(-1) for axis in np.meshgrid(*rows, indexing="ij")], axis=1)
     expected = decode_elements(levels, sizes, coords, dtype=np.float64).reshape([len(index) for index in rows])

@@ -20,17 +20,17 @@ DATA = material(lights=4, views=6, size=24, seed=2)
 LAYERS = light_field(views=3, size=24, frames=3, seed=2)
 HMK = "R=3,2,4,4 / R=2,1,2,2 C=3,2,2,2 K=2 / R=1 C=2,1,2,2 K=2"
 
-#: Fits of every kind: flat, levels with each search and scheme, plans of their own, goals, a value transform.
+#: Fits of every kind: flat, levels with each search and scheme, blocks, goals.
 CASES: dict[str, dict[str, Any]] = {
     "hosvd": {"plan": "R=4,2,5,5"},
     "levels": {"plan": HMK, "quality": "fast"},
     "levels, scheme chosen": {"plan": HMK, "scheme": "auto", "quality": "fast"},
     "many clusters": {"plan": "R=1 C=12,1,12,12 K=2,1,2,2", "quality": "fast"},
     "greedy": {"plan": "R=1 C=9,1,1,2 K=4,1,1,1", "quality": "fast"},
-    "own ranks": {"plan": "R=1 grid=y:2,x:2 / R<=8", "snr": 20.0},
-    "own ranks, blocks": {"plan": "R<=8 grid=y:2,x:2", "size": 8000},
-    "own ranks, clusters": {"plan": "R<=8 C=2,1,3,1", "snr": 20.0},
-    "own ranks, size": {"plan": "R=2,1,2,2 C=2,1,2,2 / R<=8", "size": 20000},
+    "blocks": {"plan": "R=3 grid=y:2,x:2"},
+    "blocks, snr": {"plan": "R=1 grid=y:2,x:2 / R=4 / R=8", "snr": 20.0},
+    "clusters": {"plan": "R=2 C=2,1,3,1"},
+    "size": {"size": 20000, "quality": "fast"},
 }
 
 

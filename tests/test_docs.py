@@ -21,7 +21,7 @@ from hmkcta.plan import parse_plan
 
 ROOT = Path(__file__).parent.parent
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
-#: What the plans of the README's table are read for.
+#: What the plans of the guide's table are read for.
 MODES = (("light", "rgb"), ("view",), ("y",), ("x",))
 #: Names of sources in prose (`program.py` is made by a test), and of what is in the package, in sources in backquotes.
 SUFFIXES = (".rs", ".py", ".pyi", ".ts", ".wgsl")
@@ -98,7 +98,7 @@ def test_commands_parse(line: str) -> None:
 
 
 def test_plans_of_the_table_parse() -> None:
-    plans = re.findall(r"^\| `(R.*?)` \|", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
+    plans = re.findall(r"^\| `(R.*?)` \|", (ROOT / "docs" / "guide.md").read_text(encoding="utf-8"), re.MULTILINE)
     assert len(plans) >= 5
     for plan in plans:
         assert str(parse_plan(plan, MODES)).startswith(plan[:2])
@@ -151,7 +151,7 @@ def test_the_benchmark_measures(tmp_path: Path) -> None:
     """On a small array: all methods within the budget, and back from the CSV as written."""
     y, x = np.mgrid[:24, :20]
     values = np.stack([np.sin(0.3 * y + 0.1 * t) + 0.2 * np.cos(0.4 * x * (1 + 0.1 * t)) for t in range(6)])
-    rows = measure("waves", values.astype(np.float32), 30, 9000, threads=1)
+    rows = list(measure("waves", values.astype(np.float32), [30], 9000, threads=1))
     assert rows[0].method == OURS
     assert all(0 < row.bytes <= row.budget for row in rows)
     write(rows, tmp_path / "rows.csv")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
-from dataclasses import replace
 from functools import cache
 from math import isfinite
 from pathlib import Path
@@ -13,8 +11,7 @@ import numpy as np
 import pytest
 
 from dense_reference import energy, snr
-from hmkcta import GoalMissed, HmkctaError, Model, Plan, choose_plan, compress
-from hmkcta.comparing.follow import Task, follow
+from hmkcta import GoalMissed, HmkctaError, Model, Plan, compress
 from hmkcta.synthetic import light_field, material, volume
 from hmkcta.synthetic.dataset import Dataset
 
@@ -98,17 +95,7 @@ def test_an_explicit_plan_that_cannot_reach_the_goal_reports_what_it_reached() -
 def test_without_a_goal_none_is_missed() -> None:
     """A plan that is chosen for no goal ends at 50 dB, if it gets there."""
     values = np.random.default_rng(0).random((20, 25, 40), np.float32)
-    assert compress(values, transform="log1p", bits=8, quality="fast").snr < 51
-
-
-def test_ranks_of_each_node_are_cut_to_the_goal() -> None:
-    plan = "R=1 grid=y:2,x:2 / R<=16"
-    small, large = (fitted("light_field", plan=plan, snr=goal) for goal in (18.0, 26.0))
-    assert 18 <= small.snr <= 18 + STEP
-    assert 26 <= large.snr <= 26 + 1.25 * STEP  # four nodes: one step of one node is more than a dB
-    assert small.nbytes < large.nbytes
-    shapes = large.levels[1].shape
-    assert len({tuple(shape[2]) for shape in shapes.tolist()}) > 1  # of each node's own
+    assert compress(values, transform="log1p", quality="fast").snr < 51
 
 
 # Size
@@ -123,20 +110,6 @@ def test_a_size_is_kept_and_used(name: str, size: int, tmp_path: Path) -> None:
     assert model.decode_cost <= 4096
 
 
-@pytest.mark.parametrize("size", [14000, 20000, 50000])
-def test_an_explicit_plan_fills_a_size(size: int, tmp_path: Path) -> None:
-    model = fitted("volume", plan="R=1 grid=z:2,y:2,x:2 / R<=16", size=size, quality="fast")
-    path = tmp_path / "model.hmk"
-    model.save(path)
-    assert 0.95 * size <= path.stat().st_size <= size
-
-
-def test_more_bytes_are_never_worse() -> None:
-    snrs = [fitted("light_field", plan="R<=32", size=size, quality="fast").snr for size in (7000, 12000, 24000, 48000)]
-    assert sorted(snrs) == snrs
-    assert snrs[-1] > snrs[0] + 5
-
-
 def test_the_default_goal_is_a_hundredth_of_the_bytes() -> None:
     data = light_field(views=3, size=80, frames=8)  # 1.8 MB, so that a hundredth is more than the least default
     model = compress(data.values, axes=data.axes, quality="fast", threads=1)
@@ -148,25 +121,6 @@ def test_the_default_goal_is_a_hundredth_of_the_bytes() -> None:
 def test_the_default_goal_leaves_room_for_long_modes(shape: tuple[int, ...], organisation: str | None) -> None:
     array = np.sin(np.arange(np.prod(shape)) / 50).reshape(shape)
     assert compress(array, organisation=organisation, quality="fast").snr > 10
-
-
-def test_what_has_one_long_mode_takes_two_bytes_a_row_at_rank_one() -> None:
-    """The long mode has no basis: its rows lie in the core, without cluster numbers, and cost no second factor."""
-    signal = np.sin(np.arange(20_000) / 50)
-    other = np.cos(np.arange(20_000) / 50)
-    one, two = compress(signal), compress(np.stack([signal, other, signal + other]), snr=60.0)
-    assert two.metadata.undecomposed in ((0,), (1,))
-    assert one.snr > 50
-    assert one.nbytes < 2 * 20_000 + 2048
-    assert two.nbytes < 4 * 20_000 + 3072
-    assert two.decode_cost == 2
-
-
-def test_a_long_mode_is_left_undecomposed_where_nothing_else_fits() -> None:
-    array = np.outer([1.0, 2.0], np.sin(np.arange(20_000) / 50))
-    model = compress(array, size=45_000, quality="fast")
-    assert model.metadata.undecomposed == (1,)
-    assert model.snr > 60
 
 
 def test_the_default_goal_spends_no_bytes_beyond_50_db() -> None:
@@ -194,11 +148,6 @@ def test_a_higher_decode_cost_is_not_worse() -> None:
     assert snrs[0] < snrs[1] <= snrs[2] + 0.1
 
 
-def test_own_ranks_stay_within_the_decode_cost() -> None:
-    model = fitted("light_field", plan="R=1 grid=y:2,x:2 / R<=16", size=40000, decode_cost=50)
-    assert model.decode_cost <= 50
-
-
 # What cannot be
 
 
@@ -208,11 +157,6 @@ def refused(array: Any = None, plan: str | None = None, **options: Any) -> Hmkct
         compress(tensor, plan, threads=1, **options)
     assert caught.value.allowed, "an error says what is allowed"
     return caught.value
-
-
-def test_own_ranks_want_a_goal() -> None:
-    assert refused(plan="R<=4").reason == "own-ranks-place"
-    assert refused(plan="R<=4 / R=2", snr=20.0).reason == "own-ranks-place"
 
 
 @pytest.mark.parametrize(
@@ -241,45 +185,10 @@ def test_the_goal_of_a_plan_makes_sense() -> None:
 
 
 def test_a_size_for_a_plan_of_fixed_shape_is_not_ignored() -> None:
-    """Levels without R<= store what they store: more than the size allows is refused, not written."""
+    """Levels store what they store: more than the size allows is refused, not written."""
     tensor = dataset("light_field").values
     assert compress(tensor, "R=2", size=100_000, threads=1).nbytes <= 100_000
-    assert refused(plan="R=2", size=2000).where == "size"
-
-
-@pytest.mark.parametrize("plan", ["R<=10 C=2,3,2 K=2", "R=1 / R<=10 C=2,3,2", "R<=10 grid=axis0:2,axis1:3 K=2"])
-def test_own_ranks_with_clusters_of_the_data_are_those_of_one_level(plan: str) -> None:
-    """Cells are disjoint then, and ranks are judged on them; overlapping ones, or those of many nodes, are not."""
-    with pytest.raises(HmkctaError, match="own-ranks-clusters"):
-        compress(np.random.default_rng(0).random((8, 9, 10)), plan, snr=20.0, threads=1)
-
-
-@pytest.mark.parametrize("plan", [None, "R<=8", "R=1 grid=y:2,x:2 / R<=8"])
-def test_a_size_below_the_tables_names_the_least(plan: str | None) -> None:
-    """What is named as the least is enough, and of packed numbers at most what all their bits would take."""
-    error = refused(plan=plan, size=700, quality="fast", axes=dataset("light_field").axes)
-    assert error.reason == "size-too-small"
-    assert "header, tables and the least that can be stored of each row" in str(error)
-    least = int("".join(filter(str.isdigit, str(error.allowed).split("bytes")[0])))
-    assert fitted("light_field", plan=plan, size=least, quality="fast").nbytes <= least
-    less = least - (1 if plan else least // 3)
-    again = refused(plan=plan, size=less, quality="fast", axes=dataset("light_field").axes)
-    assert again.allowed == error.allowed
-
-
-def test_a_size_below_the_tables_of_clusters_is_refused() -> None:
-    """Clusters are parted anew by the ranks that a size affords, of which there are none."""
-    tensor = np.random.default_rng(0).random((20, 30)).astype(np.float32)
-    assert refused(tensor, "R<=8 C=1,4", size=50).reason == "size-too-small"
-
-
-def test_an_snr_out_of_reach_is_tried_and_reported() -> None:
-    """Float16 ends near 70 dB."""
-    tensor = light_field(views=2, size=16, frames=2).values
-    with pytest.warns(GoalMissed), pytest.warns(UserWarning, match="another is tried") as caught:
-        model = compress(tensor, snr=200.0, threads=1, quality="fast")
-    assert 100 < model.snr < 200
-    assert {each.filename for each in caught} == {__file__}
+    assert refused(plan="R=2", size=900).where == "size"
 
 
 @pytest.mark.parametrize(("shape", "cost"), [((30, 40, 50), 16), ((3, 4, 5, 6), 1)])
@@ -290,44 +199,6 @@ def test_an_snr_is_met_whatever_the_data(shape: tuple[int, ...], cost: int) -> N
     assert model.snr >= 50
     assert model.decode_cost <= cost
     assert model.nbytes < 2 * noise.size + 4096
-
-
-@pytest.mark.parametrize("quality", ["fast", "medium"])
-def test_an_snr_beyond_what_one_level_keeps_takes_little_more_bytes(quality: str) -> None:
-    """Errors below those of float16 are told apart where a goal asks for it, or all plans would be alike."""
-    z, y, x = np.mgrid[:24, :28, :32] / 16
-    smooth = 1 / (0.1 + z**2 + (y - x / 2) ** 2)
-    lower = compress(smooth, snr=60.0, threads=1, quality=quality)
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "a plan chosen for .* another is tried", UserWarning)
-        higher = compress(smooth, snr=80.0, threads=1, quality=quality)
-    assert higher.snr >= 80
-    assert higher.nbytes < 5 * lower.nbytes < smooth.size
-
-
-def test_an_snr_takes_no_more_bytes_than_the_values_as_float16() -> None:
-    """Which are exact here, so that two levels of anything else are of no use."""
-    noise = np.random.default_rng(0).integers(0, 256, (24, 30, 40))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
-        model = compress(noise, snr=75.0, threads=1, quality="fast")
-    assert model.snr >= 75
-    assert model.nbytes < 2 * noise.size + 4096
-
-
-def test_where_a_plan_misses_its_snr_another_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fits are held to half of what the plan promises: a level more makes up for it."""
-    followed: list[Plan] = []
-
-    def weak(task: Task) -> Model:
-        followed.append(task.plan)
-        return follow(replace(task, plan=replace(task.plan, snr=20.0)) if len(followed) == 1 else task)
-
-    monkeypatch.setattr("hmkcta.comparing.followed.follow", weak)
-    with pytest.warns(UserWarning, match=r"a plan chosen for 40 dB came to 2\d\.\d+: another is tried, R="):
-        model = fitted("material", snr=40.0, bits=16, quality="fast")
-    assert model.snr >= 40
-    assert [len(plan.levels) for plan in followed] == [1, 2]
 
 
 @pytest.mark.parametrize(("db", "most"), [(25.0, 28_400), (35.0, 58_000)])
@@ -351,13 +222,8 @@ def test_an_snr_next_to_nothing_stores_next_to_nothing() -> None:
 @pytest.mark.parametrize("value", [0.0, 3.0])
 def test_constant_data_meets_every_goal(value: float, goal: dict[str, Any]) -> None:
     model = compress(np.full((6, 7, 8), value, np.float32), threads=1, **goal)
-    assert model.snr > 60
-    assert model.nbytes < 6000
-    assert np.allclose(np.asarray(model), value, rtol=1e-3, atol=1e-6)
+    assert model.snr >= goal.get("snr", 50.0)
+    assert model.nbytes < 1000
+    assert np.allclose(np.asarray(model), value, rtol=4e-2, atol=1e-6)
 
 
-def test_the_plan_of_a_goal_can_be_had_beforehand() -> None:
-    data = dataset("light_field")
-    plan = choose_plan(data.values, axes=data.axes, snr=25.0, quality="fast", threads=1)
-    assert plan.snr == 25.0
-    assert compress(data.values, plan, axes=data.axes, quality="fast", threads=1).snr >= 25.0

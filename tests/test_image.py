@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from hmkcta.decode import decode_elements
+from hmkcta.packed import level_ends
 from hmkcta.render.image import LEAF, U32, pack_image
 from literal_decode import flat
 from random_models import Shapes, random_model
@@ -23,10 +24,10 @@ def without(numbers: list[int], n: int) -> list[int]:
 
 
 class Words:
-    """A decoder by the text of `docs/rendering.md`, section The image, and of `docs/format.md`, section 4."""
+    """A decoder by the text of `docs/rendering.md`, section The image."""
 
-    def __init__(self, words: U32, undecomposed: Sequence[int]) -> None:
-        self.words, self.undecomposed = [int(word) for word in words], undecomposed
+    def __init__(self, words: U32) -> None:
+        self.words = [int(word) for word in words]
 
     def half(self, address: int) -> float:
         """A float16 number."""
@@ -46,12 +47,13 @@ class Words:
             modes = self.modes(node)
             if modes[0][0] == 0:
                 break
-            value += self.added(node, place)
+            if modes[0][2]:  # no cut
+                value += self.added(node, place)
             if self.words[node] == LEAF:
                 break
             parts = [0] * len(modes)
-            for n, (_, mixture, _, rows, _) in enumerate(modes):
-                if n not in self.undecomposed:
+            for n, (clusters, mixture, _, rows, _) in enumerate(modes):
+                if clusters > 1:
                     record = rows + place[n] * (2 + mixture)
                     parts[n], place[n] = self.words[record], self.words[record + 1]
             node = self.words[node] + flat(parts, [mode[0] for mode in modes]) * (3 + 5 * len(modes))
@@ -61,14 +63,14 @@ class Words:
         """What a node adds to the element at these places in it."""
         clusters, mixtures, ranks, rows, bases = ([mode[i] for mode in self.modes(node)] for i in range(5))
         value = 0.0
-        for choice in product(*map(range, mixtures)):
-            cluster = [0 if n in self.undecomposed else self.words[rows[n] + place[n] * (2 + mixtures[n]) + 2 + k]
+        for choice in product(*(range(max(1, mixture)) for mixture in mixtures)):
+            cluster = [0 if not mixtures[n] else self.words[rows[n] + place[n] * (2 + mixtures[n]) + 2 + k]
                        for n, k in enumerate(choice)]
             factors: list[list[float]] = []
             for n, k in enumerate(choice):
                 others = flat(without(cluster, n), without(clusters, n))
                 subset = (place[n] * mixtures[n] + k) * prod(without(clusters, n)) + others
-                factors.append([float(r == place[n]) if n in self.undecomposed else
+                factors.append([float(r == place[n]) if not mixtures[n] else
                                 self.half(bases[n] + subset * ranks[n] + r) for r in range(ranks[n])])
             cell = flat(cluster, clusters)
             scale = float(np.uint32(self.words[self.words[node + 2] + cell]).view(np.float32))
@@ -78,19 +80,26 @@ class Words:
         return value
 
 
-@pytest.mark.parametrize(("undecomposed", "eight_from"), [((), None), ((1,), None), ((0, 3), 0), ((1,), 1)])
-def test_words_alone_tell_every_element(undecomposed: tuple[int, ...], eight_from: int | None) -> None:
-    _, levels = random_model(np.random.default_rng(3), SIZES, 3, undecomposed, eight_from=eight_from,
-                             shapes=Shapes(zero=0.1, leaf=0.1))
-    words = Words(pack_image(levels).words, undecomposed)
+@pytest.mark.parametrize(("undecomposed", "shapes", "cuts"), [
+    ((), Shapes(zero=0.1, leaf=0.1), ()), ((1,), Shapes(zero=0.1, leaf=0.1), ()), ((0, 3), Shapes(), ()),
+    ((), Shapes(own=0.4), ()), ((), Shapes(own=0.4), (1,)), ((1,), Shapes(own=0.2), (2,)), ((), Shapes(), (1, 2)),
+])
+def test_words_alone_tell_every_element(undecomposed: tuple[int, ...], shapes: Shapes, cuts: tuple[int, ...]) -> None:
+    _, stages = random_model(np.random.default_rng(3), SIZES, 3, undecomposed, shapes=shapes, cuts=cuts)
+    words = Words(pack_image(stages).words)
     coords = np.random.default_rng(4).integers(SIZES, size=(40, len(SIZES)))
-    for upto in (1, 3):
-        found = [words.element(index, upto) for index in coords.tolist()]
-        expected = decode_elements(levels, SIZES, coords, upto, np.float64)
+    for upto, end in enumerate(level_ends(stages), 1):
+        found = [words.element(index, end) for index in coords.tolist()]
+        expected = decode_elements(stages, SIZES, coords, upto, np.float64)
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
 
 
-def test_an_undecomposed_mode_has_no_addresses() -> None:
-    _, levels = random_model(np.random.default_rng(3), SIZES, 2, (1,))
-    node = Words(pack_image(levels).words, (1,)).modes(0)[1]
-    assert node == [1, 1, SIZES[1], 0, 0]
+def test_an_undecomposed_mode_has_neither_rows_nor_numbers() -> None:
+    _, stages = random_model(np.random.default_rng(3), SIZES, 2, (1,))
+    with_rows = pack_image(stages)
+    assert Words(with_rows.words).modes(0)[1][:3] == [1, 0, SIZES[1]]
+    rows = sum(int(offset[-1]) * 2 + cluster.size for stage in stages
+               for n, (offset, cluster) in enumerate(zip(stage.row_offset, stage.cluster, strict=True)) if n != 1)
+    empty = sum(2 * int(offset[s + 1] - offset[s]) for stage in stages for s in np.flatnonzero(~stage.has_cells)
+                for n, offset in enumerate(stage.row_offset) if n != 1)
+    assert with_rows.scales - with_rows.rows == rows - empty

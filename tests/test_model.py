@@ -284,19 +284,18 @@ def test_saved_and_opened_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("level", [1, 2, 3])
-def test_packed_levels_stay_packed(level: int, tmp_path: Path) -> None:
-    """Opened and saved again, of all levels or the first ones, a file is the same; what is left keeps its codes."""
-    model = Model(*random_model(np.random.default_rng(5), SHAPE, 3, shapes=Shapes(zero=0.05, leaf=0.05), eight_from=1,
-                                packed_share=1.0)).at_level(level)
+def test_coded_stages_stay_coded(level: int, tmp_path: Path) -> None:
+    """Opened and saved again, of all levels or the first ones, a file is the same; what is left keeps its steps."""
+    model = Model(*random_model(np.random.default_rng(5), SHAPE, 3, shapes=Shapes(zero=0.05, leaf=0.05),
+                                coded=1.0)).at_level(level)
     model.save(tmp_path / "a.hmk")
     again = open_model(tmp_path / "a.hmk")
     again.save(tmp_path / "b.hmk")
     assert (tmp_path / "a.hmk").read_bytes() == (tmp_path / "b.hmk").read_bytes()
     assert (tmp_path / "a.hmk").stat().st_size == model.nbytes == again.nbytes
     for one, other in zip(again.levels, model.levels, strict=True):
-        assert len(one.rice) == len(SHAPE)
-        for own, expected in zip(one.rice, other.rice, strict=True):
-            assert own is not None
+        assert one.step == other.step is not None
+        for own, expected in zip(one.column, other.column, strict=True):
             np.testing.assert_array_equal(own, expected)
     np.testing.assert_array_equal(again[...], model[...])
 

@@ -170,7 +170,8 @@ def test_models_made_by_hand_are_refused_where_they_are_decoded(name: str, deep:
     below = example_level()
     metadata = example_metadata()
     levels = [broken, below] if deep else [broken]
-    model = Model(replace(metadata, levels=metadata.levels * len(levels)), levels)
+    both = replace(metadata, stages=metadata.stages * len(levels), quality=metadata.quality * len(levels))
+    model = Model(both, levels)
     leads_down = ("children beyond", "parts beyond", "parts too few", "local rows beyond")
     if name in leads_down and not deep:
         return  # nothing is looked for below the last level

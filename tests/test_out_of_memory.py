@@ -54,12 +54,11 @@ def test_in_python(call: str, model: Model, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_open(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for place in ("check_levels", "read_header", "completed"):
+    for place in ("check_largest", "frame_of", "decode_stage"):
         with monkeypatch.context() as patched:
             patched.setattr(f"hmkcta.hmkfile.read.{place}", runs_out)
-            if place != "completed":  # this file has nothing to complete
-                with pytest.raises(HmkctaError, match="ResourceLimit/memory"):
-                    hmkcta.open(file)
+            with pytest.raises(HmkctaError, match="ResourceLimit/memory"):
+                hmkcta.open(file)
     monkeypatch.setattr("hmkcta.readers.npy.np.memmap", runs_out)
     monkeypatch.setattr("hmkcta.readers.source.np.memmap", runs_out)
     with pytest.raises(HmkctaError, match="ResourceLimit/memory"):
@@ -67,9 +66,9 @@ def test_open(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 PLACES = {
-    "info": "hmkcta.hmkfile.read.check_levels", "verify": "hmkcta.measure.add_level",
-    "decompress": "hmkcta.model.decode_block", "render": "hmkcta.hmkfile.read.check_levels",
-    "compress": "hmkcta.encode.follow", "plan": "hmkcta.cli.plan.describe_source",
+    "info": "hmkcta.hmkfile.read.check_largest", "verify": "hmkcta.measure.add_level",
+    "decompress": "hmkcta.model.decode_block", "render": "hmkcta.hmkfile.read.check_largest",
+    "compress": "hmkcta.encode.fit_plan", "plan": "hmkcta.cli.plan.describe_source",
 }
 
 

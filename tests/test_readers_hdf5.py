@@ -254,7 +254,7 @@ def test_an_open_dataset_is_compressed_as_its_file_would_be(h5py: Any, tmp_path:
         field.attrs.update({"scale_factor": 0.5, "add_offset": 10.0, "_FillValue": np.int16(7)})
     by_name = open_array(tmp_path / "a.nc")
     with h5py.File(tmp_path / "a.nc") as file:
-        for function in (hmkcta.compress, hmkcta.choose_plan):
+        for function in (hmkcta.compress, hmkcta.estimate):
             with pytest.raises(hmkcta.HmkctaError, match=r"1 values that are NaN.*nan=24.9 "):
                 function(file["field"], snr=30)
         model = hmkcta.compress(file["field"], "R=2", nan=20)

@@ -154,3 +154,37 @@ def test_the_range_before_quantisation_is_said(tmp_path: Path) -> None:
     assert np.array_equal(array, RAW)
     with pytest.warns(UserWarning, match=r"the range 0 to 2\.5 before quantisation"):
         hmkcta.compress(array, "R=2")
+
+
+def test_calibrated_tiff_of_imagej_is_scaled(tmp_path: Path) -> None:
+    """Signed numbers of 16 bits are stored as unsigned ones with an offset; others have a slope."""
+    tifffile = needed("tifffile")
+    values = VALUES.astype(np.uint16) + 32700
+    signed, sloped = {"cf": 0, "c0": -32768, "c1": 1}, {"cf": 0, "c0": 3.5, "c1": 0.25}
+    tifffile.imwrite(tmp_path / "a.tif", values, imagej=True, metadata={"axes": "ZYX", **signed})
+    same(tmp_path / "a.tif", (values.astype(np.int32) - 32768).astype(np.int16))
+    tifffile.imwrite(tmp_path / "b.tif", values, imagej=True, metadata={"axes": "ZYX", **sloped})
+    same(tmp_path / "b.tif", (values * 0.25 + 3.5).astype(np.float32))
+    tifffile.imwrite(tmp_path / "c.tif", values, imagej=True, metadata={"axes": "ZYX", "cf": 4, "c0": 1, "c1": 2})
+    assert refusal(tmp_path / "c.tif").reason == "source-format"
+
+
+def gdal(path: Path, values: Any, *items: tuple[str, int, float], missing: str = "") -> Path:
+    """A TIFF file with items as GDAL writes them, and the number that stands for nothing."""
+    tifffile = needed("tifffile")
+    lines = "".join(f'<Item name="X" sample="{n}" role="{role}">{value}</Item>' for role, n, value in items)
+    tags = [(42112, "s", 0, f"<GDALMetadata>{lines}</GDALMetadata>", True)]
+    tags += [(42113, "s", 0, missing, True)] if missing else []
+    tifffile.imwrite(path, values, extratags=tags, metadata=None)
+    return path
+
+
+def test_tiff_of_gdal_is_scaled(tmp_path: Path) -> None:
+    values = np.arange(20, dtype=np.int16).reshape(4, 5)
+    found = open_array(gdal(tmp_path / "a.tif", values, ("scale", 0, 0.5), ("offset", 0, 10.0), missing="3"))
+    expected = (values * 0.5 + 10).astype(np.float32)
+    expected[values == 3] = np.nan
+    assert found.dtype == np.float32
+    assert np.array_equal(found, expected, equal_nan=True)
+    same(gdal(tmp_path / "b.tif", values, ("unittype", 0, 1.0)), values, mapped=True)
+    assert refusal(gdal(tmp_path / "c.tif", values, ("scale", 0, 0.5), ("scale", 1, 0.25))).reason == "source-format"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import hmkcta
 from gpu_tools import adapter
 from hmkcta import Axis, Model, synthetic
-from hmkcta.axes import name_axes
+from hmkcta.axes import mode_sizes, name_axes
 from hmkcta.errors import HmkctaError
 from hmkcta.render import Camera, Compare, Light, Look, Renderer, Scene, Surface, Tone, Viewpoint, render
 from hmkcta.render.gbuffer import camera_rays, trace
@@ -25,6 +25,8 @@ from hmkcta.render.numpy_path import placed_camera
 from hmkcta.render.prelude import shader
 from hmkcta.render.software import MOST_TURNS, loop_turns
 from hmkcta.render.workload import configuration, random_model
+from random_models import Shapes
+from random_models import random_model as random_blocks
 
 #: Two levels of clusters, and few enough that software finishes them (`hmkcta.render.software`).
 PLAN = "R=2 / R=2,1,2,2 C=2,2,2,2 K=1 / R=1 C=2,1,2,2 K=1"
@@ -71,6 +73,30 @@ def test_a_material_of_8_bits_is_decoded_to_light(material: synthetic.Dataset) -
     coded = np.rint(255 * (material.values / material.values.max()) ** (1 / 2.4)).astype(np.uint8)
     two = (Light(), Light(200, 70, colour=(0.2, 0.5, 1.0)))
     same(compressed(replace(material, values=coded), "light+rgb, view, y, x"), replace(SMALL, lights=two))
+
+
+def blocks(shape: tuple[int, ...], roles: list[str], organisation: str, seed: int) -> Model:
+    """A random model of blocks with ranks and undecomposed modes of their own."""
+    axes = name_axes(shape, roles)
+    modes = tuple(tuple(mode.split("+")) for mode in organisation.split(", "))
+    metadata, stages = random_blocks(np.random.default_rng(seed), mode_sizes(axes, modes), 2, axes=axes,
+                                     organisation=modes, shapes=Shapes(2, 1, 2, 16, 0, own=0.3), cuts=(1,))
+    return Model(metadata, stages)
+
+
+@pytest.mark.parametrize("organisation", ["light+rgb, view, y, x", "light, view, y+x, rgb"])
+def test_svbrdfs_of_blocks(organisation: str) -> None:
+    data = synthetic.material(lights=9, views=6, size=12)
+    model = blocks(data.values.shape, [axis.name for axis in data.axes], organisation, 5)
+    model = Model(replace(model.metadata, axes=data.axes, kind="svbrdf"), model.stages)
+    same(model, SMALL)
+
+
+def test_volumes_and_light_fields_of_blocks() -> None:
+    model = blocks((10, 12, 14, 3), ["z", "y", "x", "time"], "z, y+x, time", 6)
+    same(Model(replace(model.metadata, kind="volume"), model.stages), replace(SMALL, time=0.5))
+    model = blocks((3, 3, 20, 24), ["row", "column", "y", "x"], "row+column, y, x", 7)
+    same(Model(replace(model.metadata, kind="lightfield"), model.stages), SMALL)
 
 
 @pytest.mark.parametrize("level", [1, 2, 3])

@@ -14,23 +14,18 @@ import hmkcta
 from cli_tools import smooth
 from fit_tools import file_of
 from hmkcta import HmkctaError, Journal, Model
-from hmkcta.choosing.tuning import tune
-from hmkcta.journal import NODES, PLAN, RUN
-from hmkcta.plan import Plan
-from hmkcta.streaming.budget import PROCESS, WORKING
+from hmkcta.journal import NODES, RUN
 from hmkcta.support.recordlog import RecordLog
 from resume_tools import DATA, LEVELS, MODES, After, Stop
 
-#: Every kind of step: levels with back-fitting, a scheme found by trial, ranks of their own for both goals, a plan.
+#: Every kind of step: levels with back-fitting, a scheme found by trial, blocks, both goals, a transform.
 CASES: dict[str, dict[str, Any]] = {
     "levels": {"plan": LEVELS, "scheme": "least"},
     "scheme chosen": {"plan": LEVELS, "quality": "fast"},
     "many clusters": {"plan": "R=1 C=12,1,12,12 K=2,1,2,2", "quality": "fast"},
-    "blocks, snr": {"plan": "R=1 grid=y:2,x:2 / R<=8", "snr": 20.0},
-    "own ranks, size": {"plan": "R=2,1,2,2 C=2,1,2,2 / R<=8", "size": 20000},
-    "chosen plan": {"snr": 20.0, "quality": "fast"},
-    "plans side by side": {"size": 24000, "organisation": None},
-    "bytes": {"plan": "R=2,1,2,2 / R=1 C=2,1,2,2 K=2", "bits": 8},
+    "blocks, snr": {"plan": "R=1 grid=y:2,x:2 / R=4 / R=8", "snr": 20.0},
+    "snr": {"snr": 20.0, "quality": "fast"},
+    "size": {"size": 24000, "organisation": None},
     "transform": {"plan": "R=2,1,2,2 / R=1 C=2,1,2,2 K=2", "transform": "log1p"},
 }
 #: More calls than any run makes.
@@ -60,7 +55,6 @@ def whole(folder: Path, **options: Any) -> tuple[bytes, int]:
     return file_of(fitted(progress=counter, **options), folder), MANY - counter.left
 
 
-@pytest.mark.usefixtures("one_goal")
 @pytest.mark.parametrize("name", CASES)
 def test_the_same_bytes_wherever_it_stopped(name: str, tmp_path: Path) -> None:
     options = CASES[name]
@@ -176,30 +170,15 @@ def test_another_program_is_refused(field: str, tmp_path: Path) -> None:
         resumed(tmp_path, **CASES["levels"])
 
 
-def test_a_chosen_plan_is_not_chosen_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    options: dict[str, Any] = {"snr": 25.0}
+def test_what_was_explored_is_not_explored_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    options: dict[str, Any] = {"snr": 25.0, "quality": "fast"}
     reference = file_of(fitted(**options), tmp_path)
     calls = 0
-    while not (tmp_path / "partial" / PLAN).exists():
-        calls += 5
+    while not (tmp_path / "partial" / "explored.json").exists():
+        calls += 1
         interrupted(tmp_path, calls, **options)
-
-    def for_the_other_goal(*of: Any, snr: float | None, **goal: Any) -> list[Plan]:
-        assert snr is None, "the plan was chosen"
-        return tune(*of, snr=snr, **goal)
-
-    monkeypatch.setattr("hmkcta.encode.tune", for_the_other_goal)
+    monkeypatch.setattr("hmkcta.search.engine.first_layouts", None)
     assert resumed(tmp_path, **options)[0] == reference
-
-
-def test_what_a_chosen_plan_is_expected_to_take_is_kept(tmp_path: Path) -> None:
-    """Plans that are expected to take many times a size are not followed, in no run of the same call."""
-    plan = hmkcta.choose_plan(DATA.values, axes=DATA.axes, snr=20, quality="fast")
-    assert plan.expected is not None
-    with Journal(tmp_path / "a.partial") as journal:
-        hmkcta.compress(DATA.values, "R=1", axes=DATA.axes, journal=journal)
-        found, = journal.plans(lambda: [plan], "other")
-        assert (found, found.expected) == (plan, plan.expected)
 
 
 def test_the_memory_of_the_first_run_decides(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -221,24 +200,6 @@ def test_what_was_cut_into_blocks_is_cut_again(tmp_path: Path, monkeypatch: pyte
     for share in (0.3, 0.6, 0.95):
         interrupted(tmp_path, int(share * calls), **options)
         assert resumed(tmp_path, **options)[0] == reference
-
-
-def test_plans_are_compared_by_the_memory_of_the_first_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where less is free when a run goes on, plans that it had not fitted yet are compared all the same."""
-
-    def chosen(**options: Any) -> bytes:
-        return file_of(hmkcta.compress(DATA.values, axes=DATA.axes, snr=35.0, threads=2, **options), tmp_path)
-
-    counter = After(10**6)
-    reference = chosen(progress=counter)
-    with pytest.raises(Stop), Journal(tmp_path / "partial") as journal:
-        chosen(journal=journal, progress=After((10**6 - counter.left) // 2))
-    too_little = 2 * (PROCESS + WORKING * DATA.values.size // 2)
-    monkeypatch.setattr("hmkcta.support.memory.available_memory", lambda: too_little)
-    monkeypatch.setattr("hmkcta.streaming.budget.available_memory", lambda: too_little)
-    assert chosen() != reference
-    with Journal(tmp_path / "partial", resume=True) as journal:
-        assert chosen(journal=journal) == reference
 
 
 def test_no_trace_of_a_run_that_cannot_be(tmp_path: Path) -> None:

@@ -10,10 +10,11 @@ from gpu_tools import KINDS, Kind, adapter, random_indices
 from hmkcta import Model, compress, synthetic
 from hmkcta.axes import axis_order
 from hmkcta.errors import HmkctaError
-from hmkcta.render.core_sums import uniform_levels
 from hmkcta.render.gpu_decode import GpuDecoder, ListPass, picked_words
 from hmkcta.render.image import pack_image
 from hmkcta.render.prelude import MOST_ROWS, Options, compose_picked
+from hmkcta.render.software import MOST_TURNS, loop_turns
+from hmkcta.render.tree import tree_of
 from hmkcta.render.upload import DecoderBuffers
 from hmkcta.render.weighted import Picks, decode_picked
 from hmkcta.render.workload import Configuration
@@ -44,14 +45,18 @@ def random_picks(model: Model, counts: tuple[int, ...], sums: int, channel: int 
 
 def fitting(model: Model, wanted: int) -> tuple[int, ...]:
     """As many picks an axis as wanted; fewer where a merged mode has too many rows, or software too much to do."""
-    members = [[next(order) for _ in mode] for order in [iter(axis_order(model.metadata.axes,
-               model.metadata.organisation))] for mode in model.metadata.organisation]
+    metadata = model.metadata
+    order = iter(axis_order(metadata.axes, metadata.organisation))
     counts = [1] * model.ndim
-    for axes in members:
+    for mode in metadata.organisation:
         room = MOST_ROWS
-        for axis in axes:
-            counts[axis] = min(wanted, room) if axis < 5 else 1
+        for axis in [next(order) for _ in mode]:
+            counts[axis] = min(wanted, room)
             room //= counts[axis]
+    for axis in reversed(range(2, len(counts))):
+        if loop_turns(model, counts, len(model.levels)) <= MOST_TURNS:
+            break
+        counts[axis] = 1
     return tuple(counts)
 
 
@@ -60,7 +65,7 @@ def test_elements_at_every_level(kind: Kind) -> None:
     model = kind.model()
     decoder = GpuDecoder(model, adapter())
     indices = random_indices(model, 2000)
-    for level in range(1, kind.levels + 1):
+    for level in range(1, len(model.levels) + 1):
         expected = model.at_level(level)[tuple(indices.T)]
         assert error(decoder.elements(indices, level), expected) <= CLOSE
 
@@ -70,7 +75,7 @@ def test_weighted_sums_at_every_level(kind: Kind) -> None:
     model = kind.model(seed=2)
     decoder = GpuDecoder(model, adapter())
     picks = random_picks(model, fitting(model, 2), 300)
-    for level in range(1, kind.levels + 1):
+    for level in range(1, len(model.levels) + 1):
         assert error(decoder.picked(picks, level), decode_picked(model, picks, level)) <= CLOSE
 
 
@@ -98,7 +103,7 @@ UNIFORM = {
 @pytest.mark.parametrize("name", UNIFORM)
 def test_uniform_levels(name: str) -> None:
     model = workload_model(UNIFORM[name], seed=4)
-    assert uniform_levels(model.metadata, model.levels) == tuple(range(len(model.levels)))
+    assert tree_of(model.metadata, model.stages).uniform == tuple(range(len(model.levels)))
     decoder = GpuDecoder(model, adapter())
     for counts, channel in (((3, 3, 3, 2, 2), 1), ((2, 2, 2, 2, 2), None), ((1, 1, 1, 1, 1), None)):
         picks = random_picks(model, counts, 150, channel)
@@ -152,7 +157,7 @@ def test_channels_have_weights_of_their_own() -> None:
 
 def test_images_of_several_pages() -> None:
     model = KINDS[3].model()
-    words = pack_image(model.levels).words.size
+    words = pack_image(model.stages).words.size
     shift = int(np.ceil(np.log2(words / 4)))
     decoder = GpuDecoder(model, adapter(), page_shift=shift)
     assert decoder.buffers.pages > 2

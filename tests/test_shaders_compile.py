@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from gpu_tools import KINDS, Kind, adapter, job, random_indices, run_in_dawn
 from hmkcta import Model
-from hmkcta.render.core_sums import uniform_levels
 from hmkcta.render.device import spread
 from hmkcta.render.frame_contraction import contraction_constants, contraction_shader
 from hmkcta.render.gpu_decode import picked_words
 from hmkcta.render.gpu_svbrdf import constants
 from hmkcta.render.image import pack_image
 from hmkcta.render.prelude import Options, compose, compose_picked, decoder_uniform, image_pages, prelude, shader
+from hmkcta.render.tree import Tree, tree_of
 from hmkcta.render.weighted import decode_picked
 from make_prelude_corpus import CORPUS, corpus
 from test_shaders import CLOSE, error, fitting, random_picks
@@ -54,15 +54,21 @@ PASSES = {
 }
 #: What a shader is built for decides about its text: all of these, for every pass that decodes.
 BUILT_FOR = [kind for kind in KINDS if kind.name in
-             ("one-mode", "pca", "order-8", "folded-colour", "merged-texels", "time-undecomposed")]
+             ("one-mode", "pca", "order-8", "folded-colour", "merged-texels", "time-undecomposed", "blocks-merged")]
+
+
+def plain_tree(model: Model) -> Tree:
+    """The tree, without loops with constant bounds."""
+    return replace(tree_of(model.metadata, model.stages), uniform=())
 
 
 def contraction(kind: Kind) -> str:
     """The pass that contracts the last mode."""
     model = kind.model()
     options = Options(contracted=(len(model.metadata.organisation) - 1,))
-    constants = contraction_constants(model.metadata, model.levels, pack_image(model.levels), options)
-    return contraction_shader(prelude(model.metadata, 1), constants)
+    tree = plain_tree(model)
+    constants = contraction_constants(tree, model.stages, pack_image(model.stages), options)
+    return contraction_shader(prelude(tree, 1), constants)
 
 
 def texts() -> dict[str, str]:
@@ -76,8 +82,7 @@ def texts() -> dict[str, str]:
             model = kind.model()
             picks = fitting(model, 3) if built.pieces == WEIGHTED else None
             for channels, pages in product(built.channels, (1, 5)):
-                uniform = uniform_levels(model.metadata, model.levels)
-                head = prelude(model.metadata, pages, Options(picks, channels), uniform)
+                head = prelude(tree_of(model.metadata, model.stages), pages, Options(picks, channels))
                 head += constants(angles=pages == 1, fixed=channels == 3) if name == "svbrdf" else ""
                 made[f"{name} of {kind.name}, {channels} channels, {pages} pages"] = compose(head, *built.pieces, name)
     return made
@@ -112,7 +117,7 @@ def test_tint_takes_every_shader(tmp_path: Path) -> None:
 
 def buffers(model: Model, level: int, page_shift: int = 25) -> tuple[int, list[tuple[str, bytes]]]:
     """Pages of the image, and group 0."""
-    words = pack_image(model.levels).words
+    words = pack_image(model.stages).words
     pages = image_pages(words.size, page_shift)
     parts = [words[page << page_shift:(page + 1) << page_shift] for page in range(pages)]
     stored = [("read-only-storage", part.tobytes()) for part in parts]
@@ -125,9 +130,9 @@ def test_tint_decodes_elements(tmp_path: Path) -> None:
     for kind in KINDS:
         model = kind.model()
         indices = random_indices(model, 500)
-        for level in range(1, kind.levels + 1):
+        for level in range(1, len(model.levels) + 1):
             pages, decoder = buffers(model, level)
-            head = prelude(model.metadata, pages, uniform=uniform_levels(model.metadata, model.levels))
+            head = prelude(tree_of(model.metadata, model.stages), pages)
             code = compose(head, "image", "decode", "elements")
             lists = [("read-only-storage", indices.astype(np.uint32).tobytes()), ("storage", bytes(4 * len(indices)))]
             jobs.append(job(code, "decode_elements", [decoder, lists], spread(-(-len(indices) // 64))))
@@ -144,8 +149,8 @@ def test_tint_decodes_weighted_sums(tmp_path: Path, channels: int) -> None:
         model = kind.model(seed=4)
         counts = fitting(model, 2) if channels == 1 else (3, 1, 2, 1, 3, 1)[: model.ndim]
         picks = random_picks(model, counts, 100, channel=4 if channels == 3 else None)
-        pages, decoder = buffers(model, kind.levels)
-        head = prelude(model.metadata, pages, Options(counts, channels))
+        pages, decoder = buffers(model, len(model.levels))
+        head = prelude(plain_tree(model), pages, Options(counts, channels))
         wanted = picked_words(picks, max(counts))
         lists = [("read-only-storage", wanted.tobytes()), ("storage", bytes(400 * channels))]
         code = compose_picked(head, "picked")
@@ -157,12 +162,12 @@ def test_tint_decodes_weighted_sums(tmp_path: Path, channels: int) -> None:
 
 def test_several_pages_in_tint(tmp_path: Path) -> None:
     model = Kind("paged", (7, 6, 5, 4)).model()
-    words = pack_image(model.levels).words.size
+    words = pack_image(model.stages).words.size
     shift = int(np.ceil(np.log2(words / 3)))
     indices = random_indices(model, 300)
     pages, decoder = buffers(model, 3, shift)
     assert pages > 1
-    code = compose(prelude(model.metadata, pages, Options(page_shift=shift)), "image", "decode", "elements")
+    code = compose(prelude(plain_tree(model), pages, Options(page_shift=shift)), "image", "decode", "elements")
     lists = [("read-only-storage", indices.astype(np.uint32).tobytes()), ("storage", bytes(4 * len(indices)))]
     found = run_in_dawn([job(code, "decode_elements", [decoder, lists], (5, 1, 1))], tmp_path)[0]
     assert error(found.view(np.float32), model[tuple(indices.T)]) <= CLOSE

@@ -25,6 +25,7 @@ from hmkcta.render.frame_contraction import (
 from hmkcta.render.gpu_decode import ListPass, picked_words
 from hmkcta.render.image import pack_image
 from hmkcta.render.prelude import Options, compose_picked, decoder_uniform, prelude
+from hmkcta.render.tree import tree_of
 from hmkcta.render.upload import DecoderBuffers
 from hmkcta.render.weighted import Picks, decode_picked
 from test_shaders import CLOSE, fitting
@@ -74,7 +75,7 @@ def test_contracted_modes_change_nothing(kind: Kind) -> None:
         buffers.contract(fixed(picks, still))
         code = compose_picked(buffers.prelude(), "picked")
         decode = ListPass(adapter(), buffers, "decode_sums", code)
-        for level in (1, kind.levels):
+        for level in (1, len(model.levels)):
             assert close(decode.run(picked_words(picks, 2), buffers.bind_group(level)), model, picks, level)
     assert tried
 
@@ -129,15 +130,17 @@ def test_only_modes_that_stand_still_altogether_are_contracted() -> None:
     assert contractable(model, [2, 3]) == (2,)
 
 
-def test_tint_contracts_the_same(tmp_path: Path) -> None:
-    kind = next(kind for kind in KINDS if kind.name == "order-4")
+@pytest.mark.parametrize("name", ["order-4", "blocks-of-blocks"])
+def test_tint_contracts_the_same(tmp_path: Path, name: str) -> None:
+    kind = next(kind for kind in KINDS if kind.name == name)
     model, still = kind.model(seed=2), (1, 2)
     metadata, picks = model.metadata, interpolation(model, still)
+    tree = replace(tree_of(metadata, model.stages), uniform=())
     options = Options(fitting(model, 2), contracted=contractable(model, still))
-    image = pack_image(model.levels)
-    group = [("uniform", decoder_uniform(metadata, kind.levels)), ("read-only-storage", image.words.tobytes())]
-    constants = contraction_constants(metadata, model.levels, image, options)
-    starts = core_starts(model.levels, options.contracted)
+    image = pack_image(model.stages)
+    group = [("uniform", decoder_uniform(metadata, len(model.levels))), ("read-only-storage", image.words.tobytes())]
+    constants = contraction_constants(tree, model.stages, image, options)
+    starts = core_starts(model.stages, options.contracted)
     device = adapter()
     whole = DecoderBuffers(device, model, replace(options, contracted=()))
     contraction = FrameContraction(device, model, image, options, whole.layout, whole.pages)
@@ -145,10 +148,10 @@ def test_tint_contracts_the_same(tmp_path: Path) -> None:
     contraction.run(whole.bind_group(), [fixed(picks, still)])
     expected = device.read(contraction.cores)
     fold = [("read-only-storage", fixed_rows(metadata, options.contracted, fixed(picks, still)).tobytes()),
-            ("read-only-storage", parent_table(model.levels).tobytes()),
+            ("read-only-storage", parent_table(model.stages).tobytes()),
             ("storage", starts.tobytes() + bytes(expected.nbytes - starts.nbytes))]
     counts = spread(-(-constants["CELLS"] * constants["LANES"] // 64))
-    code = contraction_shader(prelude(metadata, 1), constants)
+    code = contraction_shader(prelude(tree, 1), constants)
     found = run_in_dawn([job(code, "contract_frame", [group, fold], counts)], tmp_path)[0]
     assert (found[: starts.size] == starts).all()
     numbers, same = (words[starts.size:].view(np.float32) for words in (found, expected))

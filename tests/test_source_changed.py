@@ -109,13 +109,13 @@ def during_fit(monkeypatch: pytest.MonkeyPatch, happens: Callable[[], object]) -
     """Let something happen once values have been looked at, before the fit."""
     import hmkcta.encode as encode
 
-    follow = encode.follow
+    fit_plan = encode.fit_plan
 
-    def followed(*words: Any, **options: Any) -> Any:
+    def fitted(*words: Any, **options: Any) -> Any:
         happens()
-        return follow(*words, **options)
+        return fit_plan(*words, **options)
 
-    monkeypatch.setattr(encode, "follow", followed)
+    monkeypatch.setattr(encode, "fit_plan", fitted)
 
 
 @pytest.mark.parametrize("name", WRITERS)
@@ -180,8 +180,8 @@ def test_a_change_while_it_is_unpacked(tmp_path: Path, monkeypatch: pytest.Monke
 def test_other_commands_look_too(command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     source = saved(tmp_path / "a.npy", ONE)
     run("compress", source, "-o", tmp_path / "a.hmk", *PLAN)
-    import hmkcta.cli.plan as plan
     import hmkcta.cli.verify as verify
+    import hmkcta.encode as encode
 
     def after(work: Callable[..., Any]) -> Callable[..., Any]:
         def worked(*words: Any, **options: Any) -> Any:
@@ -190,7 +190,7 @@ def test_other_commands_look_too(command: str, tmp_path: Path, monkeypatch: pyte
 
         return worked
 
-    monkeypatch.setattr(plan, "choose_plan", after(plan.choose_plan))
+    monkeypatch.setattr(encode, "estimate_model", after(encode.estimate_model))
     monkeypatch.setattr(verify, "measure_both", after(verify.measure_both))
     if command == "plan":
         refused("plan", source, code=8)
@@ -239,13 +239,13 @@ needs_signals = pytest.mark.skipif(os.name != "posix", reason="elsewhere a mappe
 CUT = """
 import os
 import hmkcta.encode as e, hmkcta.cli.verify as v
-follow, measure = e.follow, v.measure_both
+fit_plan, measure = e.fit_plan, v.measure_both
 def cut(work):
     def worked(*a, **k):
         os.truncate({path!r}, 5000)
         return work(*a, **k)
     return worked
-e.follow, v.measure_both = cut(follow), cut(measure)
+e.fit_plan, v.measure_both = cut(fit_plan), cut(measure)
 """
 
 

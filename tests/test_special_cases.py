@@ -27,6 +27,7 @@ from hmkcta import Model, compress
 from hmkcta.axes import organise
 from hmkcta.cells import Cells, dense_basis
 from hmkcta.fitting.fit import EFFORTS, fit_level, left_by
+from hmkcta.packed import undecomposed_modes
 from hmkcta.plan import LevelSpec, parse_level
 from random_models import Shapes, random_model
 
@@ -71,7 +72,7 @@ def test_pca_is_the_truncated_svd(plan: str, shape: tuple[int, int]) -> None:
     model, best = fitted(matrix, plan), svd_error(matrix, 3)
     # No matrix of rank 3 is better (Eckart and Young); float16 costs next to nothing at this SNR.
     assert best * (1 - 1e-9) <= error_of(model, matrix) <= best * 1.001
-    assert model.metadata.undecomposed == tuple(n for n, r in enumerate(plan[2:].split(",")) if r == "*")
+    assert undecomposed_modes(model.stages) == tuple(n for n, r in enumerate(plan[2:].split(",")) if r == "*")
 
 
 def test_pca_of_merged_modes_is_the_truncated_svd_of_their_matrix() -> None:
@@ -137,7 +138,7 @@ def cluster_errors(model: Model, tensor: F32, ranks: Sequence[int]) -> tuple[flo
     """Sums over disjoint cells: no better than the bound, about as good as converged HOOI."""
     level = model.levels[0]
     stored = zip(tensor.shape, level.cluster, strict=True)
-    labels = [np.zeros(size, int) if cluster is None else cluster.astype(int) for size, cluster in stored]
+    labels = [cluster.astype(int) if cluster.size else np.zeros(size, int) for size, cluster in stored]  # K = 0: none
     bound = best = 0.0
     for cell in product(*(np.unique(part) for part in labels)):
         block = tensor[np.ix_(*(np.flatnonzero(part == c) for part, c in zip(labels, cell, strict=True)))]
@@ -238,7 +239,7 @@ def test_shapes_are_the_plans_clamped_to_each_node(shape: Sequence[int], plan: s
             for n, owned in enumerate(rows):
                 clusters, mixture, rank = stored[:, n]
                 assert 1 <= clusters == min(spec.clusters[n], len(owned))
-                assert mixture == min(spec.mixture[n], clusters)
+                assert mixture == (0 if spec.ranks[n] is None else min(spec.mixture[n], clusters))
                 assert rank == (len(owned) if spec.ranks[n] is None else min(spec.ranks[n] or 0, len(owned)))
         owners = sum((prod(map(len, rows)) for rows in nodes), 0)
         assert owners == (tensor.size if level is model.levels[0] else owners) <= tensor.size

@@ -1,8 +1,8 @@
 """Hierarchical multiway K-clustered tensor approximation: compress visual data, decode any element on its own.
 
 `compress` makes a `Model` of an array, `Model.save` and `open` write and read its file, and indexing the model decodes.
-`parse_plan` and `choose_plan` give the `Plan` that a fit follows. What goes wrong is an `HmkctaError`, and an SNR that
-is out of reach the warning `GoalMissed`. Axes, levels and modes are named as in the paper: `docs/notation.md`.
+`parse_plan` reads a written `Plan`. What goes wrong is an `HmkctaError`, and an SNR that is out of reach the
+warning `GoalMissed`. Axes, levels and modes are named as in the paper: `docs/notation.md`.
 
 >>> import hmkcta
 >>> light_field = hmkcta.synthetic.light_field(views=2, size=8, frames=1)
@@ -18,7 +18,7 @@ from ._version import __version__
 
 if TYPE_CHECKING:
     from .axes import Axis
-    from .encode import choose_plan, compress
+    from .encode import compress, estimate
     from .errors import GoalMissed, HmkctaError
     from .hmkfile import Limits
     from .journal import Journal
@@ -36,8 +36,8 @@ __all__ = [
     "Model",
     "Plan",
     "__version__",
-    "choose_plan",
     "compress",
+    "estimate",
     "open",
     "open_array",
     "parse_plan",
@@ -54,8 +54,8 @@ _MODULES = {
     "Limits": "hmkfile",
     "Model": "model",
     "Plan": "plan",
-    "choose_plan": "encode",
     "compress": "encode",
+    "estimate": "encode",
     "open": "model",
     "open_array": "readers",
     "parse_plan": "plan",

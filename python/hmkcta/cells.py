@@ -1,6 +1,6 @@
 """The cells of one node at one level while it is being fitted: memberships, bases and cores in float32.
 
-A cell is a cluster c = (c_1..c_N) of the paper's equation 2. The layout is the file's (`docs/format.md`, section 3), so
+A cell is a cluster c = (c_1..c_N) of the paper's equation 2. The layout is the file's (`docs/format.md`, section 4), so
 that packing only rounds.
 """
 
@@ -10,14 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from math import prod
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .arrays import F32, F64
+from .arrays import F32
 from .errors import invalid
-from .narrow import BASIS_NUMBERS, CORE_NUMBERS, LARGEST_BASIS, narrowed, widened
 from .plan import LevelSpec
 
 #: Inner products of the bases of all pairs of cells: `[R_m, PC, R_m, PC]`.
@@ -75,18 +73,10 @@ class Cells:
         return Cells(self.sizes, self.spec, list(self.members), bases, self.cores.copy())
 
     def rounded(self) -> Cells:
-        """The cells as they will be stored: numbers of the spec's bits, cores with a float32 factor a cell.
-
-        Of eight bits, columns of bases go as far as a byte does, and cores take their lengths.
-        """
-        if self.spec.bits == 8:
-            bases, cores = scaled_columns(self)
-            bases = [widened(narrowed(basis, BASIS_NUMBERS), BASIS_NUMBERS) for basis in bases]
-        else:
-            bases, cores = self.bases, self.cores
-        stored, scale = round_cores(cores, self.spec.bits)
+        """The cells as they are stored: float16 numbers, cores with a float32 factor a cell."""
+        stored, scale = round_cores(self.cores)
         wide = stored.astype(np.float32) * scale.reshape(-1, *[1] * len(self.sizes))
-        bases = [basis.astype(np.float16, order="C").astype(np.float32) for basis in bases]
+        bases = [basis.astype(np.float16, order="C").astype(np.float32) for basis in self.bases]
         return Cells(self.sizes, self.spec, self.members, bases, wide)
 
 
@@ -100,71 +90,14 @@ def check_shape(tensor: F32, cells: Cells) -> None:
         raise invalid("wrong-shape", "tensor", tensor.shape, str(cells.sizes))
 
 
-def scaled_columns(cells: Cells) -> tuple[list[F32], F32]:
-    """Bases whose columns, cell by cell, reach up to the largest number of a byte, and cores that make up for it.
-
-    Columns that do already stay as they are, bit by bit.
-    """
-    cores, bases = cells.cores, list(cells.bases)
-    for n, basis in enumerate(cells.bases):
-        if cells.undecomposed[n]:
-            continue
-        peak = column_peaks(cells, n)
-        factor = np.where(peak > 0, peak, LARGEST_BASIS).astype(np.float64) / LARGEST_BASIS
-        bases[n] = (basis / factor[cells.members[n]]).astype(np.float32)
-        each = by_cells(cells, n, factor)
-        along = [1] * cells.order
-        along[n] = each.shape[1]
-        cores = (cores * each.reshape(-1, *along)).astype(np.float32)
-    return bases, cores
-
-
-def column_peaks(cells: Cells, n: int) -> F32:
-    """Largest magnitude of each column of U_n, `[C_n, PC_-n, R_n]`."""
-    basis = cells.bases[n]
-    peak = np.zeros((cells.spec.clusters[n], *basis.shape[2:]), np.float32)
-    for k in range(basis.shape[1]):
-        np.maximum.at(peak, cells.members[n][:, k], np.abs(basis[:, k]))
-    return peak
-
-
-def column_squares(cells: Cells, n: int) -> F64:
-    """Squared length of each column of U_n, `[C_n, PC_-n, R_n]`."""
-    basis = cells.bases[n]
-    squares = np.zeros((cells.spec.clusters[n], *basis.shape[2:]))
-    for k in range(basis.shape[1]):
-        np.add.at(squares, cells.members[n][:, k], np.square(basis[:, k], dtype=np.float64))
-    return squares
-
-
-def by_cells(cells: Cells, n: int, columns: NDArray[Any]) -> NDArray[Any]:
-    """What is told of columns of mode n, `[C_n, PC_-n, R_n]`, for each cell: `[PC, R_n]`."""
-    clusters = cells.spec.clusters
-    before, after = prod(clusters[:n]), prod(clusters[n + 1 :])
-    return columns.reshape(clusters[n], before, after, -1).swapaxes(0, 1).reshape(cells.spec.cells, -1)
-
-
-def by_columns(cells: Cells, n: int, each: F64) -> F64:
-    """What is told of columns of mode n for each cell, `[PC, R_n]`, for each column: `[C_n, PC_-n, R_n]`."""
-    clusters = cells.spec.clusters
-    before, after = prod(clusters[:n]), prod(clusters[n + 1 :])
-    return each.reshape(before, clusters[n], after, -1).swapaxes(0, 1).reshape(clusters[n], before * after, -1)
-
-
-def round_cores(cores: F32, bits: int = 16) -> tuple[NDArray[np.float16], F32]:
+def round_cores(cores: F32) -> tuple[NDArray[np.float16], F32]:
     """Cores `[PC, ..]` as float16 with the largest number of each near 1, and the float32 factors `[PC]`.
-
-    Of eight bits they are numbers of `narrow.CORE_NUMBERS`, the largest being 1.
 
     >>> stored, scale = round_cores(np.array([[3e6, 1e6], [0, 0]], np.float32))
     >>> [float(x) for x in scale], [float(x) for x in stored[1]]
     ([2097152.0, 1.0], [0.0, 0.0])
     """
     peak = np.abs(cores).reshape(len(cores), -1).max(axis=1, initial=0.0)
-    if bits == 8:
-        scale = np.where(peak > 0, peak, 1.0).astype(np.float32)
-        shares = cores / scale.astype(np.float64).reshape(-1, *[1] * (cores.ndim - 1))
-        return widened(narrowed(shares, CORE_NUMBERS), CORE_NUMBERS), scale
     # A power of two, so that scaling rounds nothing.
     scale = np.exp2(np.floor(np.log2(np.where(peak > 0, peak, 1.0)))).astype(np.float32)
     return (cores / scale.reshape(-1, *[1] * (cores.ndim - 1))).astype(np.float16), scale

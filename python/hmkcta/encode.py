@@ -6,7 +6,6 @@ import os
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
-from functools import cache
 from math import prod
 from numbers import Integral, Real
 from threading import Lock
@@ -16,30 +15,26 @@ from warnings import warn
 import numpy as np
 
 from . import backends as kernels
-from .axes import Axis, check_kind, mode_sizes
+from .axes import Axis, check_kind
 from .backends import Device
-from .choosing.blocks import SHARED, Samples, samples_of
-from .choosing.tuning import tune
-from .comparing.both_goals import follow_both
-from .comparing.finer import SMALL, finer
-from .comparing.follow import ORGANISATIONS, Task, follow
-from .comparing.followed import Followed, best_of
 from .errors import GoalMissed, expect, invalid, shown
 from .fitting.fit import EFFORTS
+from .fitting.hmkcta import FitRequest, fit_plan
 from .fitting.run import Run
-from .goals import misses
+from .goals import misses, time_given
 from .hmkfile import KINDS
 from .journal import Journal, decisive
 from .model import Model
 from .offset import lost_beside_offset
 from .plan import AUTO, SCHEMES, Plan
+from .search.engine import Goal
+from .search.find import Estimate, estimate_model, find_model
 from .streaming.budget import check_least_memory
 from .streaming.source import Source, prepare
 from .support.cut_short import whole_map
 from .support.executors import thread_count
 from .support.memory import keep_freed_memory
-from .support.once import Once
-from .support.progress import Compared, Progress, nobody
+from .support.progress import Progress, nobody
 from .wanted import Wanted, read_plan, the_goal, wanted_of
 
 #: Default goal: this share of the float32 bytes, or `wanted.DEFAULT_SNR` where that takes fewer.
@@ -47,54 +42,6 @@ DEFAULT_RATIO = 100
 #: A default goal is never below these: header and tables alone take several KiB, and a row of a mode, with the least
 #: that can be stored of it (R = 1), up to five bytes. Few long modes leave nothing else to save.
 SMALLEST_DEFAULT, ROW_BYTES = 16384, 5
-
-
-def choose_plan(
-    array: Any,
-    *,
-    axes: Sequence[Axis | str] | None = None,
-    snr: float | None = None,
-    size: int | str | None = None,
-    decode_cost: int = 4096,
-    quality: str = "medium",
-    organisation: str | Sequence[Sequence[str]] | None = None,
-    transform: str | None = None,
-    nan: float | None = None,
-    bits: int | None = None,
-    seed: int = 0,
-    threads: int | None = None,
-    max_memory: int | str | None = None,
-    progress: Progress | None = None,
-) -> Plan:
-    """The first plan that `compress` would fit for a goal, found by trial on a sample; nothing is fitted yet.
-
-    `compress` also fits plans like it and keeps the best, so that its model may follow another one.
-
-    Args:
-        All of them mean what they mean for `compress`, which describes them; so does the goal where neither `snr` nor
-        `size` is given.
-
-    Returns:
-        The plan with its goal. `Plan.expected` are the bytes that an SNR is expected to take, where the sample tells.
-
-    Raises:
-        HmkctaError: as `compress`; or no plan is as small as `size`.
-
-    >>> import numpy as np
-    >>> ramp = np.add.outer(np.arange(16.0), np.arange(12.0))
-    >>> plan = choose_plan(ramp, axes="y,x", snr=40, quality="fast")
-    >>> plan.snr, plan.organisation, plan.decode_cost() <= 4096
-    (40.0, (('y',), ('x',)), True)
-    """
-    run = _run(quality, decode_cost, seed, threads, progress)
-    snr, size = the_goal(snr, size)
-    _check_types(array, transform, nan)
-    wanted = wanted_of(snr, size, decode_cost, organisation, max_memory, bits)
-    with _threads(run.threads), whole_map(array):
-        source, run = _prepared(prepare(array, axes, transform, nan, run.threads), run)
-        chosen = _chosen(source, run, wanted)[0]
-        _check_steady(source)
-    return chosen
 
 
 def compress(
@@ -106,11 +53,11 @@ def compress(
     size: int | str | None = None,
     decode_cost: int = 4096,
     quality: str = "medium",
+    time: float | str | None = None,
     organisation: str | Sequence[Sequence[str]] | None = None,
     scheme: str | None = None,
     transform: str | None = None,
     nan: float | None = None,
-    bits: int | None = None,
     kind: str | None = None,
     seed: int = 0,
     threads: int | None = None,
@@ -119,30 +66,27 @@ def compress(
     progress: Progress | None = None,
     journal: Journal | None = None,
 ) -> Model:
-    """Approximate an array by HMK-CTA (paper, section 4), by a given plan or one chosen for a goal.
+    """Approximate an array by HMK-CTA (paper, section 4), by a given plan, or for a goal by what a search finds.
 
     Args:
         array: real numbers or booleans of any dtype, order and layout, 1 to 8 axes; NumPy array or memory map.
         plan: levels as `parse_plan` reads them, or a `Plan`, whose goal counts unless `snr` or `size` says another;
-            None: chosen for the goal on a sample of the data.
+            None: blocks, modes and ranks are searched for the goal.
         axes: names (``light``, or ``gloss:space`` with a role) or `Axis` objects, in array order; or the names as one
             text, ``"light, view, y, x"``; None: those of an xarray or a `Model`.
         snr: least SNR in dB of the stored numbers. With explicit levels: no deeper than needed.
         size: most bytes of the whole file, or a text such as ``"20MiB"``. Neither: 1/100 of the float32 bytes or
             50 dB, whichever is less.
-        decode_cost: most multiply-adds for one scattered element: bounds ranks that are chosen, those of a chosen plan
-            and of ``R<=`` in a written one. Written ranks are kept.
+        decode_cost: most multiply-adds for one scattered element of what is chosen. Written ranks are kept.
         quality: ``fast``, ``medium`` or ``thorough``: how long the fit tries.
+        time: seconds, or a text such as ``"5min"``, after which a search for a goal takes the best layout found so far;
+            that one is then coded to its end. What is found depends on the machine; None: as long as it takes.
         organisation: axes merged into modes, ``"light+rgb, view, y+x"``, or their names for each mode, as
             `Plan.organisation` has them; None: the `Plan`'s, chosen, or a mode for each axis.
-        scheme: ``most``, ``least``, ``uniform`` or ``auto`` (the best of the three; above ``R<=`` ``most``) subdivision
-            of written levels; None: as a `Plan` says, ``auto`` of a text.
+        scheme: ``most``, ``least``, ``uniform`` or ``auto`` (the best of the three) subdivision of written levels;
+            None: as a `Plan` says, ``auto`` of a text.
         transform: value transform for high dynamic range, e.g. ``log1p``; None: identity.
         nan: value to put for NaN and infinity; None: refuse them.
-        bits: of each core and basis number in the file, 16 (float16) or 8, in all levels; must agree with any
-            ``bits=`` in the plan. With 8, levels whose ranks a goal chooses are packed: each number has as many bits as
-            it is worth, some 5 at 25 dB and 8 at 55. None: as the plan says; of a chosen plan 8 where that suffices (up
-            to about 60 dB, and below a 16-bit first level), else 16.
         kind: ``svbrdf``, ``lightfield``, ``volume`` or ``generic``, whose roles the axes must have; None: what their
             roles make.
         seed: the same seed makes the same file.
@@ -152,21 +96,20 @@ def compress(
         device: ``cpu``; or ``cuda``, by which the kernels work on an NVIDIA GPU, through CuPy. Where there is none
             that works it is the CPU, with a warning that says what is missing. Files of another device differ, by
             rounding. Or what `backends.find_device` found, which then keeps count of kernel calls.
-        progress: called with a stage's name and the fraction of it done, 0 to 1. Where plans are compared by their fits
-            the name says which is fitted, ``level 1, plan 2 of 5``; the 5 are those known by then, and may grow.
+        progress: called with a stage's name and the fraction of it done, 0 to 1.
         journal: keeps what is finished, so that an interrupted call can go on.
 
     Returns:
-        The model; `Model.save` writes the file. `Model.made_by` is the plan that was best, for other arrays like it.
+        The model; `Model.save` writes the file. `Model.made_by` is the plan that was given.
 
     Raises:
-        HmkctaError: an argument is out of range, the array holds NaN or infinity, memory would not do, the journal is
-            of another call, or the array changed while it was read (kind `SourceChanged`).
+        HmkctaError: an argument is out of range, the array holds NaN or infinity, memory would not do, or the journal
+            is of another call.
 
     Warns:
         GoalMissed: the SNR is out of reach; the model is the best found.
-        UserWarning: a plan chosen for an SNR missed it, and another one is fitted; a device is missing; the model is no
-            better than zeros alone, of which the SNR is 0 dB; it holds an offset, and little of what varies around it.
+        UserWarning: a device is missing; the model is no better than zeros alone, of which the SNR is 0 dB; it holds an
+            offset, and little of what varies around it.
 
     >>> import numpy as np
     >>> ramp = np.add.outer(np.arange(32.0), np.arange(24.0))
@@ -177,16 +120,19 @@ def compress(
     device = _found(device)
     run = replace(_run(quality, decode_cost, seed, threads, progress), device=device.name)
     snr, size = the_goal(snr, size)
+    time = time_given(time)
     _check_types(array, transform, nan)
     expect("plan", plan, Plan | str | None, "text such as R=4,4,6,6, or a Plan")
     expect("journal", journal, Journal | None, "a Journal")
     _check_names(scheme, kind)
-    wanted = wanted_of(snr, size, decode_cost, organisation, max_memory, bits)
+    wanted = wanted_of(snr, size, decode_cost, organisation, max_memory)
     with _threads(run.threads), whole_map(array):
         source, run = _prepared(prepare(array, axes, transform, nan, run.threads), run)
         check_kind(source.axes, kind or source.kind)
         if plan is not None:
             plan = read_plan(plan, source, wanted, scheme)
+            if time is not None:
+                raise invalid("time", "time", "a time beside a plan", "no time", "a written plan takes what it takes")
         # Before anything is kept of a run that cannot be.
         check_least_memory(prod(source.shape), wanted.max_memory, choosing=plan is None)
         if journal is not None:
@@ -196,38 +142,57 @@ def compress(
 
         with kernels.use(device):
             if plan is None:
-                task, model = _best_for(source, run, wanted, kind or source.kind)
+                model = find_model(source, wanted, _goal(source, wanted), quality=quality, kind=kind or source.kind,
+                                   run=run, seconds=time)
             else:
-                task = _task(source, run, wanted, kind or source.kind, plan)
-                model = follow(task)
+                model = fit_plan(FitRequest(source, plan, kind or source.kind, run, wanted.max_memory))
+                model.made_by = plan
         _check_steady(source)
-    model.made_by = task.plan
-    _warn_of(model, source, task.plan.snr if plan else wanted.snr)  # without a goal it ends at 50 dB if it can
+    _warn_of(model, source, plan.snr if plan else wanted.snr)
     return model
 
 
-def _best_for(source: Source, run: Run, wanted: Wanted, kind: str) -> Followed:
-    """The best that plans come to which are chosen for the goal, with all that `medium` comes to if `thorough`: more
-    care is judged by samples, too, and may choose worse."""
-    @cache
-    def samples() -> Samples | None:  # of all choices; they and the values stay while plans are fitted
-        return samples_of(source) if prod(source.shape) <= SHARED else None
+def estimate(
+    array: Any,
+    *,
+    axes: Sequence[Axis | str] | None = None,
+    snr: float | None = None,
+    size: int | str | None = None,
+    decode_cost: int = 4096,
+    quality: str = "medium",
+    organisation: str | Sequence[Sequence[str]] | None = None,
+    transform: str | None = None,
+    nan: float | None = None,
+    seed: int = 0,
+    threads: int | None = None,
+    max_memory: int | str | None = None,
+    progress: Progress | None = None,
+) -> Estimate:
+    """Estimate by samples what `compress` would make for a goal, and how long it would take.
 
-    shared: dict[str, Any] = {"compared": Compared(), "first_levels": Once(ORGANISATIONS)}
+    Args:
+        All of them mean what they mean for `compress`, which describes them; so does the goal where neither `snr` nor
+        `size` is given.
 
-    def best(run: Run, suffix: str = "") -> Followed:
-        def chosen(name: str, aim: float | None = None, **others: Any) -> list[Plan]:
-            wants = replace(wanted, **others)
-            return run.journal.plans(lambda: _chosen(source, run, wants, aim, samples()), name + suffix)
+    Raises:
+        HmkctaError: as `compress`.
 
-        first, *others = chosen("plan")
-        task = replace(_task(source, run, wanted, kind, first), **shared)
-        return follow_both(task, others, lambda said: warn(said, stacklevel=8), chosen, wanted.ceiling)
-
-    if run.effort != EFFORTS["thorough"]:
-        return best(run)
-    before = best(replace(run, effort=EFFORTS["medium"]), "-medium")
-    return best_of([best(run), before])
+    >>> import numpy as np
+    >>> ramp = np.add.outer(np.arange(32.0), np.arange(24.0))
+    >>> found = estimate(ramp, axes="y,x", snr=40, quality="fast")
+    >>> found.organisation, found.snr > 35
+    ((('y',), ('x',)), True)
+    """
+    run = _run(quality, decode_cost, seed, threads, progress)
+    snr, size = the_goal(snr, size)
+    _check_types(array, transform, nan)
+    wanted = wanted_of(snr, size, decode_cost, organisation, max_memory)
+    with _threads(run.threads), whole_map(array):
+        source, run = _prepared(prepare(array, axes, transform, nan, run.threads), run)
+        check_least_memory(prod(source.shape), wanted.max_memory, choosing=True)
+        found = estimate_model(source, wanted, _goal(source, wanted), quality=quality, run=run)
+        _check_steady(source)
+    return found
 
 
 def _prepared(source: Source, run: Run) -> tuple[Source, Run]:
@@ -241,9 +206,11 @@ def _check_steady(source: Source) -> None:
         source.steady.check()
 
 
-def _task(source: Source, run: Run, wanted: Wanted, kind: str, plan: Plan) -> Task:
-    organised = wanted.organisation is not None
-    return Task(source, plan, wanted.decode_cost, kind, run, wanted.max_memory, wanted.bits, organised)
+def _goal(source: Source, wanted: Wanted) -> Goal:
+    """What is asked for; without a goal a hundredth of the float32 bytes."""
+    if wanted.snr is not None:
+        return Goal(snr=wanted.snr)
+    return Goal(size=wanted.size or max(4 * prod(source.shape) // DEFAULT_RATIO, SMALLEST_DEFAULT))
 
 
 def _warn_of(model: Model, source: Source, goal: float | None) -> None:
@@ -350,18 +317,3 @@ def _check_types(array: object, transform: object, nan: object) -> None:
                       'give it by its name, array["NAME"], or by hmkcta.open_array("FILE:/NAME")')
     expect("transform", transform, str | None, 'text such as "log1p:0.5"')
     expect("nan", nan, Real | None, "a number")
-
-
-def _chosen(
-    source: Source, run: Run, wanted: Wanted, aim: float | None = None, samples: Samples | None = None
-) -> list[Plan]:
-    fixed = None if wanted.organisation is None else source.organisation(wanted.organisation)
-    size = wanted.size
-    if wanted.ceiling is not None:
-        rows = sum(source.shape if fixed is None else mode_sizes(source.axes, fixed))
-        size = max(4 * prod(source.shape) // DEFAULT_RATIO, SMALLEST_DEFAULT, ROW_BYTES * rows)
-    plans = tune(
-        source, run, snr=wanted.snr, size=size, ceiling=wanted.ceiling, decode_cost=wanted.decode_cost,
-        organisation=fixed, memory=wanted.max_memory, bits=wanted.bits, aim=aim, samples=samples,
-    )
-    return [finer(plan, source.axes) or plan for plan in plans] if prod(source.shape) <= SMALL else plans

@@ -101,7 +101,7 @@ class HmkctaError(Exception):
 
 
 class ForeignFile(HmkctaError):
-    """No `.hmk` file, by how it begins or as safetensors of somebody else.
+    """No `.hmk` file, by how it begins.
 
     The command line ends with 3, as it does for a file that cannot be read.
 

@@ -10,10 +10,10 @@ from .errors import expect, invalid
 
 #: How far below a goal an SNR in dB may be and still be what was asked for: what is printed is rounded more.
 _SLACK = 0.005
-#: What the fewest bytes of a file are for, where the goal chooses ranks.
-LEAST = "header, tables and the least that can be stored of each row"
 _UNITS = {"": 1, "B": 1, **{f"{p}B": 1000**n for n, p in enumerate("KMGT", 1)},
           **{f"{p}IB": 1024**n for n, p in enumerate("KMGT", 1)}}
+#: How a time may be written.
+TIME_ALLOWED = "seconds above 0, or a number with s, min or h"
 #: How a size may be written.
 BYTES_ALLOWED = "bytes, or a number with KB, KiB, MB, MiB, GB or GiB"
 
@@ -60,6 +60,32 @@ def memory_given(given: int | str | None) -> int | None:
     if memory is not None and memory < 1:
         raise invalid("size", "max_memory", memory, "a positive number of bytes")
     return None if memory is None else int(memory)
+
+
+def read_seconds(text: str) -> float | None:
+    """Seconds, written with or without a unit; None: it is no time.
+
+    >>> read_seconds("90"), read_seconds("1.5 min"), read_seconds("soon")
+    (90.0, 90.0, None)
+    """
+    found = re.fullmatch(r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*(|s|min|h)", text.strip())
+    return None if found is None else float(found[1]) * {"": 1, "s": 1, "min": 60, "h": 3600}[found[2]]
+
+
+def time_given(given: float | str | None) -> float | None:
+    """The seconds of the argument `time`.
+
+    >>> time_given("2 min"), time_given(None)
+    (120.0, None)
+
+    Raises:
+        HmkctaError: reason ``time`` of what is no positive number of seconds, ``argument-type`` of no number or text.
+    """
+    expect("time", given, Real | str | None, "a number of seconds, or text such as 90s")
+    seconds = read_seconds(given) if isinstance(given, str) else given
+    if given is not None and (seconds is None or not 0 < seconds < inf):
+        raise invalid("time", "time", repr(given), TIME_ALLOWED)
+    return None if seconds is None else float(seconds)
 
 
 def check_goal(snr: float | None, size: float | None, of: str = "") -> None:

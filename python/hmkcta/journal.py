@@ -2,9 +2,9 @@
 
 Fitting is deterministic, so a run that is begun again makes the same steps in the same order; the fitted cells of a
 node are known by the number of the step and of the node. The residual is never stored: it follows from the cells.
-A journal is a folder with `run.json` (all that decides the result), `plan.json` (the plans, if they were chosen),
-`limit-<step>.json` (what memory allowed a plan), `nodes.log` (`recordlog.py`) and, once the model is about to be saved,
-`done.json`. `nodes.log` is bounded: of many plans those fitted first are forgotten, and are fitted once more.
+A journal is a folder with `run.json` (all that decides the result), a file for each value that was settled on the way
+(what memory allowed, what a search for a goal chose), `nodes.log` (`recordlog.py`) and, once the model is about to be
+saved, `done.json`. `nodes.log` is bounded: of many nodes those fitted first are forgotten, and are fitted once more.
 """
 
 from __future__ import annotations
@@ -14,13 +14,12 @@ import os
 import platform
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from copy import copy
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from math import prod
 from pathlib import Path
 from time import sleep
 from types import TracebackType
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -36,9 +35,11 @@ from .plan import LevelSpec, Plan
 from .streaming.source import Source
 from .support.recordlog import Busy, RecordLog, in_use
 
-#: More steps than a fit has.
-MOST_STEPS = 1 << 12
-RUN, PLAN, NODES, DONE = "run.json", "plan.json", "nodes.log", "done.json"
+T = TypeVar("T")
+
+RUN, NODES, DONE = "run.json", "nodes.log", "done.json"
+#: What the names of settled values begin with that say what memory allowed: nothing is lost with them.
+ALLOWED = ("budget", "limit-")
 #: Bytes that finished nodes may take for each element of the array, and for all of it at the least.
 ARRAY_KEPT, LEAST_KEPT = 2, 1 << 20
 #: Seconds beyond which no process merely looks whether another is at work.
@@ -55,32 +56,24 @@ class Finished:
 class NoJournal:
     """Nothing is kept: every node is fitted. `Journal` has the same methods, by which a fit asks and tells it.
 
-    >>> NoJournal().settled("answer", lambda: 42), NoJournal().step()
+    >>> NoJournal().settled("answer", lambda: 42, int), NoJournal().step()
     (42, 0)
     """
 
-    def plans(self, choose: Callable[[], list[Plan]], name: str = "plan") -> list[Plan]:
-        """The plans that this run chose before under that name, or chooses now, the best first."""
-        del name
-        return choose()
+    def settled(self, name: str, choose: Callable[[], Any], read: Callable[[Any], T]) -> T:
+        """What this run settled before under that name, or settles now.
 
-    def settled(self, name: str, choose: Callable[[], Any]) -> Any:
-        """What this run settled before under that name, or settles now: any JSON value."""
+        Args:
+            name: of the file without its ending.
+            choose: makes any JSON value.
+            read: makes the result of it; raises `TypeError`, `ValueError` or `KeyError` for what `choose` never makes.
+        """
         del name
-        return choose()
+        return read(choose())
 
     def step(self) -> int:
         """The number of the next step, the same in every run with the same fields."""
         return 0
-
-    def part(self, number: int) -> NoJournal:
-        """The journal for one of several fits that may be made side by side, whose steps are numbered for themselves.
-
-        Args:
-            number: of the fit, the same in every run with the same fields.
-        """
-        del number
-        return self
 
     def recall(self, step: int, node: int, sizes: Sequence[int], spec: LevelSpec) -> Finished | None:
         """What became of a node; None: it is still to be fitted.
@@ -156,7 +149,9 @@ class Journal(NoJournal):
         """Whether the folder holds anything that would have to be done again."""
         with self._as_io():
             nodes = self.folder / NODES
-            return (self.folder / PLAN).exists() or (nodes.exists() and nodes.stat().st_size > 0)
+            settled = any(path.name not in (RUN, DONE) and not path.name.startswith(ALLOWED)
+                          for path in self.folder.glob("*.json"))
+            return settled or (nodes.exists() and nodes.stat().st_size > 0)
 
     def close(self) -> None:
         """Force everything to the disk and let go of it; a folder in which nothing stands is removed."""
@@ -218,37 +213,26 @@ class Journal(NoJournal):
         self._log = self._opened()
         self._discard()
 
-    def plans(self, choose: Callable[[], list[Plan]], name: str = "plan") -> list[Plan]:
-        """The plans of the interrupted run; else those chosen now, which are written down.
+    def settled(self, name: str, choose: Callable[[], Any], read: Callable[[Any], T]) -> T:
+        """The interrupted run's value; else the one chosen now, which is written down.
 
         Raises:
-            HmkctaError: `Corruption`, reason ``partial-damaged``: what was written down is no plan.
+            HmkctaError: `Corruption`, reason ``partial-damaged``: what is written down is no such value.
         """
-        content = self.settled(name, lambda: [asdict(plan) for plan in choose()])
-        try:
-            return [_plan(each) for each in content]
-        except (KeyError, TypeError, ValueError, HmkctaError) as error:
-            raise self._useless(f"no plan in {name}.json", "the files of a run") from error
-
-    def settled(self, name: str, choose: Callable[[], Any]) -> Any:
-        """The interrupted run's value; else the one chosen now, which is written down."""
         if (self.folder / f"{name}.json").exists():
-            return self._read(f"{name}.json")
+            try:
+                return read(self._read(f"{name}.json"))
+            except (TypeError, ValueError, KeyError) as error:
+                raise self._useless(f"{name}.json that is none", "the files of a run") from error
         value = choose()
         with self._as_io():
             self._write(f"{name}.json", value)
-        return value
+        return read(value)
 
     def step(self) -> int:
         """The number of the next step."""
         self._steps += 1
         return self._steps
-
-    def part(self, number: int) -> Journal:
-        """This journal with steps of its own."""
-        journal = copy(self)
-        journal._steps = number * MOST_STEPS
-        return journal
 
     def recall(self, step: int, node: int, sizes: Sequence[int], spec: LevelSpec) -> Finished | None:
         """What is written down of a node in a step.
@@ -329,7 +313,7 @@ class Journal(NoJournal):
                            hint="begin again with --overwrite")
 
     def _clear(self) -> None:
-        """Nodes before the plan and the run they belong to, so that a crash in between leaves nothing that counts."""
+        """Nodes before the choices and the run they belong to: a crash in between leaves nothing that counts."""
         assert self._log is not None
         self._log.clear()
         for path in (*self.folder.glob("*.json"), *self.folder.glob(".*.tmp")):
@@ -380,19 +364,6 @@ def decisive(source: Source, plan: Plan | None, **settings: Any) -> dict[str, An
         "axes": axes, "transform": source.transform, "nan": source.nan, **settings,
         "hmkcta": __version__, "kernels": backends.name, "machine": " ".join([platform.machine(), *blas]),
     }
-
-
-def _plan(content: Any) -> Plan:
-    """The plan that `asdict` took apart, once JSON has made lists of its tuples."""
-    fields = {**_tuples(content)}  # no mapping: a TypeError
-    levels = tuple(LevelSpec(**level) for level in fields.pop("levels"))
-    return Plan(levels=levels, **fields)
-
-
-def _tuples(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _tuples(each) for name, each in cast("dict[str, Any]", value).items()}
-    return tuple(map(_tuples, cast("list[Any]", value))) if isinstance(value, list) else value
 
 
 def _text(content: Any) -> str:

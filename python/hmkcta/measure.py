@@ -144,7 +144,7 @@ def _summed(
         rows = mode_rows(metadata.axes, metadata.organisation, part)
         decoded = np.zeros(tensor.shape, dtype)
         for level in range(len(model.levels)):
-            add_level(model.levels, rows, decoded, level + 1)
+            add_level(model.stages, rows, decoded, level + 1)
             transformed.add_error(level, fitted - decoded)
             if not transform.is_identity:
                 plain.add_error(level, tensor - np.asarray(transform.inverse(decoded.astype(np.float64)), np.float64))

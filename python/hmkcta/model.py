@@ -21,8 +21,9 @@ from .goals import memory_given
 from .hmkfile import DEFAULT_LIMITS, Limits, encoded_size, load, save
 from .indexing import Index, Selection, cut, occurring, positions, select
 from .metrics import all_finite
-from .packed import LevelBounds, LevelQuality, Metadata, PackedLevel
-from .plan import LevelSpec, Plan, multiply_adds
+from .packed import LevelBounds, LevelQuality, Metadata, PackedLevel, level_ends
+from .plan import Plan, multiply_adds
+from .planned import plan_of
 from .support.memory import available_memory, check_memory, format_bytes, memory_for
 from .support.slabs import slabs
 from .transform import from_json, nearest
@@ -53,10 +54,10 @@ class Model:
 
     Args:
         metadata: axes, organisation, value transform, quality; kept as the attribute `metadata`.
-        levels: the packed levels, one for each in `metadata.levels`; kept as the attribute `levels`, a tuple.
+        stages: one for each in `metadata.stages`; kept as the attribute `stages`. Those with numbers are the levels.
 
     Raises:
-        HmkctaError: reason ``level-count``: there are no levels, or not as many as the metadata say.
+        HmkctaError: reason ``level-count``: there are no stages, not as many as the metadata say, or the last is a cut.
 
     >>> from hmkcta._example import example_level, example_metadata
     >>> m = Model(example_metadata(), [example_level()])  # [[1, 2, 3], [2, 4, 6]] as the outer product of two vectors
@@ -68,17 +69,19 @@ class Model:
     True
     """
 
-    def __init__(self, metadata: Metadata, levels: tuple[PackedLevel, ...] | list[PackedLevel]) -> None:
-        if not levels or len(levels) != len(metadata.levels):
-            raise invalid("level-count", "levels", len(levels), f"{max(1, len(metadata.levels))}, as the metadata say")
+    def __init__(self, metadata: Metadata, stages: tuple[PackedLevel, ...] | list[PackedLevel]) -> None:
+        if not stages or len(stages) != len(metadata.stages):
+            raise invalid("level-count", "levels", len(stages), f"{max(1, len(metadata.stages))}, as the metadata say")
+        if stages[-1].is_cut:
+            raise invalid("level-count", "levels", "a cut as the last stage", "a stage with numbers")
         self.metadata: Final = metadata
-        self.levels: Final = tuple(levels)
+        self.stages: Final = tuple(stages)
         self._shape: Final = tuple(axis.size for axis in metadata.axes)
         self._transform: Final = from_json(metadata.transform)
         self._sizes: Final = mode_sizes(metadata.axes, metadata.organisation)
         order = iter(axis_order(metadata.axes, metadata.organisation))
         self._axes_of_mode: Final = [[next(order) for _ in mode] for mode in metadata.organisation]
-        #: The plan with its goal by which `compress` made the model, for another array like it; None of a file.
+        #: The written plan by which `compress` made the model, for another array like it; None of a search and a file.
         self.made_by: Plan | None = None
 
     @property
@@ -104,6 +107,11 @@ class Model:
     def __len__(self) -> int:
         return self.shape[0]
 
+    @cached_property
+    def levels(self) -> tuple[PackedLevel, ...]:
+        """The stages that have numbers: what `at_level` and `quality` count. Cuts before one belong to it."""
+        return tuple(stage for stage in self.stages if not stage.is_cut)
+
     @property
     def quality(self) -> tuple[LevelQuality, ...]:
         """SNR in dB, RMSE and largest error of the first 1, 2, .. L levels, measured when the model was made."""
@@ -117,7 +125,7 @@ class Model:
     @cached_property
     def nbytes(self) -> int:
         """Exact size of the model's file in bytes."""
-        return encoded_size(self.metadata, self.levels)
+        return encoded_size(self.metadata, self.stages)
 
     @property
     def bounds(self) -> tuple[LevelBounds, ...]:
@@ -127,21 +135,12 @@ class Model:
     @property
     def plan(self) -> Plan:
         """The plan that the levels follow, with the largest R, C and K of any node; blocks are named as clusters."""
-        undecomposed = self.metadata.undecomposed
-        levels = [
-            LevelSpec(tuple(None if n in undecomposed else r for n, r in enumerate(level.ranks)), level.clusters,
-                      level.mixture, level.scheme, bits=stored.bits)
-            for level, stored in zip(self.bounds, self.levels, strict=True)
-            if all(level.clusters)
-        ]
-        return Plan(self.metadata.organisation, tuple(levels))
+        return plan_of(self.metadata, self.stages)
 
     @property
     def decode_cost(self) -> int:
         """Multiply-adds for one scattered element: over levels, the sum of the largest prod R_n K_n of any node."""
-        kept = [n for n in range(len(self._sizes)) if n not in self.metadata.undecomposed]
-        shapes = (level.shape[:, :, kept].astype(np.int64) for level in self.levels)
-        return sum(int((shape[:, 1] * shape[:, 2]).prod(axis=1).max(initial=0)) for shape in shapes)
+        return sum(stage.decode_cost for stage in self.stages)
 
     def __repr__(self) -> str:
         axes = " ".join(f"{axis.name}={axis.size}" for axis in self.metadata.axes)
@@ -156,7 +155,7 @@ class Model:
             HmkctaError: there is a file already and `overwrite` is false; it cannot be written.
         """
         expect("path", path, str | bytes | os.PathLike, "the path of a file")
-        save(path, self.metadata, self.levels, overwrite=overwrite)
+        save(path, self.metadata, self.stages, overwrite=overwrite)
 
     def at_level(self, level: int) -> Model:
         """The model of the first `level` levels (paper, figure 7), sharing this one's arrays; it can be saved as well.
@@ -170,8 +169,9 @@ class Model:
         if level == len(self.levels):
             return self
         absent = (None,) * len(self._sizes)
-        last = replace(self.levels[level - 1], child=None, part=absent, local=absent)
-        return Model(self.metadata.upto(level), (*self.levels[: level - 1], last))
+        end = level_ends(self.stages)[level - 1]
+        last = replace(self.stages[end - 1], child=None, part=absent, local=absent)
+        return Model(self.metadata.upto(level), (*self.stages[: end - 1], last))
 
     @memory_for("the elements of an index", _LESS)
     def __getitem__(self, key: Any) -> Any:
@@ -276,7 +276,7 @@ class Model:
         for part in slabs(chosen.shape, _IN_PLACE):
             rows = [index.reshape(-1) for index in self._in_modes(cut(chosen.axes, part))]
             block = out[(*part, ...)].reshape([len(index) for index in rows])
-            if not all_finite(decode_block(self.levels, self._sizes, rows, out=block)):
+            if not all_finite(decode_block(self.stages, self._sizes, rows, out=block)):
                 return False
         return True
 
@@ -327,7 +327,7 @@ class Model:
         rows, places = found
         if prod(map(len, rows)) <= _SLAB:
             out[...] = self._source_values(
-                lambda dtype: decode_block(self.levels, self._sizes, rows, dtype=dtype)[tuple(places)])
+                lambda dtype: decode_block(self.stages, self._sizes, rows, dtype=dtype)[tuple(places)])
             return True
         longest = int(np.argmax(out.shape))
         for half in (slice(out.shape[longest] // 2), slice(out.shape[longest] // 2, None)):
@@ -338,14 +338,14 @@ class Model:
     def _block(self, modes: list[Index]) -> Floats:
         """Decode the outer product of the modes' indices; its dimensions longer than 1, in ascending order."""
         rows = [index.reshape(-1) for index in modes]
-        block = self._source_values(lambda dtype: decode_block(self.levels, self._sizes, rows, dtype=dtype))
+        block = self._source_values(lambda dtype: decode_block(self.stages, self._sizes, rows, dtype=dtype))
         split = [(d, length) for index in modes for d, length in enumerate(index.shape) if length > 1]
         in_order = sorted(range(len(split)), key=lambda i: split[i][0])
         return block.reshape([length for _, length in split]).transpose(in_order)
 
     def _elements(self, coords: Index) -> Floats:
         """Decode elements by their mode indices, [B, N]."""
-        return self._source_values(lambda dtype: decode_elements(self.levels, self._sizes, coords, dtype=dtype))
+        return self._source_values(lambda dtype: decode_elements(self.stages, self._sizes, coords, dtype=dtype))
 
     def _source_values(self, decode: Callable[[DTypeLike], NDArray[Any]]) -> Floats:
         """Decode and undo the value transform; numbers too large for float32 become its largest."""
@@ -374,10 +374,10 @@ class Model:
 
 @memory_for("the arrays of the file", "close what else takes memory, or take a machine that has more")
 def open(path: str | os.PathLike[str], verify: bool = True, limits: Limits = DEFAULT_LIMITS) -> Model:
-    """Open a file as a `Model`; its arrays are mapped, not read, until they are needed.
+    """Open a file as a `Model`: it is checked and decoded into memory, and not needed any more then.
 
-    Replace a file that is open by `Model.save`, or by renaming another one, which leaves the opened one as it was.
-    Writing into it changes what models decode, and cutting it short ends the process (SIGBUS), as with any map.
+    Replace a file by `Model.save`, or by renaming another one: writing into it while it is opened may be found as
+    damage, and cutting it short then ends the process (SIGBUS), as with any map.
 
     Args:
         path: the file.

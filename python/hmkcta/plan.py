@@ -7,20 +7,17 @@ one number stands for all modes, ``R=*`` leaves a mode undecomposed.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import product
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from math import comb, prod
 from numbers import Integral
 
 from .axes import Organisation, check_modes
 from .errors import expect, invalid
 from .goals import check_goal
-from .grids import divisors
-from .narrow import BITS
 
 #: What parts the words of a level, with the spaces beside it.
-_SPACED = re.compile(r"\s*(<=|[=,:])\s*")
+_SPACED = re.compile(r"\s*([=,:])\s*")
 
 #: Subdivisions of the residual (paper, figure 4); `AUTO` stands for the best of them.
 SCHEMES, AUTO = ("most", "least", "uniform"), "auto"
@@ -30,8 +27,6 @@ OPTIMAL_SUBSETS = 64
 
 #: Most ranks of a mode that a file may have.
 HIGHEST_RANK = 1024
-#: Most ranks of a mode that a chosen plan may have: of one that is decomposed alone, and of several.
-MOST_RANKS_ALONE, MOST_RANKS = 640, 160
 
 #: Beyond this many cells, or columns PC R_n of all their bases of a mode, joint least squares give way to Gauss-Seidel
 #: alone: their Gram matrix H_n has (PC R_n)^2 numbers, and each takes the contraction of two cores.
@@ -43,26 +38,16 @@ class LevelSpec:
     """One level of a plan: its R_n, C_n and K_n (paper, section 4.2), and how its residual is subdivided for the next.
 
     Args:
-        ranks: reduced rank R_n of each mode; None: the mode stays undecomposed (``R=*``). With `own` the highest.
+        ranks: reduced rank R_n of each mode; None: the mode stays undecomposed (``R=*``).
         clusters: C_n of each mode, 1 for an undecomposed one.
         mixture: K_n of each mode, 1 to 8, no more than C_n: how many clusters a row is in.
         scheme: ``most``, ``least`` or ``uniform`` subdivision of the residual (paper, figure 4), or ``auto``: that of
-            the three after which a fast fit of the next level leaves least; for chosen ranks there (`own`) ``most``.
+            the three after which a fast fit of the next level leaves least.
         grid: axes that are cut into equal blocks, with how many; these blocks are the clusters.
-        own: every node gets ranks of its own up to `ranks` (``R<=``), as the plan's goal allows, by one Lagrange
-            multiplier over the level (`ranks.allocation`).
-        cuts: axes along which each such node may be cut further, with the most equal blocks (``cut<=``). A node is cut
-            into that number or a divisor of it, as pays; the blocks are its cells, all of the same ranks.
-        fewest: for axes of the grid the fewest blocks (``grid=y:3-5``); `grid` then has the most, and of the numbers
-            between the goal takes what pays.
-        bits: of each core and basis number in the file, 16 (float16) or 8; with `own` 8 says as few as they are worth.
-        bits_written: whether a text said ``bits=``, so that ``bits=16`` differs from nothing said.
-        own_bits: what rounding may leave, as a share of the error that ranks leave, where numbers have bits of their
-            own (`fitting.columns`): set where a goal chose the ranks of a level that is not float16. 0: of `bits` each.
 
     Raises:
-        HmkctaError: R, C or K is out of range or of another type, they are not one for each mode, or the scheme or
-            bits are unknown.
+        HmkctaError: R, C or K is out of range or of another type, they are not one for each mode, or the scheme is
+            unknown.
 
     >>> level = LevelSpec((2, 2, None), (4, 3, 1), (2, 2, 1))
     >>> str(level), level.order, level.cells, level.search, level.decode_cost()
@@ -76,21 +61,12 @@ class LevelSpec:
     mixture: tuple[int, ...]
     scheme: str = AUTO
     grid: tuple[tuple[str, int], ...] = ()
-    own: bool = False
-    cuts: tuple[tuple[str, int], ...] = ()
-    fewest: tuple[tuple[str, int], ...] = ()
-    bits: int = 16
-    bits_written: bool = field(default=False, compare=False, repr=False)
-    own_bits: float = 0.0
 
     def __post_init__(self) -> None:
         if self.scheme not in (*SCHEMES, AUTO):
             raise invalid("unknown-scheme", "scheme", self.scheme, ", ".join((*SCHEMES, AUTO)))
-        if self.bits not in BITS:
-            raise invalid("bits", "bits of the level", self.bits, " or ".join(map(str, BITS)))
-        for name, blocks in (("grid", self.grid), ("cut<=", self.cuts)):
-            if any(count < 1 for _, count in blocks):
-                raise invalid("clusters-too-small", name, _grid_text(blocks, {}), "1 or more of each axis")
+        if any(count < 1 for _, count in self.grid):
+            raise invalid("clusters-too-small", "grid", _grid_text(self.grid), "1 or more of each axis")
         if not len(self.ranks) == len(self.clusters) == len(self.mixture):
             found = f"{len(self.ranks)} R, {len(self.clusters)} C, {len(self.mixture)} K"
             raise invalid("level-modes", "level", found, "as many of each as there are modes")
@@ -110,44 +86,10 @@ class LevelSpec:
                 allowed = "1, as R=* leaves the mode undecomposed"
                 raise invalid("undecomposed-clustered", f"C of {mode}", clusters, allowed)
 
-    @classmethod
-    def of_one_cell(cls, most: Sequence[int | None], bits: int = 16, scheme: str = AUTO) -> LevelSpec:
-        """A level whose nodes are one cell each (C = K = 1), with ranks of their own up to `most`: ``R<=..``."""
-        ones = (1,) * len(most)
-        return cls(tuple(most), ones, ones, scheme, own=True, bits=bits)
-
     @property
     def order(self) -> int:
         """N, the number of modes."""
         return len(self.ranks)
-
-    def ways(self, organisation: Organisation) -> list[LevelSpec]:
-        """What a node may become: this spec, or one for each choice of blocks, the fewest first.
-
-        >>> [way.clusters for way in parse_level("R<=8 cut<=y:4", (("y",), ("x",))).ways((("y",), ("x",)))]
-        [(1, 1), (2, 1), (4, 1)]
-        >>> [way.clusters for way in parse_level("R<=8 grid=y:3-4,x:2", (("y",), ("x",))).ways((("y",), ("x",)))]
-        [(3, 2), (4, 2)]
-        """
-        if not self.cuts and not self.fewest:
-            return [self]
-        names, counts = zip(*self.block_counts, strict=True)
-        grids = (tuple((name, n) for name, n in zip(names, grid, strict=True) if n > 1) for grid in product(*counts))
-        return [replace(self, cuts=()).cut_into(grid, organisation) for grid in grids]
-
-    @property
-    def block_counts(self) -> list[tuple[str, Sequence[int]]]:
-        """The numbers of blocks along each axis among which `ways` may choose; none where there is no choice."""
-        if self.fewest:
-            least = dict(self.fewest)
-            return [(axis, range(least.get(axis, most), most + 1)) for axis, most in self.grid]
-        return [(axis, divisors(most)) for axis, most in self.cuts]
-
-    def cut_into(
-        self, grid: tuple[tuple[str, int], ...], organisation: Organisation, fewest: tuple[tuple[str, int], ...] = ()
-    ) -> LevelSpec:
-        """The spec with these blocks, or as many as pay from the `fewest` on."""
-        return replace(self, clusters=clusters_of_grid(grid, organisation), grid=grid, fewest=fewest)
 
     @property
     def search(self) -> str:
@@ -187,44 +129,34 @@ class LevelSpec:
         ones = (1,) * self.order
         return replace(self, clusters=ones, mixture=ones, grid=()).clamped(sizes)
 
-    @property
-    def packed(self) -> bool:
-        """Whether columns have bits of their own."""
-        return self.own_bits > 0 and any(self.ranks)
-
     def decode_cost(self) -> int:
         """Multiply-adds for one scattered element, prod R_n K_n (paper, section 4.3) over the decomposed modes."""
         return prod(r * k for r, k in zip(self.ranks, self.mixture, strict=True) if r is not None)
 
     def clamped(self, sizes: Sequence[int]) -> LevelSpec:
-        """The spec for a node of these mode sizes: C_n <= I_n, K_n <= C_n, R_n <= I_n, and R of its own <= 1024."""
-        most = HIGHEST_RANK if self.own else max(1, *sizes)
+        """The spec for a node of these mode sizes: C_n <= I_n, K_n <= C_n, R_n <= I_n."""
         clusters = tuple(min(c, max(i, 1)) for c, i in zip(self.clusters, sizes, strict=True))
         mixture = tuple(min(k, c) for k, c in zip(self.mixture, clusters, strict=True))
-        ranks = tuple(None if r is None else min(r, most, max(i, 1)) for r, i in zip(self.ranks, sizes, strict=True))
-        return LevelSpec(
-            ranks, clusters, mixture, self.scheme, self.grid, self.own, bits=self.bits, own_bits=self.own_bits
-        )
+        ranks = tuple(None if r is None else min(r, max(i, 1)) for r, i in zip(self.ranks, sizes, strict=True))
+        return LevelSpec(ranks, clusters, mixture, self.scheme, self.grid)
 
     def __str__(self) -> str:
         def joined(values: Iterable[int | None]) -> str:
             texts = ["*" if value is None else str(value) for value in values]
             return texts[0] if len(set(texts)) == 1 else ",".join(texts)
 
-        text = ("R<=" if self.own else "R=") + ",".join("*" if r is None else str(r) for r in self.ranks)
-        if self.cuts:
-            text += f" cut<={_grid_text(self.cuts, {})}"
-        elif self.grid:
-            text += f" grid={_grid_text(self.grid, dict(self.fewest))}"
+        text = "R=" + ",".join("*" if r is None else str(r) for r in self.ranks)
+        if self.grid:
+            text += f" grid={_grid_text(self.grid)}"
         elif self.cells > 1:
             text += f" C={','.join(map(str, self.clusters))}"
         if max(self.mixture) > 1:
             text += f" K={joined(self.mixture)}"
-        return text if self.bits == BITS[0] else f"{text} bits={self.bits}"
+        return text
 
 
-def _grid_text(grid: Sequence[tuple[str, int]], fewest: Mapping[str, int]) -> str:
-    return ",".join(f"{axis}:{f'{fewest[axis]}-' if axis in fewest else ''}{count}" for axis, count in grid)
+def _grid_text(grid: Sequence[tuple[str, int]]) -> str:
+    return ",".join(f"{axis}:{count}" for axis, count in grid)
 
 
 def clusters_of_grid(grid: Sequence[tuple[str, int]], organisation: Organisation) -> tuple[int, ...]:
@@ -243,10 +175,10 @@ def multiply_adds(cost: int) -> str:
 
 
 def parse_level(text: str, organisation: Organisation, scheme: str = AUTO) -> LevelSpec:
-    """Read one level, e.g. ``R=2,2,3,* C=4,3,4,1 K=2``, ``R=1 grid=y:4,x:6`` or ``R<=8,8,8,* bits=8``.
+    """Read one level, e.g. ``R=2,2,3,* C=4,3,4,1 K=2`` or ``R=1 grid=y:4,x:6``.
 
     One number stands for all modes, K for those that have clusters: ``K=2`` leaves unclustered modes alone,
-    ``K=2,2`` says of each what it is to be. Spaces beside ``=``, ``<=``, ``,`` and ``:`` say nothing.
+    ``K=2,2`` says of each what it is to be. Spaces beside ``=``, ``,`` and ``:`` say nothing.
 
     Raises:
         HmkctaError: ``plan-syntax``, ``plan-modes``, ``plan-number`` or ``plan-grid``; or what `LevelSpec` refuses.
@@ -260,26 +192,20 @@ def parse_level(text: str, organisation: Organisation, scheme: str = AUTO) -> Le
     (2, 2, 3, None)
     """
     if not text.strip():
-        raise invalid("plan-syntax", "plan", "an empty level", "R=.. or R<=.. in each, levels parted by /")
+        raise invalid("plan-syntax", "plan", "an empty level", "R=.. in each, levels parted by /")
     order = len(organisation)
     words: dict[str, str] = {}
     for word in _SPACED.sub(r"\1", text).split():
         key, equals, values = word.partition("=")
-        if not equals or key not in ("R", "R<", "C", "K", "grid", "cut<", "bits") or key in words:
-            allowed = "R=.., R<=.., C=.., K=.., grid=.., cut<=.., bits=.. once a level, levels parted by /"
+        if not equals or key not in ("R", "C", "K", "grid") or key in words:
+            allowed = "R=.., C=.., K=.., grid=.. once a level, levels parted by /"
             raise invalid("plan-syntax", "plan", repr(word), allowed)
         words[key] = values
-    own = "R<" in words
-    if ("R" in words) == own or len({"C", "grid", "cut<"} & words.keys()) > 1 or ("cut<" in words and not own):
-        allowed = "either R=.. or R<=.. in each level, one of C=.., grid=.. and cut<=.. at most, the last with R<="
+    if "R" not in words or {"C", "grid"} <= words.keys():
+        allowed = "R=.. in each level, and C=.. or grid=.., not both"
         raise invalid("plan-syntax", "plan", repr(text.strip()), allowed)
-    ranks = tuple(
-        None if word == "*" else _number("R", word) for word in _words("R", words.get("R", words.get("R<", "")), order)
-    )
-    grid, fewest = _grid(words.get("grid", ""), organisation)
-    cuts, none = _grid(words.get("cut<", ""), organisation)
-    if none or (fewest and not own):
-        raise invalid("plan-grid", "blocks of the plan", repr(text.strip()), "ranges, AXIS:FEWEST-MOST, with R<= grid=")
+    ranks = tuple(None if word == "*" else _number("R", word) for word in _words("R", words["R"], order))
+    grid = _grid(words.get("grid", ""), organisation)
     clusters = clusters_of_grid(grid, organisation)
     if "C" in words:
         clusters = tuple(_number("C", word) for word in _words("C", words["C"], order))
@@ -287,30 +213,20 @@ def parse_level(text: str, organisation: Organisation, scheme: str = AUTO) -> Le
     mixture = tuple(_number("K", word) for word in _words("K", given, order))
     if "," not in given and max(clusters) > 1:
         mixture = tuple(min(k, 1) if c == 1 else k for k, c in zip(mixture, clusters, strict=True))
-    bits = _number("bits", words.get("bits", str(BITS[0])))
-    scheme = "most" if grid else scheme
-    return LevelSpec(ranks, clusters, mixture, scheme, grid, own, cuts, fewest, bits, bits_written="bits" in words)
+    return LevelSpec(ranks, clusters, mixture, "most" if grid else scheme, grid)
 
 
-def _grid(
-    text: str, organisation: Organisation
-) -> tuple[tuple[tuple[str, int], ...], tuple[tuple[str, int], ...]]:
-    """Most blocks along each axis, and the fewest along those that have a range."""
+def _grid(text: str, organisation: Organisation) -> tuple[tuple[str, int], ...]:
+    """Blocks along each axis that is cut."""
     axes = [axis for mode in organisation for axis in mode]
     grid: list[tuple[str, int]] = []
-    fewest: list[tuple[str, int]] = []
     for word in text.split(",") if text else []:
         axis, _, count = word.partition(":")
-        least, dash, most = count.partition("-")
         if axis not in axes or axis in dict(grid):
             allowed = f"AXIS:COUNT, each axis of {', '.join(axes)} at most once"
             raise invalid("plan-grid", "blocks of the plan", repr(word), allowed)
-        grid.append((axis, _number("grid", most if dash else least)))
-        if dash:
-            fewest.append((axis, _number("grid", least)))
-            if not 1 <= fewest[-1][1] <= grid[-1][1]:
-                raise invalid("plan-grid", "blocks of the plan", repr(word), "AXIS:FEWEST-MOST, the smaller one first")
-    return tuple(grid), tuple(fewest)
+        grid.append((axis, _number("grid", count)))
+    return tuple(grid)
 
 
 def _words(key: str, text: str, order: int) -> list[str]:
@@ -332,17 +248,15 @@ def _number(key: str, word: str) -> int:
 
 @dataclass(frozen=True)
 class Plan:
-    """What to fit: levels, the organisation of axes into modes, and the goal to which ``R<=`` levels are cut.
+    """What to fit: levels, the organisation of axes into modes, and a goal.
 
-    `parse_plan` reads one from text, `choose_plan` finds one, `compress` follows it.
+    `parse_plan` reads one from text, `compress` follows it.
 
     Args:
         organisation: names of the axes of each mode.
         levels: one `LevelSpec` for each level, the first for the whole tensor.
-        snr: SNR in dB to reach and not to exceed by much; None: no such goal.
-        size: most bytes of the whole file; None: no such goal. Without both exactly the levels are fitted.
-        expected: bytes that a plan chosen for an SNR is expected to take, by the sample it was chosen on; None: not
-            told.
+        snr: SNR in dB: levels beyond the one that reaches it are not fitted; None: all are.
+        size: bytes beyond which the file is refused; None: it may have any size.
 
     Raises:
         HmkctaError: modes are no lists of names, a level is no `LevelSpec`, or a goal is not above 0.
@@ -357,7 +271,6 @@ class Plan:
     levels: tuple[LevelSpec, ...]
     snr: float | None = None
     size: int | None = None
-    expected: int | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         check_modes(self.organisation)
@@ -377,7 +290,7 @@ def parse_plan(text: str, organisation: Organisation, scheme: str = AUTO) -> Pla
     """Read a plan: levels parted by ``/``, each as `parse_level` reads it.
 
     Args:
-        text: such as ``R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2`` (the table of plans in the README has more).
+        text: such as ``R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2`` (the table of plans in docs/guide.md has more).
         organisation: names of the axes of each mode.
         scheme: how all levels are subdivided, as `LevelSpec` says (paper, section 4.2); a grid by ``most``.
 
@@ -395,6 +308,6 @@ def parse_plan(text: str, organisation: Organisation, scheme: str = AUTO) -> Pla
     check_modes(organisation)
     if "=" not in text:
         is_path = "." in text
-        hint = "a file is written by Model.save, or by -o FILE" if is_path else "give R of each level, R<=.. for a goal"
+        hint = "a file is written by Model.save, or by -o FILE" if is_path else "give R of each level"
         raise invalid("plan-syntax", "plan", repr(text), "levels such as R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2", hint)
     return Plan(organisation, tuple(parse_level(part, organisation, scheme) for part in text.split("/")))

@@ -10,8 +10,6 @@ from .plan import HIGHEST_RANK, LevelSpec, Plan, clusters_of_grid
 
 #: What no reader takes without being told to: levels, nodes, and multiply-adds for one element of a level.
 MOST_LEVELS, MOST_NODES, MOST_LEVEL_COST = 16, 1_000_000, 2**20
-#: Most ways to cut a node (cut<=..), each of which is tried on it.
-MOST_WAYS = 64
 
 
 def check_plan(plan: Plan, sizes: Sequence[int]) -> None:
@@ -19,8 +17,7 @@ def check_plan(plan: Plan, sizes: Sequence[int]) -> None:
 
     Raises:
         HmkctaError: no levels, or levels of other modes; ranks or clusters beyond the first level's rows; R=* in some
-            levels only; R<= out of place, or with K > 1; blocks that do not fit the axes; more ways to cut a node,
-            levels or nodes than are allowed.
+            levels only; blocks along axes that there are not; more levels or nodes than are allowed.
 
     >>> from hmkcta.plan import parse_plan
     >>> check_plan(parse_plan("R=9", (("y",),)), (8,))
@@ -39,25 +36,13 @@ def check_plan(plan: Plan, sizes: Sequence[int]) -> None:
         if [r is None for r in level.ranks] != [r is None for r in first.ranks]:
             allowed = "* for the same modes in every level"
             raise invalid("undecomposed-differ", f"R of level {number}", str(level), allowed)
-        if level.bits > plan.levels[max(0, number - 2)].bits:
-            allowed = f"bits={plan.levels[number - 2].bits}, no more than the level above"
-            raise invalid("bits-ascend", f"level {number}", str(level), allowed, "give the levels above 16 bits, too")
-        if level.own and (number < len(plan.levels) or (plan.snr is None and plan.size is None)):
-            allowed = "R<= in the last level only, together with a goal"
-            raise invalid("own-ranks-place", f"level {number}", str(level), allowed, "say an snr or a size")
-        if level.own and (max(level.mixture) > 1 or (level.cells > 1 and not level.grid and len(plan.levels) > 1)):
-            allowed = "R<= with K=1: with blocks, grid=AXIS:COUNT, with C where it is the only level, or below clusters"
-            raise invalid("own-ranks-clusters", f"level {number}", str(level), allowed)
-        _check_grid(plan, level, number, sizes)
-        if prod(len(counts) for _, counts in level.block_counts) > MOST_WAYS:
-            allowed = f"at most {MOST_WAYS} ways to cut a node, combinations of numbers of blocks"
-            raise invalid("plan-grid", f"level {number}", str(level), allowed)
+        _check_grid(plan, level, number)
         for n, (rank, size) in enumerate(zip(level.ranks, sizes, strict=True)):
-            if rank is not None and min(rank, size) > HIGHEST_RANK and not level.own:
+            if rank is not None and min(rank, size) > HIGHEST_RANK:
                 allowed = f"1 to {HIGHEST_RANK}, or * for an undecomposed mode"
                 raise invalid("rank-too-large", f"R of mode {n + 1}, level {number}", rank, allowed)
     for n, (rank, clusters, size) in enumerate(zip(first.ranks, first.clusters, sizes, strict=True)):
-        if rank is not None and rank > size and not first.own:
+        if rank is not None and rank > size:
             allowed = f"1 to {size}, or * for an undecomposed mode"
             raise invalid("rank-too-large", f"R of mode {n + 1}", rank, allowed)
         if clusters > size:
@@ -66,15 +51,12 @@ def check_plan(plan: Plan, sizes: Sequence[int]) -> None:
     _check_readable(plan, sizes)
 
 
-def _check_grid(plan: Plan, level: LevelSpec, number: int, sizes: Sequence[int]) -> None:
-    """Refuse blocks along axes that the plan does not know, and cuts into more of them than their mode has rows."""
-    rows = {name: size for mode, size in zip(plan.organisation, sizes, strict=True) for name in mode}
-    for axis, count in (*level.grid, *level.cuts):
-        if axis not in rows:
-            raise invalid("plan-grid", f"level {number}", axis, f"an axis of the plan: {', '.join(rows)}")
-        if count > rows[axis] and (axis, count) in level.cuts:
-            allowed = f"1 to {rows[axis]}, the rows of its mode"
-            raise invalid("plan-grid", f"blocks along {axis}, level {number}", count, allowed)
+def _check_grid(plan: Plan, level: LevelSpec, number: int) -> None:
+    """Refuse blocks along axes that the plan does not know, and clusters that are not those of the grid."""
+    axes = [name for mode in plan.organisation for name in mode]
+    for axis, _ in level.grid:
+        if axis not in axes:
+            raise invalid("plan-grid", f"level {number}", axis, f"an axis of the plan: {', '.join(axes)}")
     if level.grid and level.clusters != clusters_of_grid(level.grid, plan.organisation):
         found, allowed = f"C={','.join(map(str, level.clusters))}", "as many clusters as its grid has blocks"
         raise invalid("plan-grid", f"level {number}", found, allowed)
@@ -86,7 +68,7 @@ def _check_readable(plan: Plan, sizes: Sequence[int]) -> None:
         raise invalid("plan-levels", "levels of the plan", len(plan.levels), f"at most {MOST_LEVELS}")
     nodes = below = 1
     for number, level in enumerate(plan.levels, start=1):
-        cost = 0 if level.own else level.clamped(sizes).decode_cost()
+        cost = level.clamped(sizes).decode_cost()
         if below == 1 and cost > MOST_LEVEL_COST:  # nodes further down may be too small for so many ranks
             raise invalid("level-cost", f"level {number}", f"{cost} multiply-adds for an element",
                           f"at most {MOST_LEVEL_COST}, as prod R_n K_n", "lower K or R")

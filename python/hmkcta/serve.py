@@ -39,7 +39,7 @@ TYPES = {".html": "text/html; charset=utf-8", ".js": "text/javascript; charset=u
 
 
 class Server:
-    """A running server, which `serve` and `view` make; a context manager that ends it.
+    r"""A running server, which `serve` and `view` make; a context manager that ends it.
 
     Args:
         page: what is served to everybody, by path.
@@ -60,9 +60,9 @@ class Server:
     ...     with serve(f"{folder}/small.hmk", page={"/": Resource("text/html", data=b"page")}) as server:
     ...         request = urllib.request.Request(
     ...             f"http://127.0.0.1:{server.port}/files/small.hmk",
-    ...             headers={"Range": "bytes=8-8", "Authorization": f"Bearer {server.token}"})
+    ...             headers={"Range": "bytes=0-3", "Authorization": f"Bearer {server.token}"})
     ...         urllib.request.urlopen(request).read()
-    b'{'
+    b'\x89HMK'
     """
 
     def __init__(self, page: Mapping[str, Resource], files: Mapping[str, Resource], query: str, port: int) -> None:

@@ -31,8 +31,8 @@ def verbatim(array: ArrayLike, like: Metadata, nan: float | None = None) -> tupl
 
     >>> from hmkcta._example import example_metadata
     >>> metadata, level = verbatim(np.arange(6.0).reshape(2, 3), example_metadata())
-    >>> metadata.undecomposed, (level.core_scale[0] * level.core.astype(np.float32)).tolist()
-    ((0, 1), [0.0, 1.0, 2.0, 3.0, 4.0, 5.0])
+    >>> metadata.stages[0].mixture, (level.core_scale[0] * level.core.astype(np.float32)).tolist()
+    ((0, 0), [0.0, 1.0, 2.0, 3.0, 4.0, 5.0])
     """
     if isinstance(shape := getattr(array, "shape", None), tuple):  # of a dataset, before it is read
         check_shape(cast("tuple[int, ...]", shape), like)
@@ -55,7 +55,7 @@ def verbatim(array: ArrayLike, like: Metadata, nan: float | None = None) -> tupl
     stored = deorganise(core.astype(np.float32) * np.float32(scale), like.axes, like.organisation)
     metadata = Metadata(
         source_dtype=like.source_dtype, axes=like.axes, organisation=like.organisation,
-        levels=(LevelBounds(*_bounds(core.shape), "most"),), undecomposed=tuple(range(core.ndim)), kind=like.kind,
+        stages=(LevelBounds(*_bounds(core.shape), "most"),), kind=like.kind,
         quality=(_quality(values, values - stored),), writer=like.writer,
     )
     return metadata, _level(core, scale)
@@ -74,17 +74,17 @@ def check_shape(shape: tuple[int, ...], like: Metadata) -> None:
 
 
 def _bounds(sizes: tuple[int, ...]) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:
-    ones = (1,) * len(sizes)
-    return ones, ones, sizes
+    return (1,) * len(sizes), (0,) * len(sizes), sizes
 
 
 def _level(core: NDArray[np.float16], scale: float) -> PackedLevel:
-    none = (None,) * core.ndim
+    none, empty = (None,) * core.ndim, (_offsets(0),) * core.ndim
     return PackedLevel(
         shape=np.array([_bounds(core.shape)], np.uint32), child=None,
         row_offset=tuple(_offsets(size) for size in core.shape), core=core.reshape(-1), core_offset=_offsets(core.size),
-        core_scale=np.array([scale], np.float32), cell_offset=_offsets(1), cluster=none, cluster_offset=none,
-        basis=none, basis_offset=none, part=none, local=none,
+        core_scale=np.array([scale], np.float32), cell_offset=_offsets(1),
+        cluster=(np.zeros(0, np.uint16),) * core.ndim, cluster_offset=empty,
+        basis=(np.zeros(0, np.float16),) * core.ndim, basis_offset=empty, part=none, local=none,
     )
 
 

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from numbers import Integral
 
 from .axes import check_organisation, format_organisation, organisation_text
-from .errors import expect, invalid
+from .errors import invalid
 from .goals import bytes_given, check_goal, memory_given
-from .narrow import BITS
-from .plan import AUTO, LevelSpec, Plan, parse_plan
+from .plan import AUTO, Plan, parse_plan
 from .streaming.source import Source
 
 #: Without a goal no bytes are spent beyond this SNR: neither eyes nor screens of 8 bits see more.
@@ -19,9 +17,9 @@ DEFAULT_SNR = 50.0
 
 @dataclass(frozen=True)
 class Wanted:
-    """What a chosen plan has to do: the arguments of `choose_plan` that say so, which `compress` describes.
+    """What a file has to be: the arguments of `compress` that say so.
 
-    >>> Wanted(snr=None, size=None, decode_cost=4096, organisation=None, max_memory=None, bits=None).ceiling
+    >>> Wanted(snr=None, size=None, decode_cost=4096, organisation=None, max_memory=None).ceiling
     50.0
     """
 
@@ -30,7 +28,6 @@ class Wanted:
     decode_cost: int
     organisation: str | None
     max_memory: int | None
-    bits: int | None
 
     @property
     def ceiling(self) -> float | None:
@@ -60,19 +57,19 @@ def read_plan(plan: Plan | str, source: Source, wanted: Wanted, scheme: str | No
     Without a `scheme` those of a `Plan` count, and ``auto`` for a text.
 
     Raises:
-        HmkctaError: the text is no plan, or the plan says another organisation or other bits than the call.
+        HmkctaError: the text is no plan, or the plan says another organisation than the call.
 
     >>> import numpy as np
     >>> from hmkcta.streaming.source import prepare
-    >>> wanted = Wanted(snr=30.0, size=None, decode_cost=4096, organisation=None, max_memory=None, bits=8)
+    >>> wanted = Wanted(snr=30.0, size=None, decode_cost=4096, organisation=None, max_memory=None)
     >>> plan = read_plan("R=2", prepare(np.ones((6, 4)), None, None, None, 1), wanted)
-    >>> plan.organisation, plan.levels[0].bits, plan.snr
-    ((('axis0',), ('axis1',)), 8, 30.0)
+    >>> plan.organisation, plan.snr
+    ((('axis0',), ('axis1',)), 30.0)
     """
     modes = None if wanted.organisation is None else source.organisation(wanted.organisation)
     if isinstance(plan, str):
         read = parse_plan(plan, modes or source.organisation(None), scheme or AUTO)
-        return replace(read, levels=of_bits(read.levels, wanted.bits), snr=wanted.snr, size=wanted.size)
+        return replace(read, snr=wanted.snr, size=wanted.size)
     own = check_organisation(tuple(map(tuple, plan.organisation)), source.axes)
     if modes not in (None, own):
         raise invalid("organisation", "organisation", repr(wanted.organisation),
@@ -80,39 +77,16 @@ def read_plan(plan: Plan | str, source: Source, wanted: Wanted, scheme: str | No
     levels = plan.levels if scheme is None else [
         level if level.grid else replace(level, scheme=scheme) for level in plan.levels]
     goal = {} if wanted.snr is None and wanted.size is None else {"snr": wanted.snr, "size": wanted.size}
-    return replace(plan, organisation=own, levels=of_bits(levels, wanted.bits), **goal)
-
-
-def of_bits(levels: Sequence[LevelSpec], bits: int | None) -> tuple[LevelSpec, ...]:
-    """The levels with `bits` for every number; None: as they are.
-
-    >>> modes = (("y",), ("x",))
-    >>> [level.bits for level in of_bits(parse_plan("R=4 / R=2 bits=8", modes).levels, 8)]
-    [8, 8]
-
-    Raises:
-        HmkctaError: reason ``two-bits``: a level says another number of bits.
-    """
-    for number, level in enumerate(levels, start=1):
-        says = level.bits_written or level.bits != BITS[0]
-        if bits not in (None, level.bits) and says:
-            found = f"{bits}, and bits={level.bits} in level {number} of the plan"
-            raise invalid("two-bits", "bits", found, "one of them", "leave one of them out")
-    return tuple(level if bits is None else replace(level, bits=bits) for level in levels)
+    return replace(plan, organisation=own, levels=tuple(levels), **goal)
 
 
 def wanted_of(
     snr: float | None, size: int | None, decode_cost: int, organisation: str | Sequence[Sequence[str]] | None,
-    max_memory: int | str | None, bits: int | None,
+    max_memory: int | str | None,
 ) -> Wanted:
     """The arguments as numbers of Python's own, and the organisation as text, checked.
 
     Raises:
-        HmkctaError: a number of bits that no file has, an organisation that is neither text nor lists of names, or a
-            memory that is no number of bytes.
+        HmkctaError: an organisation that is neither text nor lists of names, or a memory that is no number of bytes.
     """
-    expect("bits", bits, Integral | None, "a whole number")
-    if bits not in (None, *BITS):
-        raise invalid("bits", "bits", bits, " or ".join(map(str, BITS)))
-    bits = None if bits is None else int(bits)
-    return Wanted(snr, size, int(decode_cost), organisation_text(organisation), memory_given(max_memory), bits)
+    return Wanted(snr, size, int(decode_cost), organisation_text(organisation), memory_given(max_memory))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -11,7 +12,7 @@ import numpy as np
 
 from hmk_corpus import FIXTURES, Parts
 from hmkcta.hmkfile import encode
-from random_models import random_model
+from random_models import Shapes, random_model
 
 from .mutants import mutated, pick
 from .readers import Answer, Reader
@@ -20,7 +21,7 @@ from .readers import Answer, Reader
 POOL, ORIGINAL = 2000, 0.3
 #: Bytes of files that are changed further: larger ones take longer and show no more.
 LARGEST = 1 << 16
-#: Mode sizes, levels and undecomposed modes of the random models to begin with.
+#: Mode sizes, stages and undecomposed modes of the random models to begin with.
 SHAPES: tuple[tuple[tuple[int, ...], int, tuple[int, ...]], ...] = (
     ((4,), 1, ()), ((3, 4), 2, ()), ((2, 3, 4), 3, (1,)), ((2, 3, 2, 3), 2, ()), ((5, 4), 2, (0,)),
 )
@@ -48,9 +49,10 @@ def seeds(rng: np.random.Generator) -> list[bytes]:
     """Valid files to begin with: the fixtures, and random models of a few shapes."""
     found = [path.read_bytes() for path in sorted(FIXTURES.glob("*.hmk"))]
     for sizes, levels, fixed in SHAPES:
-        for eight_from, packed in ((None, 0.0), (1, 0.0), (1, 1.0)):
-            model = random_model(rng, sizes, levels, fixed, eight_from=eight_from, packed_share=packed)
-            found.append(b"".join(encode(*model)))
+        for coded in (0.0, 1.0):
+            for cuts in ((), (1,)) if levels > 1 else ((),):
+                model = random_model(rng, sizes, levels, fixed, coded=coded, cuts=cuts, shapes=Shapes(own=0.2))
+                found.append(b"".join(encode(*model)))
     return [data for data in found if len(data) <= LARGEST]
 
 
@@ -123,7 +125,7 @@ class Campaign:
     def _splits(data: bytes) -> bool:
         try:
             Parts.split(data)
-        except (ValueError, KeyError, TypeError, AttributeError):
+        except (ValueError, KeyError, TypeError, AttributeError, IndexError, AssertionError, struct.error):
             return False
         return True
 

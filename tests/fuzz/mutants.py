@@ -1,19 +1,19 @@
-"""Mutants of a file that know its structure: header, metadata, arrays, each with checksums and offsets made anew.
+"""Mutants of a file that know its structure: header and sections, each with lengths and checksums made anew.
 
-What is not to be found by a checksum alone must get past it: after a change the SHA-256 of the metadata, the CRC-32 of
-the array and the byte ranges are right again, unless the change is of them.
+What is not to be found by a checksum alone must get past it: after a change the CRC-32 of the header and of each
+section are right again, unless the change is of them.
 """
 
 from __future__ import annotations
 
 import json
+import struct
 from collections.abc import Callable
-from math import prod
 from typing import Any, cast
 
 import numpy as np
 
-from hmk_corpus import Parts, compact, frame
+from hmk_corpus import MAGIC, PREFIX, Parts
 
 Generator = np.random.Generator
 
@@ -28,11 +28,6 @@ PIECES = (
     ",", ":", "{", "}", "[", "]", '"', "\\", "0", "-", ".", "e9", "1e400", "NaN", "Infinity", " ", "\t", "\n", "\x00",
     "\\u0041", "\\uD800", "\\ud83d\\ude00", "\ufeff", "null", "true", "01", "1.0", "/**/", "'",
 )
-SIZES = {"I8": 1, "U8": 1, "F16": 2, "BF16": 2, "F32": 4, "F64": 8, "U16": 2, "I16": 2, "U32": 4, "I32": 4, "U64": 8,
-         "I64": 8, "BOOL": 1}
-#: Numbers of arrays that are likely to be at a border.
-BORDERS = (0, 1, 2, 3, 0x7C00, 0xFC00, 0x7E00, 0x7BFF, 0x7F800000, 0x7FC00000, 0xFFFF, 0x7FFF, 0x8000, 0xFFFFFFFF,
-           0x80000000, 0x7FFFFFFF)
 
 
 def pick(rng: Generator, items: Any) -> Any:
@@ -57,7 +52,8 @@ def mutated(rng: Generator, parent: bytes, others: list[bytes]) -> tuple[str, by
             if made is not None:
                 return " + ".join(done), made
         return " + ".join(done), parts.join()
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError, UnicodeError):
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError, UnicodeError, struct.error,
+            AssertionError):
         return "raw_bytes", raw_bytes(rng, parent)
 
 
@@ -85,133 +81,100 @@ def bytes_changed(rng: Generator, parts: Parts, _: list[bytes]) -> bytes:
     return raw_bytes(rng, parts.join())
 
 
-def length_changed(rng: Generator, parts: Parts, _: list[bytes]) -> bytes:
-    """The length of the header."""
+def prefix_changed(rng: Generator, parts: Parts, _: list[bytes]) -> bytes:
+    """What stands before the header: magic, version, length, checksum."""
     data = parts.join()
-    length = int.from_bytes(data[:8], "little")
-    other = pick(rng, (0, 1, length - 1, length + 1, length + 8, len(data), len(data) - 8, 2**31, 2**32, 2**63, -1))
-    return (other % 2**64).to_bytes(8, "little") + data[8:]
+    length = int.from_bytes(data[12:16], "little")
+    words = [pick(rng, (0, 1, 2, 2**31, 2**32 - 1, length - 1, length + 1, len(data), len(data) - PREFIX)) % 2**32
+             for _ in range(3)]
+    whole = [int.from_bytes(data[at:at + 4], "little") for at in (8, 12, 16)]
+    place = int(rng.integers(0, 4))
+    if place == 3:
+        return raw_bytes(rng, MAGIC) + data[len(MAGIC):]
+    whole[place] = words[place]
+    return MAGIC + struct.pack("<III", *whole) + data[PREFIX:]
 
 
-def header_value(rng: Generator, parts: Parts, _: list[bytes]) -> bytes:
-    """A value of the header, which is then put together as it is."""
-    data = parts.join()
-    length = int.from_bytes(data[:8], "little")
-    header, body = json.loads(data[8:8 + length]), data[8 + length:]
+def header_value(rng: Generator, parts: Parts, _: list[bytes]) -> None:
+    """A value of the header."""
+    header = parts.header
     change_value(rng, header)
-    return frame(compact(header), body, lead=parts.lead)
+    parts.text = parts.with_header(header).text
 
 
-def header_text(rng: Generator, parts: Parts, _: list[bytes]) -> bytes:
-    """The text of the header."""
-    data = parts.join()
-    length = int.from_bytes(data[:8], "little")
-    text = data[8:8 + length].decode("utf-8", "surrogatepass").rstrip(" ")
-    pad = None if rng.random() < 0.7 else int(rng.integers(0, 20))
-    return frame(changed_text(rng, text), data[8 + length:], pad, parts.lead)
-
-
-def metadata_value(rng: Generator, parts: Parts, _: list[bytes]) -> None:
-    """A value of the metadata."""
-    metadata = json.loads(parts.text)
-    change_value(rng, metadata)
-    parts.text = compact(metadata)
-
-
-def metadata_number(rng: Generator, parts: Parts, _: list[bytes]) -> None:
-    """A number of the metadata, by little."""
-    metadata = json.loads(parts.text)
-    numbers = [path for path in paths(metadata) if type(at(metadata, path)) in (int, float)]
+def header_number(rng: Generator, parts: Parts, _: list[bytes]) -> None:
+    """A number of the header, by little."""
+    header = parts.header
+    numbers = [path for path in paths(header) if type(at(header, path)) in (int, float)]
     path = pick(rng, numbers)
-    old = at(metadata, path)
-    at(metadata, path[:-1])[path[-1]] = pick(rng, (old + 1, old - 1, old * 2, -old, old + 0.5, old * 1000))
-    parts.text = compact(metadata)
+    old = at(header, path)
+    at(header, path[:-1])[path[-1]] = pick(rng, (old + 1, old - 1, old * 2, -old, old + 0.5, old * 1000))
+    parts.text = parts.with_header(header).text
 
 
-def metadata_text(rng: Generator, parts: Parts, _: list[bytes]) -> None:
-    """The text of the metadata."""
-    parts.text = changed_text(rng, parts.text)
+def header_text(rng: Generator, parts: Parts, _: list[bytes]) -> None:
+    """The text of the header."""
+    parts.text = changed_text(rng, parts.text.decode()).encode()
 
 
-def array_numbers(rng: Generator, parts: Parts, _: list[bytes]) -> None:
-    """Numbers of an array: at a border, from elsewhere in it, or a step up or down."""
-    name = pick(rng, list(parts.arrays))
-    dtype, shape, data = parts.arrays[name]
-    size, found = SIZES.get(dtype, 1), bytearray(data)
-    count = len(found) // size
-    for _step in range(int(rng.choice([1, 1, 2, 5])) if count else 0):
-        place, other = (int(at) * size for at in rng.integers(0, count, 2))
-        old = int.from_bytes(found[place:place + size], "little")
-        new = pick(rng, (pick(rng, BORDERS), old + 1, old - 1, old ^ 1 << int(rng.integers(0, 8 * size)),
-                         int.from_bytes(found[other:other + size], "little")))
-        found[place:place + size] = (new % 256**size).to_bytes(size, "little")
-    replace_array(parts, name, dtype, shape, bytes(found))
-
-
-def array_length(rng: Generator, parts: Parts, _: list[bytes]) -> None:
-    """An array with more or fewer entries along its first axis, and a shape that says so or does not."""
-    name = pick(rng, list(parts.arrays))
-    dtype, shape, data = parts.arrays[name]
-    line = prod(shape[1:]) * SIZES.get(dtype, 1) if shape else len(data)
-    rows = max(0, (shape[0] if shape else 1) + int(rng.choice([-2, -1, 1, 2, 1000])))
-    longer = (data + data[-line:] * rows if line and rng.random() < 0.5 else data + bytes(line * rows))[:line * rows]
-    told = [rows, *shape[1:]] if rng.random() < 0.8 else shape
-    replace_array(parts, name, dtype, told, longer)
-
-
-def array_kind(rng: Generator, parts: Parts, _: list[bytes]) -> None:
-    """Another number type or shape for the same bytes."""
-    name = pick(rng, list(parts.arrays))
-    dtype, shape, data = parts.arrays[name]
+def header_of_another(rng: Generator, parts: Parts, others: list[bytes]) -> None:
+    """A field of the header, or of a stage, as another file has it."""
+    header, other = parts.header, Parts.split(pick(rng, others)).header
     if rng.random() < 0.5:
-        dtype = pick(rng, [*SIZES, "F8", "", "u32"])
+        key = pick(rng, list(other))
+        header[key] = other[key]
     else:
-        shape = pick(rng, ([*shape, 1], [1, *shape], shape[:-1], shape[::-1], [prod(shape)], [0], [-1],
-                           [2**32, 2**32, 0]))
-    replace_array(parts, name, dtype, shape, data)
+        stage = pick(rng, other["stages"])
+        key = pick(rng, list(stage))
+        pick(rng, header["stages"])[key] = stage[key]
+    parts.text = parts.with_header(header).text
 
 
-def array_set(rng: Generator, parts: Parts, others: list[bytes]) -> None:
-    """Which arrays there are, and in what order; one may come from another file."""
-    names = list(parts.arrays)
-    name, kind = pick(rng, names), int(rng.integers(0, 4))
+def code_bits(rng: Generator, parts: Parts, _: list[bytes]) -> None:
+    """Bits or bytes of a section, which stays as long."""
+    place = int(rng.integers(0, len(parts.sections)))
+    found = bytearray(parts.sections[place])
+    for _step in range(int(rng.choice([1, 1, 2, 5])) if found else 0):
+        byte = int(len(found) * rng.random() ** 2)  # what comes first says what the rest is
+        found[byte] = pick(rng, (found[byte] ^ 1 << int(rng.integers(0, 8)), int(rng.integers(0, 256)), 0, 255))
+    parts.sections[place] = bytes(found)
+
+
+def section_length(rng: Generator, parts: Parts, _: list[bytes]) -> None:
+    """A run with more or fewer bytes, and a header that says so or does not."""
+    header, place = parts.header, int(rng.integers(0, len(parts.sections)))
+    by = int(rng.choice([-8, -2, -1, 1, 2, 100]))
+    data = parts.sections[place]
+    parts.sections[place] = (data[:by] if by < 0 else data + pick(rng, (bytes(by), rng.bytes(by))))
+    runs = [run for stage in header["stages"] for run in stage["runs"]]
+    number = place - (len(parts.sections) - len(runs))
+    if number >= 0 and rng.random() < 0.8:
+        runs[number][1] += len(parts.sections[place]) - len(data)
+        parts.text = parts.with_header(header).text
+
+
+def section_set(rng: Generator, parts: Parts, others: list[bytes]) -> None:
+    """Which sections there are, and in what order; one may come from another file."""
+    place, kind = int(rng.integers(0, len(parts.sections))), int(rng.integers(0, 4))
     if kind == 0:
-        del parts.arrays[name]
-        parts.record(name)
+        del parts.sections[place]
     elif kind == 1:
-        items = list(parts.arrays.items())
-        i, j = rng.integers(0, len(items), 2)
-        items[i], items[j] = items[j], items[i]
-        parts.arrays = dict(items)
+        other = int(rng.integers(0, len(parts.sections)))
+        sections = parts.sections
+        sections[place], sections[other] = sections[other], sections[place]
     elif kind == 2:
-        new = pick(rng, (name + "/0", name.replace("1", "2", 1), "level/0/core", "x", "", pick(rng, names)))
-        replace_array(parts, new, *parts.arrays[name])
+        parts.sections.insert(place, parts.sections[place])
     else:
-        other = Parts.split(pick(rng, others))
-        replace_array(parts, name, *other.arrays[name if name in other.arrays else pick(rng, list(other.arrays))])
-
-
-def metadata_of_another(rng: Generator, parts: Parts, others: list[bytes]) -> None:
-    """A field of the metadata as another file has it."""
-    metadata, other = json.loads(parts.text), json.loads(Parts.split(pick(rng, others)).text)
-    key = pick(rng, list(other))
-    metadata[key] = other[key]
-    parts.text = compact(metadata)
+        parts.sections[place] = pick(rng, Parts.split(pick(rng, others)).sections)
 
 
 Change = Callable[[Generator, Parts, list[bytes]], bytes | None]
 #: All changes, and how often each is made; those that return bytes are the last of a mutant.
 CHANGES: tuple[Change, ...] = (
-    array_numbers, metadata_value, metadata_number, array_length, array_kind, array_set, metadata_of_another,
-    metadata_text, header_value, header_text, bytes_changed, length_changed,
+    code_bits, header_value, header_number, section_length, section_set, header_of_another, header_text, bytes_changed,
+    prefix_changed,
 )
-WEIGHTS = np.array([30, 12, 12, 10, 6, 8, 4, 5, 6, 5, 3, 1]) / 102
-
-
-def replace_array(parts: Parts, name: str, dtype: str, shape: list[int], data: bytes) -> None:
-    """Another array of this name, with a record of its own."""
-    parts.arrays[name] = (dtype, list(shape), data)
-    parts.record(name)
+WEIGHTS = np.array([30, 16, 16, 10, 4, 8, 8, 3, 2]) / 97
 
 
 def change_value(rng: Generator, tree: Any) -> None:

@@ -32,7 +32,7 @@ async function byShader([file, indices, level]: [string, number[][], number]): P
     @group(1) @binding(0) var<storage, read> asked: array<array<u32, AXES>>;
     @group(1) @binding(1) var<storage, read_write> found: array<f32>;
     @compute @workgroup_size(64) fn main(@builtin(global_invocation_id) id: vec3u) {
-      if (id.x < arrayLength(&found)) { found[id.x] = decode_element(asked[id.x], decoder.levels); }
+      if (id.x < arrayLength(&found)) { found[id.x] = decode_element(asked[id.x], decoder.stages); }
     }` });
   const entries = (["read-only-storage", "storage"] as const).map((type, binding) =>
     ({ binding, visibility: GPUShaderStage.COMPUTE, buffer: { type } }));
@@ -139,7 +139,7 @@ describe.runIf(there)("hmkcta.js in Chromium", () => {
     await page.close();
   });
 
-  it.each(["stack", "merged", "ageing", "volume", "bare"])("decodes %s in a shader as on the CPU", async (name) => {
+  it.each(["stack", "merged", "ageing", "volume", "cut", "random", "bare"])("decodes %s in a shader as on the CPU", async (name) => {
     const model = await open(new Blob([new Uint8Array(readFileSync(join(folder, `${name}.hmk`)))]));
     const indices = Array.from({ length: 200 }, (_, i) => model.shape.map((size, axis) => (i * (7 + 2 * axis) + axis) % size));
     for (const level of [1, model.levels]) {

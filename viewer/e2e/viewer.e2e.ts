@@ -239,7 +239,7 @@ describe.runIf(there)("viewer in Chromium", () => {
     await reached(page, "failed");
     const sentence = page.getByRole("alert");
     await sentence.getByText("The file is damaged").waitFor();
-    expect(await sentence.textContent()).toContain("level/2/");
+    expect(await sentence.textContent()).toContain("stages[1].runs[");
     expect(await sentence.textContent()).toContain("The first 1 of 2 levels are whole");
     await drop("short.hmk", good.subarray(0, 900));
     await sentence.getByText("The file is not complete").waitFor();

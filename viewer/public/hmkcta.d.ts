@@ -42,13 +42,13 @@ export interface Model {
 }
 
 export interface OnGpu {
-  /** WGSL to put before a shader of one's own: `decode_element(index: array<u32, AXES>, levels: u32) -> f32`. */
+  /** WGSL to put before a shader of one's own: `decode_element(index: array<u32, AXES>, stages: u32) -> f32`. */
   readonly code: string;
   /** Of group 0. */
   readonly layout: GPUBindGroupLayout;
   /** Bytes on the GPU. */
   readonly bytes: number;
-  /** What to bind as group 0 for so many levels: without a number, for all that have arrived. */
+  /** What to bind as group 0 for so many levels: without a number, for all that had arrived when this was made. */
   group(levels?: number): GPUBindGroup;
   destroy(): void;
 }
@@ -83,6 +83,7 @@ export interface Limits {
   mixture: number;
   rank: number;
   level_cost: number;
+  widened: number;
   json_bytes: number;
   json_depth: number;
   json_string: number;

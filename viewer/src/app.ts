@@ -9,7 +9,7 @@ import { asOriginal } from "./original";
 import { Pace } from "./pace";
 import { resetView } from "./places";
 import { Problem, asProblem } from "./problem";
-import type { FileKind, Metadata } from "./reader/metadata";
+import { type FileKind, type Metadata, upto } from "./reader/metadata";
 import type { Reading } from "./reader/read";
 import { makeRenderer } from "./render/kinds";
 import type { MeshMaker } from "./render/mesh";
@@ -43,7 +43,8 @@ export class App {
   shown: Shown; // changed by `dispatch` only
   private wanted: FileKind = "generic"; // the kind it shall become, once its renderer is ready
   mesh: MeshMaker | null = null; // the user's
-  private readonly decoder: Decoder;
+  private decoder: Decoder; // that of the renderer
+  private newest: Decoder; // of more levels, perhaps, once there is a renderer of it
   private originalDecoder: Decoder | null = null;
   private compared: Decoder | null = null; // the original, once the renderer has it
   private screen!: Screen; // there before anything is drawn
@@ -61,11 +62,11 @@ export class App {
   ) {
     this.pace = new Pace(canvas, gpu.device.limits.maxTextureDimension2D, fixedSize);
     this.metadata = reading.metadata;
-    this.decoder = new Decoder(gpu.device, reading.metadata, reading.levels);
+    this.decoder = this.newest = decoderOf(gpu.device, reading.metadata, reading);
     this.shown = firstShown(name, reading.metadata);
   }
 
-  /** Prepare to show a model whose tables are there; frames have the given size, or the page's. */
+  /** Prepare to show a model of which level 1 is read; frames have the given size, or the page's. */
   static make(
     gpu: Gpu, canvas: HTMLCanvasElement, screen: Promise<Screen>, reading: Reading, name: string, watcher: Watcher, size: [number, number] | null,
   ): Promise<App> {
@@ -118,9 +119,12 @@ export class App {
     this.choose((state) => resetView(state, this.metadata.axes, this.kind));
   }
 
-  /** The next level has arrived. */
-  addLevel(): void {
-    this.decoder.addLevel();
+  /** The next level is read. */
+  async addLevel(): Promise<void> {
+    if (this.newest.arrived === this.newest.metadata.levels.length) {
+      await this.grow();
+    }
+    this.newest.addLevel();
     this.dispatch({ type: "arrive" });
     const { kind, arrived, metadata } = this.shown;
     // What needs no more than a white has it measured while the first frame is decoded.
@@ -130,15 +134,24 @@ export class App {
     this.redraw();
   }
 
+  /** Have a decoder of all that is read by now, and a renderer of it; what there is shows the first levels until then. */
+  private async grow(): Promise<void> {
+    const { device } = this.gpu;
+    const { arrived } = this.newest;
+    const made = await guarded(device, "preparing further levels", () => decoderOf(device, this.metadata, this.reading, arrived));
+    this.newest = made;
+    await this.showAs(this.wanted);
+    if (this.closed) {
+      made.destroy();
+    }
+  }
+
   /** A model to compare with, all of whose levels are there; where that fails, all stays as it was. */
   async setOriginal(original: Reading): Promise<void> {
     const { device } = this.gpu;
     const metadata = asOriginal(original.metadata, this.metadata.axes);
-    const decoder = await guarded(device, "preparing the original", () => {
-      const made = new Decoder(device, metadata, original.levels);
-      original.levels.forEach(() => made.addLevel());
-      return made;
-    });
+    const { arrived } = original;
+    const decoder = await guarded(device, "preparing the original", () => decoderOf(device, metadata, original, arrived));
     this.originalDecoder = decoder;
     const choice = ++this.choices;
     try {
@@ -166,7 +179,7 @@ export class App {
 
   /** Have another renderer, of the model and the original that there is by now. */
   private async use(kind: FileKind, choice: number, notes: string[] = []): Promise<void> {
-    const decoders = [this.decoder, ...(this.originalDecoder === null ? [] : [this.originalDecoder])];
+    const decoders = [this.newest, ...(this.originalDecoder === null ? [] : [this.originalDecoder])];
     const renderer = await makeRenderer(this.gpu.device, kind, this.metadata, decoders, [this.state, ...this.pace.size(true)]);
     await Promise.allSettled(this.saves.map(({ done }) => done.promise)); // which are drawn by the one that there is
     if (this.closed || choice !== this.choices) { // another choice came before this one was ready
@@ -177,6 +190,10 @@ export class App {
     this.wanted = kind;
     this.renderer?.destroy();
     this.renderer = renderer;
+    if (this.decoder !== decoders[0]) {
+      this.decoder.destroy();
+      this.decoder = decoders[0]!;
+    }
     if (renderer instanceof SvbrdfRenderer && this.mesh !== null) {
       renderer.setMesh(this.mesh);
     }
@@ -227,6 +244,7 @@ export class App {
     this.saves.splice(0).forEach(({ done }) => done.reject(new Problem("Another file was opened before the picture was saved.")));
     this.renderer?.destroy();
     this.decoder.destroy();
+    this.newest.destroy();
     this.originalDecoder?.destroy();
   }
 
@@ -234,7 +252,7 @@ export class App {
   private measure(): void {
     const { arrived } = this.decoder;
     const samples = arrived < this.metadata.levels.length ? SAMPLES / 8 : SAMPLES;
-    const range = valueRange(this.metadata, this.reading.levels, arrived, samples);
+    const range = valueRange(this.metadata, this.reading.stages, arrived, samples);
     this.shown = reduced(this.shown, { type: "range", range }); // whoever measures draws
     this.watcher.onShown(this.shown);
   }
@@ -303,13 +321,14 @@ export class App {
   }
 
   private sides({ level, compare: { mode, level: other } }: State): Side[] {
-    const first: Side = { decoder: this.decoder, level };
+    const { decoder } = this;
+    const side = (wanted: number): Side => ({ decoder, level: Math.min(wanted, decoder.arrived) }); // others may wait for a renderer
     if (mode === "none") {
-      return [first];
+      return [side(level)];
     }
     return other === null && this.compared !== null
-      ? [first, { decoder: this.compared, level: this.compared.arrived }]
-      : [first, { decoder: this.decoder, level: other ?? 1 }];
+      ? [side(level), { decoder: this.compared, level: this.compared.arrived }]
+      : [side(level), side(other ?? 1)];
   }
 
   /** What is chosen once all is compiled that it needs; levels may arrive meanwhile, and anything be changed. */
@@ -395,4 +414,14 @@ export class App {
     const share = parts.reduce((sum, part) => sum + part.share, 0) / parts.length;
     return { share, decoded: parts.reduce((sum, part) => sum + part.decoded, 0) };
   }
+}
+
+/** A decoder of the levels that are read; the numbers of some of them are there. */
+function decoderOf(device: GPUDevice, metadata: Metadata, { stages, arrived }: Reading, filled = 0): Decoder {
+  const read = upto(metadata, arrived);
+  const made = new Decoder(device, read, stages.slice(0, read.stages.length));
+  while (made.arrived < filled) {
+    made.addLevel();
+  }
+  return made;
 }

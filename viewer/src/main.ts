@@ -129,7 +129,7 @@ class Page {
         return;
       }
       signal.addEventListener("abort", () => source.close());
-      await app.setOriginal(await load(source, { onTables: () => undefined, onLevel: () => undefined }));
+      await app.setOriginal(await load(source, { onStart: () => undefined, onLevel: () => undefined }));
     } catch (error) {
       if (!signal.aborted && (this.state !== "failed" || byId("message").hidden)) { // what is said of the model matters more
         this.tell(originalProblem(error));
@@ -158,11 +158,15 @@ class Page {
     this.status.progress(source.have, source.size);
     try {
       await load(source, {
-        onTables: (reading) => this.begin(reading, signal),
-        onLevel: async (_, level) => {
+        onStart: (reading) => this.begin(reading, signal),
+        onLevel: async ({ arrived }, level) => {
           signal.throwIfAborted();
-          this.app!.addLevel();
+          await this.app!.addLevel();
+          signal.throwIfAborted();
           this.mark(`level-${level}`);
+          if (level < arrived) { // the next one is there
+            return;
+          }
           // Let it be drawn before the next one is checked; a page that nobody sees is not drawn.
           await Promise.race([this.app!.drawn, new Promise((resolve) => setTimeout(resolve, FIRST_FRAME))]);
           await new Promise((resolve) => setTimeout(resolve));
@@ -197,7 +201,7 @@ class Page {
 
   /** Compile what the file needs; nothing of it is seen once another file was opened. */
   private async begin(reading: Reading, signal: AbortSignal): Promise<void> {
-    performance.mark("tables");
+    performance.mark("read");
     await this.opening;
     signal.throwIfAborted();
     this.deepest = 0;

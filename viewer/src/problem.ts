@@ -1,6 +1,5 @@
 /** What went wrong, as the page says it: a sentence, perhaps details, and what to do next. */
 
-import { ForeignFile } from "./reader/lookalikes";
 import { HmkError, type Kind, type Reason } from "./reader/reasons";
 
 export class Problem extends Error {
@@ -19,21 +18,14 @@ const LEADS: Record<Kind, string> = {
   Io: "The file cannot be read.",
 };
 
-const NO_HMK = "This is no .hmk file";
 const NEWER = "The file is newer than this page.";
 
-/** The first sentence. The kind alone would lead astray where another kind of file, a picture say, was taken for this one. */
-function headline(error: HmkError): string {
-  if (error instanceof ForeignFile) {
-    return `${NO_HMK}.`;
-  }
-  const { kind, reason, where, sentence } = error;
-  const other = where === "header" && ["header-bytes", "json-syntax", "json-encoding"].includes(reason);
+/** The first sentence. */
+function headline({ kind, reason, sentence }: HmkError): string {
   const leads: Partial<Record<Reason, string>> = {
-    "header-too-large": `${NO_HMK}, or one whose header is larger than the limit.`,
-    "not-hmk": `${NO_HMK}. ${sentence}`, "version-unknown": `${NEWER} ${sentence}`, "transform-unknown": `${NEWER} ${sentence}`,
+    "foreign-file": "This is no .hmk file.", "version-unknown": `${NEWER} ${sentence}`, "transform-unknown": `${NEWER} ${sentence}`,
   };
-  return other ? `${NO_HMK}, or its header is damaged.` : leads[reason] ?? `${LEADS[kind]} ${sentence}`;
+  return leads[reason] ?? `${LEADS[kind]} ${sentence}`;
 }
 
 /** What to say of a file that is not shown beside the model, or in its place. */

@@ -12,6 +12,9 @@ const WAIT = 400; // milliseconds before another try
 export abstract class ByteSource {
   have = 0;
   onBytes: () => void = () => undefined;
+  private goal = 0; // up to which bytes are fetched, or wanted next
+  private fetching = false;
+  private waiting: { end: number; resolve: () => void; reject: (error: unknown) => void }[] = [];
 
   protected constructor(readonly name: string, readonly bytes: Uint8Array<ArrayBuffer>) {}
 
@@ -19,12 +22,17 @@ export abstract class ByteSource {
     return this.bytes.length;
   }
 
-  /** Wait until the first `end` bytes are there; no more than the size. */
-  async upTo(end: number): Promise<void> {
+  /** Have the first `end` bytes fetched, no more than the size; kept when they are there, whatever else is on its way. */
+  upTo(end: number): Promise<void> {
     const goal = Math.min(end, this.size);
-    if (this.have < goal) {
-      await this.fetchTo(goal);
-    }
+    return new Promise((resolve, reject) => {
+      this.waiting.push({ end: goal, resolve, reject });
+      this.goal = Math.max(this.goal, goal);
+      this.tell();
+      if (this.have < this.goal && !this.fetching) {
+        void this.fetch();
+      }
+    });
   }
 
   /** Fetch nothing more; what is on its way is given up. */
@@ -35,7 +43,32 @@ export abstract class ByteSource {
   protected add(chunk: Uint8Array): void {
     this.bytes.set(chunk.subarray(0, this.size - this.have), this.have);
     this.have = Math.min(this.size, this.have + chunk.length);
+    this.tell();
     this.onBytes();
+  }
+
+  private async fetch(): Promise<void> {
+    this.fetching = true;
+    try {
+      while (this.have < this.goal) {
+        const before = this.have;
+        await this.fetchTo(this.goal);
+        if (this.have === before) {
+          throw lost(this.name, this.have, this.size, new Error("No more bytes came."));
+        }
+      }
+      this.fetching = false;
+    } catch (error) {
+      this.fetching = false;
+      this.goal = this.have;
+      this.waiting.splice(0).forEach(({ reject }) => reject(error));
+    }
+  }
+
+  private tell(): void {
+    const { have } = this;
+    this.waiting.filter(({ end }) => end <= have).forEach(({ resolve }) => resolve());
+    this.waiting = this.waiting.filter(({ end }) => end > have);
   }
 }
 

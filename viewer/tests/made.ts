@@ -14,9 +14,9 @@ export const RANGE = { low: 20, high: 180, least: 3, most: 200 };
 /** Metadata of three levels of 11.9, 20.3 and 28.3 dB. */
 export function metadata(kind: FileKind, axes: Axis[], sourceDtype = "float32"): Metadata {
   const quality = [[11.9, 8], [20.3, 4], [28.3, 0.5]].map(([snrDb, rmse]) => ({ snrDb: snrDb!, rmse: rmse!, maxAbsError: 9 * rmse! }));
+  const stages = quality.map(() => ({ clusters: [], mixture: [], ranks: [], scheme: "most" }));
   return {
-    kind, axes, sourceDtype, quality, organisation: axes.map(({ name }) => [name]), modeSizes: axes.map(({ size }) => size),
-    levels: quality.map(() => ({ clusters: [], mixture: [], ranks: [], scheme: "most" })), undecomposed: [],
+    kind, axes, sourceDtype, quality, stages, levels: stages, organisation: axes.map(({ name }) => [name]), modeSizes: axes.map(({ size }) => size),
     transform: { name: "identity", scale: 1 }, writer: "",
   };
 }

@@ -6,15 +6,12 @@ import { describe, expect, it } from "vitest";
 import { HmkError, type Model, open, Problem } from "../src/module";
 import { asProblem } from "../src/problem";
 import type { Reading } from "../src/reader/read";
-import { fixture } from "./corpus";
+import { fileOf } from "./files";
+import { elementOf, merged, small as smallContent, someRows } from "./models";
 
-interface Expected {
-  indices: number[][]; // of modes
-  values: number[][]; // by level
-}
-
-const bytes = new Uint8Array(fixture("v1.0-small.hmk"));
-const { indices, values } = JSON.parse(fixture("v1.0-small.json").toString("utf-8")) as Expected;
+const bytes = fileOf(smallContent());
+const indices = someRows([4, 3]);
+const values = indices.map((index) => elementOf(smallContent(), index));
 
 async function small(): Promise<Model> {
   return open(bytes);
@@ -31,11 +28,16 @@ describe("a model", () => {
     expect(model.at(indices[0]!)).toBe(model.at(indices[0]!, model.levels));
   });
 
-  it.each(["v1.1-eight", "v1.2-eight"])("has the elements of a file in bytes: %s", async (name) => {
-    const model = await open(new Uint8Array(fixture(`${name}.hmk`)));
-    const eight = JSON.parse(fixture(`${name}.json`).toString("utf-8")) as Expected;
-    const found = eight.indices.map((index) => [model.at(index, 1), model.at(index, 2)]);
-    found.flat().forEach((value, i) => expect(value).toBeCloseTo(eight.values.flat()[i]!, 6));
+  it("has the elements of a file whose first stage is a cut", async () => {
+    const content = merged();
+    const model = await open(fileOf(content));
+    expect([model.levels, content.stages.length]).toEqual([3, 4]);
+    for (const rows of someRows([15, 6, 2])) {
+      const index = [Math.floor(rows[0]! / 3), rows[1]!, rows[2]!, rows[0]! % 3];
+      elementOf(content, rows).slice(1).forEach((value, l) => {
+        expect(Math.abs(model.at(index, l + 1) - value)).toBeLessThan(1e-6 * Math.max(1, Math.abs(value)));
+      });
+    }
   });
 
   it("says what it is", async () => {
@@ -46,7 +48,7 @@ describe("a model", () => {
   });
 
   it("slices as an array does", async () => {
-    const model = await open(new Blob([new Uint8Array(fixture("v1.0-merged.hmk"))]));
+    const model = await open(new Blob([fileOf(merged())]));
     const whole = model.slice(model.shape.map(() => null));
     expect(whole.shape).toEqual(model.shape);
     expect(new Set(whole.values).size).toBeGreaterThan(20);
@@ -136,14 +138,15 @@ describe("opening", () => {
   });
 
   it("takes other limits", async () => {
-    await expect(open(bytes, undefined, { level_cost: 3 })).rejects.toThrow("level-cost-limit");
-    expect((await open(bytes, undefined, { level_cost: 4 })).levels).toBe(2);
+    const nodes = smallContent().stages.reduce((sum, stage) => sum + stage.nodes.length, 0);
+    await expect(open(bytes, undefined, { nodes: nodes - 1 })).rejects.toThrow("nodes-limit");
+    expect((await open(bytes, undefined, { nodes })).levels).toBe(2);
   });
 
   it("decodes on the CPU what takes too long in a shader", async () => {
     const model = await small();
-    const { metadata } = (model as unknown as { reading: Reading }).reading;
-    Object.assign(metadata.levels[1]!, { mixture: [800, 800], ranks: [600, 600] });
+    const { stages } = (model as unknown as { reading: Reading }).reading;
+    stages[1]!.shape.set([1, 1, 800, 800, 600, 600]);
     expect(() => model.onGpu({} as GPUDevice)).toThrow(/A level takes \d+ multiply-adds an element; shaders do up to 262144/);
   });
 

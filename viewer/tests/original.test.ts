@@ -6,9 +6,10 @@ import { asOriginal, originalProblem } from "../src/original";
 import { Problem } from "../src/problem";
 import type { Metadata } from "../src/reader/metadata";
 import { loads } from "../src/reader/read";
-import { fixture } from "./corpus";
+import { fileOf } from "./files";
+import { merged } from "./models";
 
-const { metadata } = loads(new Uint8Array(fixture("v1.0-merged.hmk")));
+const { metadata } = loads(fileOf(merged()));
 
 /** The model's metadata with other names and roles. */
 function renamed(): Metadata {

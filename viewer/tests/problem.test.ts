@@ -2,20 +2,10 @@
 
 import { describe, expect, it } from "vitest";
 import { asProblem, refusal } from "../src/problem";
-import { DEFAULT_LIMITS } from "../src/reader/limits";
-import { checkStart } from "../src/reader/lookalikes";
+import { foreign } from "../src/reader/lookalikes";
 import { fault } from "../src/reader/reasons";
 
-/** The error about a file of 100 bytes that begins so. */
-function foreign(start: string): unknown {
-  const bytes = Uint8Array.from(start.padEnd(64, "\0"), (letter) => letter.charCodeAt(0));
-  try {
-    checkStart(bytes, 100, DEFAULT_LIMITS);
-  } catch (error) {
-    return error;
-  }
-  return undefined;
-}
+const bytes = (text: string): Uint8Array => Uint8Array.from(text, (letter) => letter.charCodeAt(0));
 
 describe("what is said to do next", () => {
   it.each([
@@ -23,7 +13,7 @@ describe("what is said to do next", () => {
     ["\x1f\x8b\x08", "Unpack it: gunzip."],
     ["PK\x03\x04", "Unpack the .hmk file in it, or hmkcta compress it, or give the .hmk file that was made of it."],
   ])("begins as a sentence, but for the command's name: of %j", (start, next) => {
-    const problem = asProblem(foreign(start));
+    const problem = asProblem(foreign(bytes(start)));
     expect(problem.next).toBe(next);
     expect(problem.detail).not.toContain("Next:");
   });
@@ -34,7 +24,7 @@ describe("what is said to do next", () => {
 });
 
 it("names a file that is refused", () => {
-  const { sentence, next } = refusal("a.png", foreign("\x89PNG\r\n\x1a\n"));
+  const { sentence, next } = refusal("a.png", foreign(bytes("\x89PNG\r\n\x1a\n")));
   expect(sentence).toBe("a.png cannot be shown. This is no .hmk file.");
   expect(next).toContain("hmkcta compress it");
 });

@@ -14,7 +14,7 @@ pub type Members<'py> = Vec<PyReadonlyArray1<'py, u16>>;
 pub type Floats<'py> = PyReadonlyArray1<'py, f32>;
 pub type Doubles<'py> = PyReadonlyArray1<'py, f64>;
 
-/// The arrays of one level as a dictionary, named as in `hmkcta.packed.PackedLevel`, all flat; float16 as its bits.
+/// The arrays of one stage as a dictionary, named as in `hmkcta.packed.PackedLevel`, all flat; float16 as its bits.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct Arrays<'py> {
@@ -25,10 +25,10 @@ pub struct Arrays<'py> {
     core_offset: Array<'py, u32>,
     core_scale: Array<'py, f32>,
     cell_offset: Array<'py, u32>,
-    cluster: OfModes<'py, u16>,
-    cluster_offset: OfModes<'py, u32>,
-    basis: OfModes<'py, u16>,
-    basis_offset: OfModes<'py, u32>,
+    cluster: Vec<Array<'py, u16>>,
+    cluster_offset: Vec<Array<'py, u32>>,
+    basis: Vec<Array<'py, u16>>,
+    basis_offset: Vec<Array<'py, u32>>,
     part: OfModes<'py, u16>,
     local: OfModes<'py, u32>,
 }
@@ -81,11 +81,9 @@ fn slice<'a, T: Element>(array: &'a Array<T>) -> PyResult<&'a [T]> {
     Ok(array.as_slice()?)
 }
 
-fn ragged<'a>(data: &'a OfModes<u16>, offset: &'a OfModes<u32>) -> PyResult<Vec<Option<Ragged<'a, u16>>>> {
-    let of_mode = |(data, offset): (&'a Option<Array<u16>>, &'a Option<Array<u32>>)| match (data, offset) {
-        (Some(data), Some(offset)) => Ok(Some(Ragged { data: slice(data)?, offset: slice(offset)? })),
-        _ => Ok(None),
-    };
+fn ragged<'a>(data: &'a [Array<u16>], offset: &'a [Array<u32>]) -> PyResult<Vec<Ragged<'a, u16>>> {
+    let of_mode =
+        |(data, offset): (&'a Array<u16>, &'a Array<u32>)| Ok(Ragged { data: slice(data)?, offset: slice(offset)? });
     data.iter().zip(offset).map(of_mode).collect()
 }
 

@@ -1,50 +1,74 @@
 //! Dense blocks: the elements of an outer product of row lists, node by node down the tree.
 //! The twin of `hmkcta.decode.dense`.
 //!
-//! The block is cut into runs of its leading indices, for threads to share. Within a run a node adds its part as the
-//! fitting kernels do it, or element by element where that is less work.
+//! Threads share the block: what the children of a cut at the top have in it or, where the root has numbers itself, runs
+//! of its leading indices. A node adds its part as the fitting kernels do it, by products in the cache where it is small,
+//! or element by element where that is less work.
 
 use crate::element::Elements;
-use crate::packed::{Level, NodeView};
+use crate::packed::{Level, MOST_MODES, Node, NodeView};
 use crate::part::{Part, Requested};
+use crate::shared::Shared;
 use crate::sizes::zeros;
-use crate::threads::for_each;
+use crate::small::Products;
+use crate::threads::{PARALLEL, for_each_with};
+use std::ops::Range;
 
 /// Elements of a run: many, since each run widens the numbers of its nodes for itself.
 const SMALLEST: usize = 1 << 22;
 const LARGEST: usize = 1 << 26;
 /// Runs that a block is cut into, sizes permitting.
 const RUNS: usize = 16;
+/// Elements of neighbouring children that one thread decodes.
+const TASK: usize = 1 << 16;
 /// Elements that a node puts together before they are added to the block.
 const TOGETHER: usize = 1 << 21;
 
-/// Add the block of the outer product of `rows`, one list a mode, to `out`; levels before `first` add nothing.
+/// Add the block of the outer product of `rows`, one list a mode, to `out`; stages before `first` add nothing.
 pub fn decode(levels: &[Level], rows: &[&[i64]], first: usize, out: &mut [f32]) -> Result<(), String> {
-    let sizes: Vec<usize> = rows.iter().map(|rows| rows.len()).collect();
-    let limit = (out.len() / RUNS).clamp(SMALLEST, LARGEST);
-    let runs = runs(&sizes, limit);
-    let mut results: Vec<Result<(), String>> = vec![Ok(()); runs.len()];
-    let mut rest = out;
+    let whole = rows.iter().map(|rows| (0, rows.len())).collect::<Vec<_>>();
+    let parallel = out.len() >= PARALLEL;
     let mut tasks = vec![];
+    if matches!(levels[0].node(0)?, Node::Cut(_)) && levels.len() > 1 {
+        let (sizes, out) = (whole.iter().map(|run| run.1).collect::<Vec<_>>(), Shared::new(out));
+        let mut families = vec![];
+        collect(levels, 0, 0, &requested(rows, &whole).iter().collect::<Vec<_>>(), &mut families)?;
+        for family in &families {
+            let children = family.children();
+            let each = (TASK * children / family.elements).clamp(1, children);
+            let ranges = (0..children).step_by(each).map(|from| from..children.min(from + each));
+            tasks.extend(ranges.map(|range| (family, range, Ok(()))));
+        }
+        for_each_with(parallel, tasks.iter_mut().collect(), |(family, range, result), buffers: &mut Buffers| {
+            // SAFETY: rows of different children have different places, so that no two tasks have an element in common.
+            let mut walk = Walk { levels, first, sizes: &sizes, out, buffers };
+            *result = walk.children(family, range.clone());
+        });
+        return tasks.into_iter().try_for_each(|(_, _, result)| result);
+    }
+    let limit = (out.len() / RUNS).clamp(SMALLEST, LARGEST);
+    let runs = runs(&whole.iter().map(|run| run.1).collect::<Vec<_>>(), limit);
+    let mut results: Vec<Result<(), String>> = vec![Ok(()); runs.len()];
+    let (mut rest, mut tasks) = (out, vec![]);
     for (run, result) in runs.into_iter().zip(&mut results) {
         let (out, left) = rest.split_at_mut(run.iter().map(|&(from, to)| to - from).product());
         rest = left;
         tasks.push((run, out, result));
     }
-    for_each(true, tasks, |(run, out, result)| {
-        let requested: Vec<Requested> = run
-            .iter()
-            .zip(rows)
-            .map(|(&(from, to), rows)| Requested {
-                pos: rows[from..to].iter().map(|&i| i as u32).collect(),
-                place: (0..(to - from) as u32).collect(),
-            })
-            .collect();
-        let sizes = run.iter().map(|&(from, to)| to - from).collect();
-        let mut walk = Walk { levels, first, sizes, out, elements: Elements::default() };
-        *result = walk.node(0, 0, &requested.iter().collect::<Vec<_>>());
+    for_each_with(true, tasks, |(run, out, result), buffers: &mut Buffers| {
+        let sizes: Vec<usize> = run.iter().map(|&(from, to)| to - from).collect();
+        let mut walk = Walk { levels, first, sizes: &sizes, out: Shared::new(out), buffers };
+        *result = walk.node(0, 0, &requested(rows, &run).iter().collect::<Vec<_>>());
     });
     results.into_iter().collect()
+}
+
+/// The rows of each mode from one number on to another, at their places in a run of these.
+fn requested(rows: &[&[i64]], run: &[(usize, usize)]) -> Vec<Requested> {
+    let of_mode = |(&(from, to), rows): (&(usize, usize), &&[i64])| {
+        Requested::new(rows[from..to].iter().map(|&i| i as u32).collect(), (0..(to - from) as u32).collect())
+    };
+    run.iter().zip(rows).map(of_mode).collect()
 }
 
 /// Cut an outer product into parts of up to `limit` elements that lie one behind the other in C order.
@@ -74,36 +98,119 @@ fn runs(sizes: &[usize], limit: usize) -> Vec<Vec<(usize, usize)>> {
     all
 }
 
-/// One run on its way down the tree.
+/// The children of a node, and the requested rows of each of its parts, mode by mode.
+struct Family {
+    depth: usize,
+    first: usize,
+    clusters: [usize; MOST_MODES],
+    parts: Vec<Vec<Requested>>,
+    elements: usize,
+}
+
+impl Family {
+    /// None of a leaf.
+    fn new(
+        levels: &[Level],
+        depth: usize,
+        s: usize,
+        clusters: [usize; MOST_MODES],
+        requested: &[&Requested],
+    ) -> Result<Option<Family>, String> {
+        let level = &levels[depth];
+        let Some(next) = levels.get(depth + 1) else { return Ok(None) };
+        let Some(first) = level.first_child(s, &clusters, next)? else { return Ok(None) };
+        let parts = requested.iter().enumerate().map(|(n, requested)| split(level, s, n, clusters[n], requested));
+        let elements = requested.iter().map(|rows| rows.pos.len()).product();
+        Ok(Some(Family { depth: depth + 1, first, clusters, parts: parts.collect::<Result<_, _>>()?, elements }))
+    }
+
+    fn children(&self) -> usize {
+        self.parts.iter().map(|parts| parts.len()).product()
+    }
+
+    /// The rows of one child; false if some mode has none.
+    fn rows<'f>(&'f self, flat: usize, chosen: &mut Vec<&'f Requested>) -> bool {
+        let mut rest = flat;
+        chosen.clear();
+        for (n, parts) in self.parts.iter().enumerate().rev() {
+            chosen.push(&parts[rest % self.clusters[n]]);
+            rest /= self.clusters[n];
+        }
+        chosen.reverse();
+        chosen.iter().all(|part| !part.pos.is_empty())
+    }
+}
+
+/// The children of a cut node, and of large cuts below it those of theirs instead.
+fn collect(
+    levels: &[Level],
+    depth: usize,
+    s: usize,
+    requested: &[&Requested],
+    families: &mut Vec<Family>,
+) -> Result<(), String> {
+    let Node::Cut(clusters) = levels[depth].node(s)? else { return Ok(()) };
+    let Some(family) = Family::new(levels, depth, s, clusters, requested)? else { return Ok(()) };
+    let mut chosen = vec![];
+    let mut cut = levels.len() > depth + 2 && family.elements / family.children() > TASK;
+    for flat in 0..family.children() {
+        cut = cut
+            && (!family.rows(flat, &mut chosen)
+                || matches!(levels[depth + 1].node(family.first + flat)?, Node::Cut(_)));
+    }
+    if !cut {
+        families.push(family);
+        return Ok(());
+    }
+    for flat in 0..family.children() {
+        if family.rows(flat, &mut chosen) {
+            collect(levels, depth + 1, family.first + flat, &chosen, families)?;
+        }
+    }
+    Ok(())
+}
+
+/// Kept from one node to the next.
+#[derive(Default)]
+struct Buffers {
+    elements: Elements<f32>,
+    products: Products,
+}
+
+/// A run, or some children, on the way down the tree.
 struct Walk<'w> {
     levels: &'w [Level<'w>],
     first: usize,
-    sizes: Vec<usize>,
-    out: &'w mut [f32],
-    elements: Elements<f32>,
+    sizes: &'w [usize],
+    /// The elements of the requested rows are this walk's alone.
+    out: Shared<'w>,
+    buffers: &'w mut Buffers,
 }
 
 impl Walk<'_> {
     /// Add a node and all below it for the requested rows, of which every mode has some.
     fn node(&mut self, depth: usize, s: usize, requested: &[&Requested]) -> Result<(), String> {
-        let level = &self.levels[depth];
-        let Some(node) = level.node(s)? else { return Ok(()) };
-        if depth >= self.first {
-            self.add(&node, requested)?;
-        }
-        let Some(first) = level.first_child(s).filter(|_| depth + 1 < self.levels.len()) else { return Ok(()) };
-        let parts: Vec<Vec<Requested>> =
-            (0..node.order).map(|n| split(level, s, n, node.clusters[n], requested[n])).collect::<Result<_, _>>()?;
-        for flat in 0..node.cells() {
-            let mut rest = flat;
-            let mut chosen = vec![];
-            for (n, parts) in parts.iter().enumerate().rev() {
-                chosen.push(&parts[rest % node.clusters[n]]);
-                rest /= node.clusters[n];
+        let clusters = match self.levels[depth].node(s)? {
+            Node::Empty => return Ok(()),
+            Node::Cut(clusters) => clusters,
+            Node::Cells(node) => {
+                if depth >= self.first {
+                    self.add(&node, requested)?;
+                }
+                node.clusters
             }
-            chosen.reverse();
-            if chosen.iter().all(|part| !part.pos.is_empty()) {
-                self.node(depth + 1, first + flat, &chosen)?;
+        };
+        match Family::new(self.levels, depth, s, clusters, requested)? {
+            Some(family) => self.children(&family, 0..family.children()),
+            None => Ok(()),
+        }
+    }
+
+    fn children(&mut self, family: &Family, range: Range<usize>) -> Result<(), String> {
+        let mut chosen = vec![];
+        for flat in range {
+            if family.rows(flat, &mut chosen) {
+                self.node(family.depth, family.first + flat, &chosen)?;
             }
         }
         Ok(())
@@ -111,11 +218,16 @@ impl Walk<'_> {
 
     fn add(&mut self, node: &NodeView, requested: &[&Requested]) -> Result<(), String> {
         let part = Part { node, requested };
-        if part.single_elements_pay() {
-            return part.add_elements(&self.sizes, self.out, &mut self.elements);
+        if Products::pay(node, requested) {
+            part.put(self.buffers.products.block(node, requested)?, self.sizes, self.out);
+            return Ok(());
         }
-        if part.covers(&self.sizes) {
-            return part.accumulate(self.out);
+        if part.single_elements_pay() {
+            return part.add_elements(self.sizes, self.out, &mut self.buffers.elements);
+        }
+        if part.covers(self.sizes) {
+            // SAFETY: the requested rows are all there are, and their elements are this walk's alone.
+            return part.accumulate(unsafe { self.out.all() });
         }
         if part.len() > TOGETHER
             && let Some(n) = (0..node.order).find(|&n| requested[n].pos.len() > 1)
@@ -129,7 +241,7 @@ impl Walk<'_> {
         }
         let mut model = zeros(part.len());
         part.accumulate(&mut model)?;
-        part.put(&model, &self.sizes, self.out);
+        part.put(&model, self.sizes, self.out);
         Ok(())
     }
 }
@@ -137,20 +249,21 @@ impl Walk<'_> {
 fn halves(requested: &Requested) -> [Requested; 2] {
     let middle = requested.pos.len() / 2;
     [0..middle, middle..requested.pos.len()]
-        .map(|half| Requested { pos: requested.pos[half.clone()].to_vec(), place: requested.place[half].to_vec() })
+        .map(|half| Requested::new(requested.pos[half.clone()].to_vec(), requested.place[half].to_vec()))
 }
 
 /// The requested rows of one mode by the part they go to, with their positions in it.
 fn split(level: &Level, s: usize, n: usize, parts: usize, requested: &Requested) -> Result<Vec<Requested>, String> {
-    let mut all = vec![Requested::default(); parts];
+    let mut all = vec![(vec![], vec![]); parts];
     let way = level.way_down(s, n)?;
     for (&position, &place) in requested.pos.iter().zip(&requested.place) {
         let (part, local) = way.of(position)?;
-        let part = all.get_mut(part).ok_or_else(|| format!("node {s} has no part {part}"))?;
-        part.pos.push(local);
-        part.place.push(place);
+        let (positions, places) =
+            all.get_mut(part).ok_or_else(|| format!("a node has no part {part} in mode {}", n + 1))?;
+        positions.push(local);
+        places.push(place);
     }
-    Ok(all)
+    Ok(all.into_iter().map(|(pos, place)| Requested::new(pos, place)).collect())
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! The value a node adds to single elements (`docs/format.md`, section 4).
+//! The value a node adds to single elements (`docs/format.md`, section 7).
 //!
 //! Where many elements of a node are asked for, its numbers are widened from float16 once; else what an element needs is
 //! widened for it. Either way the sums are the same, bit by bit.

@@ -1,4 +1,4 @@
-//! The arrays of one level of a model as the file stores them (`docs/format.md`, section 3).
+//! The arrays of one stage of a model: `hmkcta.packed.PackedLevel`.
 
 use crate::sizes::product;
 
@@ -11,7 +11,7 @@ const MOST_CHOICES: usize = 1 << 24;
 /// The row of an element in each mode.
 pub type Position = [u32; MOST_MODES];
 
-/// One level; slices indexed by mode are None where the format leaves an array out.
+/// One stage.
 pub struct Level<'a> {
     /// `[S, 3, N]`: C, K, R of each node.
     pub shape: &'a [u32],
@@ -19,8 +19,9 @@ pub struct Level<'a> {
     pub row_offset: Vec<&'a [u32]>,
     pub core: Ragged<'a, u16>,
     pub core_scale: Ragged<'a, f32>,
-    pub cluster: Vec<Option<Ragged<'a, u16>>>,
-    pub basis: Vec<Option<Ragged<'a, u16>>>,
+    pub cluster: Vec<Ragged<'a, u16>>,
+    pub basis: Vec<Ragged<'a, u16>>,
+    /// Part and position there of each row; None at the last stage.
     pub part: Vec<Option<&'a [u16]>>,
     pub local: Vec<Option<&'a [u32]>>,
 }
@@ -40,11 +41,22 @@ impl<'a, T> Ragged<'a, T> {
     }
 }
 
+/// What there is of a node.
+#[allow(clippy::large_enum_variant, reason = "of which there is one at a time, on the stack")]
+pub enum Node<'a> {
+    /// Nothing: it has no children either.
+    Empty,
+    /// A cut: C of each mode. It adds nothing, and has children.
+    Cut([usize; MOST_MODES]),
+    Cells(NodeView<'a>),
+}
+
 /// One node that adds something: what an element's value is computed from.
 #[derive(Clone, Copy)]
 pub struct NodeView<'a> {
     pub order: usize,
     pub clusters: [usize; MOST_MODES],
+    /// K; 1 of an undecomposed mode.
     pub mixture: [usize; MOST_MODES],
     pub ranks: [usize; MOST_MODES],
     /// Rows m(s, n).
@@ -97,21 +109,27 @@ impl<'a> Level<'a> {
         self.row_offset.len()
     }
 
-    /// Node `s`, None if it adds nothing; the message of an error names what is broken.
-    pub fn node(&self, s: usize) -> Result<Option<NodeView<'a>>, String> {
+    /// Node `s`; the message of an error names what is broken.
+    pub fn node(&self, s: usize) -> Result<Node<'a>, String> {
         let order = self.order();
         let broken = |what: &str| format!("{what} of node {s} does not have the length its shape says");
         let shape =
             self.shape.get(3 * order * s..3 * order * (s + 1)).ok_or_else(|| format!("there is no node {s}"))?;
-        if shape[..order].iter().all(|&c| c == 0) {
-            return Ok(None);
+        let (clusters, rest) = shape.split_at(order);
+        let (mixture, ranks) = rest.split_at(order);
+        if shape.iter().all(|&number| number == 0) {
+            return Ok(Node::Empty);
         }
-        let (clusters, mixture) = (&shape[..order], &shape[order..2 * order]);
-        let countable = shape.iter().all(|&x| x > 0) && mixture.iter().zip(clusters).all(|(k, c)| k <= c);
-        let choices = product(mixture.iter().map(|&k| k as usize)).is_ok_and(|count| count <= MOST_CHOICES);
+        if rest.iter().all(|&number| number == 0) && !clusters.contains(&0) {
+            return Ok(Node::Cut(std::array::from_fn(|n| clusters.get(n).map_or(1, |&c| c as usize))));
+        }
+        let sound = |n: usize| {
+            clusters[n] > 0 && ranks[n] > 0 && if mixture[n] > 0 { mixture[n] <= clusters[n] } else { clusters[n] == 1 }
+        };
+        let choices = product(mixture.iter().map(|&k| k.max(1) as usize)).is_ok_and(|count| count <= MOST_CHOICES);
         let steps = mixture.iter().zip(clusters).all(|(&k, &c)| u64::from(k) * u64::from(c) <= MOST_CHOICES as u64);
-        if !countable || !choices || !steps {
-            return Err(format!("the shape of node {s} is none: C, K, R are {shape:?}"));
+        if !(0..order).all(sound) || !choices || !steps {
+            return Err(format!("C, K and R of node {s} are neither those of cells nor of a cut: {shape:?}"));
         }
         let mut node = NodeView {
             order,
@@ -126,9 +144,10 @@ impl<'a> Level<'a> {
             decomposed: [false; MOST_MODES],
         };
         for n in 0..order {
-            node.clusters[n] = shape[n] as usize;
-            node.mixture[n] = shape[order + n] as usize;
-            node.ranks[n] = shape[2 * order + n] as usize;
+            node.clusters[n] = clusters[n] as usize;
+            node.mixture[n] = mixture[n].max(1) as usize;
+            node.ranks[n] = ranks[n] as usize;
+            node.decomposed[n] = mixture[n] > 0;
             let offset = self.row_offset[n].get(s..s + 2).ok_or_else(|| broken("row_offset"))?;
             node.rows[n] = offset[1].checked_sub(offset[0]).ok_or_else(|| broken("row_offset"))? as usize;
             if node.rows[n] == 0 {
@@ -141,44 +160,51 @@ impl<'a> Level<'a> {
         node.core = self.core.part(s, node.cells() * node.core_size()).ok_or_else(|| broken("core"))?;
         for n in 0..order {
             let (rows, mixture) = (node.rows[n], node.mixture[n]);
-            let Some((cluster, basis)) = self.cluster[n].zip(self.basis[n]) else {
-                if node.clusters[n] != 1 || mixture != 1 || node.ranks[n] != rows {
-                    return Err(format!("mode {} of node {s} has no basis and needs C = K = 1, R = rows", n + 1));
+            if !node.decomposed[n] {
+                if node.ranks[n] != rows {
+                    return Err(format!("mode {} of node {s} has no basis and needs R = rows", n + 1));
                 }
                 continue;
-            };
-            node.decomposed[n] = true;
-            node.cluster[n] = cluster.part(s, rows * mixture).ok_or_else(|| broken("cluster"))?;
+            }
+            node.cluster[n] = self.cluster[n].part(s, rows * mixture).ok_or_else(|| broken("cluster"))?;
             let length = product([rows, mixture, node.others(n), node.ranks[n]])?;
-            node.basis[n] = basis.part(s, length).ok_or_else(|| broken("basis"))?;
+            node.basis[n] = self.basis[n].part(s, length).ok_or_else(|| broken("basis"))?;
         }
-        Ok(Some(node))
+        Ok(Node::Cells(node))
     }
 
-    /// The first child of node `s`; None for a leaf.
-    pub fn first_child(&self, s: usize) -> Option<usize> {
-        let edges = self.child?.get(s..s + 2)?;
-        (edges[0] < edges[1]).then_some(edges[0] as usize)
+    /// The first child of node `s`, which is cut into so many parts of each mode; None for a leaf. All of its children are
+    /// among the nodes of the next stage, so that there are no more parts than these.
+    pub fn first_child(&self, s: usize, clusters: &[usize; MOST_MODES], next: &Level) -> Result<Option<usize>, String> {
+        let Some(edges) = self.child.and_then(|child| child.get(s..s + 2)) else { return Ok(None) };
+        if edges[0] == edges[1] {
+            return Ok(None);
+        }
+        let nodes = next.shape.len() / (3 * self.order());
+        let count = product(clusters[..self.order()].iter().copied())?;
+        if edges[1].checked_sub(edges[0]).is_none_or(|own| own as usize != count) || edges[1] as usize > nodes {
+            return Err(format!("node {s} is cut into {count} parts, and does not have as many children"));
+        }
+        Ok(Some(edges[0] as usize))
     }
 
     /// Where the rows of mode `n` of node `s` go.
     pub fn way_down(&self, s: usize, n: usize) -> Result<WayDown<'a>, String> {
-        let Some((part, local)) = self.part[n].zip(self.local[n]) else { return Ok(WayDown(None)) };
         let rows = self.row_offset[n].get(s..s + 2).map(|edges| edges[0] as usize..edges[1] as usize);
-        let tables = rows.and_then(|rows| part.get(rows.clone()).zip(local.get(rows)));
-        let broken = || format!("part and local of node {s} do not have its rows of mode {}", n + 1);
-        tables.map(|tables| WayDown(Some(tables))).ok_or_else(broken)
+        let part = self.part[n].zip(rows.clone()).and_then(|(part, rows)| part.get(rows));
+        let local = self.local[n].zip(rows).and_then(|(local, rows)| local.get(rows));
+        part.zip(local).map(WayDown).ok_or_else(|| format!("mode {} of node {s} has no parts of its rows", n + 1))
     }
 }
 
-/// Parts and positions in them of the rows of one mode of a node; None for an undecomposed mode.
-pub struct WayDown<'a>(Option<(&'a [u16], &'a [u32])>);
+/// Parts and positions in them of the rows of one mode of a node.
+pub struct WayDown<'a>((&'a [u16], &'a [u32]));
 
 impl WayDown<'_> {
-    /// Part and position in it of a row; an undecomposed mode has part 0 and keeps the position.
+    /// Part and position in it of a row.
     #[inline(always)]
     pub fn of(&self, position: u32) -> Result<(usize, u32), String> {
-        let Some((part, local)) = self.0 else { return Ok((0, position)) };
+        let (part, local) = self.0;
         let found = part.get(position as usize).zip(local.get(position as usize));
         found.map(|(&part, &local)| (usize::from(part), local)).ok_or_else(|| format!("a node has no row {position}"))
     }

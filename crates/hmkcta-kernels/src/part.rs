@@ -6,6 +6,7 @@ use crate::machine::dispatch;
 use crate::packed::{NodeView, Position};
 use crate::real::widen_all;
 use crate::reconstruct::accumulate;
+use crate::shared::Shared;
 use crate::sizes::zeros;
 use pulp::{Simd, WithSimd};
 
@@ -20,10 +21,52 @@ const NUMBER: f64 = 2.0;
 const VISIT: f64 = 0.2;
 
 /// The requested rows of one mode of a node, and their places in the run.
-#[derive(Clone, Default)]
 pub struct Requested {
     pub pos: Vec<u32>,
     pub place: Vec<u32>,
+    /// Stretches of rows whose places follow one another: the first place, and how many.
+    stretches: Vec<(u32, u32)>,
+}
+
+impl Requested {
+    pub fn new(pos: Vec<u32>, place: Vec<u32>) -> Requested {
+        let together = place.chunk_by(|a, b| a + 1 == *b);
+        let stretches = together.map(|places| (places[0], places.len() as u32)).collect();
+        Requested { pos, place, stretches }
+    }
+
+    /// Add a value to the element of each row behind `start`, which nobody else uses meanwhile.
+    #[inline(always)]
+    fn add(&self, values: &[f32], start: usize, out: Shared) {
+        if 2 * self.stretches.len() > self.place.len() {
+            for (&place, &value) in self.place.iter().zip(values) {
+                // SAFETY: `within` gives places inside, and the caller has the elements alone.
+                unsafe { *out.within(start + place as usize, 1) += value };
+            }
+            return;
+        }
+        let mut values = values;
+        for &(place, count) in &self.stretches {
+            let count = count as usize;
+            let (stretch, behind) = values.split_at(count);
+            // SAFETY: as above; `within` has looked that all of the stretch is inside.
+            let to = unsafe { std::slice::from_raw_parts_mut(out.within(start + place as usize, count), count) };
+            add_all(stretch, to);
+            values = behind;
+        }
+    }
+}
+
+/// Add some numbers, mostly few.
+#[inline(always)]
+fn add_all(values: &[f32], to: &mut [f32]) {
+    let ((to, rest_to), (values, rest)) = (to.as_chunks_mut::<8>(), values.as_chunks::<8>());
+    for (to, values) in to.iter_mut().zip(values) {
+        for (to, &value) in to.iter_mut().zip(values) {
+            *to += value;
+        }
+    }
+    rest_to.iter_mut().zip(rest).for_each(|(to, &value)| *to += value);
 }
 
 pub struct Part<'p> {
@@ -53,8 +96,8 @@ impl Part<'_> {
         visits * (CHOICE + MULTIPLY_ADD * multiply_adds as f64) < NODE + NUMBER * widened + VISIT * visits
     }
 
-    /// Add the elements one by one.
-    pub fn add_elements(&self, sizes: &[usize], out: &mut [f32], elements: &mut Elements<f32>) -> Result<(), String> {
+    /// Add the elements one by one, which nobody else uses meanwhile.
+    pub fn add_elements(&self, sizes: &[usize], out: Shared, elements: &mut Elements<f32>) -> Result<(), String> {
         let total = self.len();
         let mut values = vec![];
         let (mut pos, mut places) = (vec![Position::default(); total.min(ELEMENTS)], vec![0; total.min(ELEMENTS)]);
@@ -74,7 +117,8 @@ impl Part<'_> {
             values.clear();
             values.resize(count, 0.0);
             elements.add(self.node, &pos[..count], &mut values)?;
-            places.iter().zip(&values).for_each(|(&place, &value)| out[place] += value);
+            // SAFETY: `place` gives a place inside, and the caller has the elements alone.
+            places.iter().zip(&values).for_each(|(&place, &value)| unsafe { *out.within(place, 1) += value });
         }
         Ok(())
     }
@@ -127,26 +171,22 @@ impl Part<'_> {
         Ok(cores)
     }
 
-    /// Add values of the requested rows to their places in a run of these sizes.
-    pub fn put(&self, values: &[f32], sizes: &[usize], out: &mut [f32]) {
-        let Some((last, leading)) = self.requested.split_last() else { return };
-        let length = last.place.len();
-        let start = last.place[0] as usize;
-        let together = last.place.iter().enumerate().all(|(at, &place)| place as usize == start + at);
-        for (number, values) in values.chunks_exact(length).enumerate() {
-            let (mut rest, mut line, mut stride) = (number, 0, 1);
-            for (rows, &size) in leading.iter().zip(sizes).rev() {
-                line += rows.place[rest % rows.place.len()] as usize * stride;
-                rest /= rows.place.len();
-                stride *= size;
-            }
-            let line = &mut out[line * sizes[leading.len()]..][..sizes[leading.len()]];
-            if together {
-                line[start..start + length].iter_mut().zip(values).for_each(|(to, &value)| *to += value);
-            } else {
-                last.place.iter().zip(values).for_each(|(&place, &value)| line[place as usize] += value);
-            }
-        }
+    /// Add values of the requested rows to their places in a run of these sizes, which nobody else uses meanwhile.
+    pub fn put(&self, values: &[f32], sizes: &[usize], out: Shared) {
+        add_lines(self.requested, values, sizes, 0, out);
+    }
+}
+
+/// Add values of the rows of some modes, `[m_n, .., m_N]`, to their places behind `start` lines.
+fn add_lines(requested: &[&Requested], values: &[f32], sizes: &[usize], start: usize, out: Shared) {
+    let Some((rows, others)) = requested.split_first() else { return };
+    let start = start * sizes[0];
+    if others.is_empty() {
+        return rows.add(values, start, out);
+    }
+    let each = (values.len() / rows.place.len()).max(1);
+    for (values, &place) in values.chunks_exact(each).zip(&rows.place) {
+        add_lines(others, values, &sizes[1..], start + place as usize, out);
     }
 }
 

@@ -2,7 +2,7 @@
 //! is in the cache. The twin of `hmkcta.decode.scattered`.
 
 use crate::element::{Decode, Elements};
-use crate::packed::{Level, NodeView, Position};
+use crate::packed::{Level, MOST_MODES, Node, NodeView, Position};
 use crate::threads::{count, for_each};
 
 /// Elements walked together at most: the more, the more share what is widened of a node; some 90 bytes each and thread.
@@ -52,10 +52,17 @@ impl<'b, T: Decode> Batch<'b, T> {
                 let range = from..from + group.len();
                 from = range.end;
                 let s = group[0] as usize;
-                let Some(node) = level.node(s)? else { continue };
-                self.add(&node, &present.pos[range.clone()], &present.number[range.clone()])?;
+                let clusters = match level.node(s)? {
+                    Node::Empty => continue,
+                    Node::Cut(clusters) => clusters,
+                    Node::Cells(node) => {
+                        self.add(&node, &present.pos[range.clone()], &present.number[range.clone()])?;
+                        node.clusters
+                    }
+                };
                 if depth + 1 < levels.len() {
-                    next.descend(level, s, &node, &present.pos[range.clone()], &present.number[range])?;
+                    let (pos, number) = (&present.pos[range.clone()], &present.number[range]);
+                    next.descend((level, &levels[depth + 1]), s, &clusters, pos, number)?;
                 }
             }
             next.sort(&mut keys, &mut present);
@@ -93,18 +100,19 @@ impl Walkers {
     /// Take up the elements of node `s`, at their child node and position in it; those of a leaf stop.
     fn descend(
         &mut self,
-        level: &Level,
+        levels: (&Level, &Level),
         s: usize,
-        node: &NodeView,
+        clusters: &[usize; MOST_MODES],
         pos: &[Position],
         number: &[u32],
     ) -> Result<(), String> {
-        let Some(first) = level.first_child(s) else { return Ok(()) };
-        let ways = (0..node.order).map(|n| level.way_down(s, n)).collect::<Result<Vec<_>, _>>()?;
+        let (level, below) = levels;
+        let Some(first) = level.first_child(s, clusters, below)? else { return Ok(()) };
+        let ways = (0..level.order()).map(|n| level.way_down(s, n)).collect::<Result<Vec<_>, _>>()?;
         self.number.extend_from_slice(number);
         for &pos in pos {
             let (mut flat, mut inside) = (0, pos);
-            for ((way, clusters), position) in ways.iter().zip(&node.clusters).zip(&mut inside) {
+            for ((way, clusters), position) in ways.iter().zip(clusters).zip(&mut inside) {
                 let (part, local) = way.of(*position)?;
                 if part >= *clusters {
                     return Err(format!("node {s} has no part {part}"));

@@ -39,6 +39,13 @@ impl<'a> Shared<'a> {
         self.start.wrapping_add(at)
     }
 
+    /// Where so many elements from one on lie, all inside; they must be shared out as for the other functions.
+    #[inline(always)]
+    pub fn within(self, at: usize, count: usize) -> *mut f32 {
+        assert!(count <= self.length && at <= self.length - count);
+        self.start.wrapping_add(at)
+    }
+
     /// Copy the elements of some of a block's `tuples` of leading rows.
     ///
     /// # Safety

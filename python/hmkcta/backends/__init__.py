@@ -1,7 +1,7 @@
 """The few data-sized kernels, where a run wants them: on the CPU or, inside of `use`, on a GPU.
 
-On the CPU they are native (Rust) where they are installed, or the readable NumPy reference; the environment variable
-``HMKCTA_BACKEND`` (``native`` or ``reference``) chooses. All compute the same up to rounding.
+On the CPU they are native (Rust) or their readable NumPy twins; the environment variable ``HMKCTA_BACKEND`` (``native``
+or ``reference``) chooses. All compute the same up to rounding.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache
 from typing import TYPE_CHECKING, Any
-from warnings import warn
 
 from numpy.typing import NDArray
 
@@ -50,7 +49,7 @@ def on_cpu() -> Kernels:
     """The CPU's kernels.
 
     Raises:
-        HmkctaError: HMKCTA_BACKEND names no backend (``unknown-backend``) or a missing one (``missing-backend``).
+        HmkctaError: HMKCTA_BACKEND names no backend (``unknown-backend``).
 
     >>> on_cpu().name in ("native", "reference")
     True
@@ -60,20 +59,8 @@ def on_cpu() -> Kernels:
         raise invalid("unknown-backend", "HMKCTA_BACKEND", repr(wanted), "native or reference", "correct or unset it")
     if wanted == "reference":
         return reference
-    try:
-        from . import native
-    except ImportError as error:
-        if wanted == "native":
-            advice = "install hmkcta from a wheel or with a Rust compiler"
-            raise invalid(
-                "missing-backend", "HMKCTA_BACKEND", f"'native', which is missing ({error})", "reference", advice
-            ) from error
-        warn(
-            f"The native kernels are missing ({error}); the NumPy reference takes their place, 10 to 100 times slower. "
-            "Install hmkcta from a wheel or with a Rust compiler, or set HMKCTA_BACKEND=reference if this is meant.",
-            stacklevel=2,
-        )
-        return reference
+    from . import native
+
     return native
 
 

@@ -12,9 +12,9 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _native
 from ..errors import HmkctaError, Kind, sentence
 from ..packed import PackedLevel
+from ..support.extension import native
 
 Index = NDArray[np.intp]
 
@@ -28,7 +28,7 @@ flattened: WeakKeyDictionary[PackedLevel, dict[str, Any]] = WeakKeyDictionary()
 
 def decode_batches(levels: Sequence[PackedLevel], coords: Index, out: NDArray[Any]) -> None:
     """Add the values of the elements at `coords` [B, N] to `out` [B], float32 or float64, contiguous."""
-    kernel = _native.decode_scattered_f32 if out.dtype == np.float32 else _native.decode_scattered_f64
+    kernel = native.decode_scattered_f32 if out.dtype == np.float32 else native.decode_scattered_f64
     flat = np.ascontiguousarray(coords, np.int64).reshape(-1)
     _checked(lambda: kernel([_arrays(level) for level in levels], flat, out))
 
@@ -39,18 +39,18 @@ def add_block(levels: Sequence[PackedLevel], rows: Sequence[Index], block: NDArr
     The levels before number `first`, from 0, only lead the way.
     """
     wide = [np.ascontiguousarray(index, np.int64) for index in rows]
-    _checked(lambda: _native.decode_block([_arrays(level) for level in levels], wide, first, block.reshape(-1)))
+    _checked(lambda: native.decode_block([_arrays(level) for level in levels], wide, first, block.reshape(-1)))
 
 
 def _checked(decode: Callable[[], None]) -> None:
-    """Arrays that contradict each other are reported as in a file: they may be a map of one that was written into."""
+    """Arrays that contradict each other are reported: no file has them, but models can be made of any."""
     try:
         decode()
     except NO_LEVEL as error:
         raise HmkctaError(
             Kind.CORRUPTION, "level-arrays", "arrays of a level", found=sentence(error),
-            allowed="what docs/format.md, section 3, says",
-            hint="open the file again if something wrote into it; replace a file that is open by Model.save") from error
+            allowed="what docs/format.md, section 4, says",
+            hint="make the model of the stages of a file, or of compress") from error
 
 
 def _arrays(level: PackedLevel) -> dict[str, Any]:

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _native
 from ..arrays import F32, F64
 from ..cells import Cells, Products, check_shape
 from ..errors import invalid
+from ..support.extension import native
 from . import reference
 from .coding import U16
 from .kmeans import Labels, most_rows
@@ -33,7 +33,7 @@ def set_threads(count: int) -> None:
     """How many threads work on large nodes from now on; 0: all cores."""
     if count < 0:
         raise invalid("threads-negative", "threads", count, "0 (all cores) or more")
-    _native.set_threads(count)
+    native.set_threads(count)
 
 
 def fit_cells(cells: Cells, residual: F32, sweeps: int, iterations: int) -> None:
@@ -43,19 +43,19 @@ def fit_cells(cells: Cells, residual: F32, sweeps: int, iterations: int) -> None
     # What is fitted must be arrays of its own that the kernel may write to.
     cells.bases = [np.require(basis, np.float32, ["C", "W"]) for basis in cells.bases]
     cells.cores = np.require(cells.cores, np.float32, ["C", "W"])
-    _native.fit_cells(*_node(cells), target, _bases(cells), cells.cores.reshape(-1), sweeps, iterations)
+    native.fit_cells(*_node(cells), target, _bases(cells), cells.cores.reshape(-1), sweeps, iterations)
 
 
 def accumulate(cells: Cells, tensor: F32, weight: float) -> None:
     """`tensor += weight * model`, in place."""
     check_shape(tensor, cells)
-    _native.accumulate(*_node(cells), _in_place(tensor), _bases(cells), _flat(cells.cores), weight)
+    native.accumulate(*_node(cells), _in_place(tensor), _bases(cells), _flat(cells.cores), weight)
 
 
 def project_cells(cells: Cells, tensor: F32, n: int) -> F32:
     """`Y_n[c] = T x_{m != n} U_{m,c}^T`: `[PC, I_n, prod_{m != n} R_m]`."""
     check_shape(tensor, cells)
-    y = _native.project_cells(*_node(cells), _flat(tensor), _bases(cells), n)
+    y = native.project_cells(*_node(cells), _flat(tensor), _bases(cells), n)
     return y.reshape(cells.spec.cells, cells.sizes[n], -1)
 
 
@@ -66,7 +66,7 @@ def project_pair(cells: Cells, tensor: F32, pair: tuple[int, int]) -> F32:
     kept = [m for m in range(cells.order) if m not in pair]
     clusters, ranks = cells.spec.clusters, cells.ranks
     rows, lanes = [cells.sizes[m] for m in kept], [clusters[m] for m in kept]
-    p = _native.project_pair(*_node(cells), _flat(tensor), _bases(cells), pair)
+    p = native.project_pair(*_node(cells), _flat(tensor), _bases(cells), pair)
     return p.reshape([*rows, clusters[a], clusters[b], ranks[a], *lanes, ranks[b]])
 
 
@@ -76,7 +76,7 @@ def contract_lanes(p: F32, w: F32) -> F32:
     rank = w.shape[1]
     if w.shape != (size, rank, lanes):
         raise invalid("wrong-shape", "w", w.shape, f"({size}, R, {lanes})")
-    y = _native.contract_lanes(_flat(p), _flat(w), (before, size, after), rank, lanes)
+    y = native.contract_lanes(_flat(p), _flat(w), (before, size, after), rank, lanes)
     return y.reshape(before, after, rank, lanes)
 
 
@@ -92,9 +92,9 @@ def collect(
     offsets = [_offsets(array, mode, chosen) for mode, chosen in zip(modes, rows, strict=True)]
     both = np.asarray(array), out.reshape(-1)
     if factor is not None:
-        _native.collect_scaled(both, offsets, factor)
+        native.collect_scaled(both, offsets, factor)
     else:
-        _native.collect((both[0].view(_NUMBERS[size]), both[1].view(_NUMBERS[size])), offsets)
+        native.collect((both[0].view(_NUMBERS[size]), both[1].view(_NUMBERS[size])), offsets)
 
 
 def _offsets(array: NDArray[Any], mode: Sequence[int], rows: NDArray[np.intp]) -> NDArray[np.int64]:
@@ -107,25 +107,25 @@ def _offsets(array: NDArray[Any], mode: Sequence[int], rows: NDArray[np.intp]) -
 
 def magnitudes(values: F32) -> tuple[float, float, float]:
     """The sum of squares, the largest magnitude, and the smallest but zero."""
-    return _native.magnitudes(_flat(np.require(values, requirements="A")))
+    return native.magnitudes(_flat(np.require(values, requirements="A")))
 
 
 def gather(tensor: F32, rows: Rows) -> F32:
     """The sub-tensor of some rows of each mode, ascending, in one piece."""
     if not tensor.flags.c_contiguous:
         return reference.gather(tensor, rows)
-    block = _native.gather(tensor.reshape(-1), list(tensor.shape), _rows(rows))
+    block = native.gather(tensor.reshape(-1), list(tensor.shape), _rows(rows))
     return block.reshape([len(r) for r in rows])
 
 
 def scatter(tensor: F32, rows: Rows, block: F32) -> None:
     """Put a sub-tensor back, in place."""
-    _native.scatter(_in_place(tensor), list(tensor.shape), _rows(rows), _flat(block))
+    native.scatter(_in_place(tensor), list(tensor.shape), _rows(rows), _flat(block))
 
 
 def dense_basis(cells: Cells, n: int) -> F32:
     """`U_n` of all cells with its zero rows written out: `[PC, I_n, R_n]`."""
-    found = _native.dense_basis(*_node(cells), n, _flat(cells.bases[n]))
+    found = native.dense_basis(*_node(cells), n, _flat(cells.bases[n]))
     return found.reshape(cells.spec.cells, cells.sizes[n], cells.ranks[n])
 
 
@@ -134,19 +134,19 @@ def dictionary_gram(cells: Cells, products: Sequence[Products | None], n: int) -
     if cells.spec.cells == 1:  # a product of matrices, of which lanes for eight cells need not be made
         return reference.dictionary_gram(cells, products, n)
     side = cells.spec.cells * cells.ranks[n]
-    return _native.dictionary_gram(cells.ranks, _products(products), _flat(cells.cores), n).reshape(side, side)
+    return native.dictionary_gram(cells.ranks, _products(products), _flat(cells.cores), n).reshape(side, side)
 
 
 def solve_cores(cells: Cells, products: Sequence[Products | None], b: F64, steps: int) -> None:
     """Cores of all cells that leave less of a tensor together, the bases given, in place."""
     cells.cores = np.require(cells.cores, np.float32, ["C", "W"])
-    _native.solve_cores(cells.ranks, _products(products), cells.cores.reshape(-1), _doubles(b), steps)
+    native.solve_cores(cells.ranks, _products(products), cells.cores.reshape(-1), _doubles(b), steps)
 
 
 def orthonormalise(cells: Cells, n: int) -> None:
     """Orthonormal bases of mode n for all cells, in place, with cores that keep the model."""
     cells.bases[n], cells.cores = (np.require(array, np.float32, ["C", "W"]) for array in (cells.bases[n], cells.cores))
-    _native.orthonormalise(*_node(cells), n, cells.bases[n].reshape(-1), cells.cores.reshape(-1))
+    native.orthonormalise(*_node(cells), n, cells.bases[n].reshape(-1), cells.cores.reshape(-1))
 
 
 def code_rows(
@@ -155,14 +155,14 @@ def code_rows(
     """The best cluster subsets of a mode's rows `[I_n, K_n]` and their coefficients `[I_n, K_n, PC_-n R_n]`."""
     rank, size = b.shape[1:]
     own = None if kept is None else np.ascontiguousarray(kept, np.uint16).reshape(-1)
-    subsets, x = _native.code_rows(_doubles(h), _doubles(b), list(clusters), n, rank, own, mixture, search)
+    subsets, x = native.code_rows(_doubles(h), _doubles(b), list(clusters), n, rank, own, mixture, search)
     return subsets.reshape(size, mixture), x.reshape(size, mixture, -1)
 
 
 def nearest_with_room(distance: F64, cap: float | None) -> Labels:
     """The nearest of C centres for I rows `[I, C]`, none for more than cap I/C (None: any); widest margins first."""
     rows, clusters = distance.shape
-    return _native.nearest_with_room(_doubles(distance), clusters, most_rows(rows, clusters, cap))
+    return native.nearest_with_room(_doubles(distance), clusters, most_rows(rows, clusters, cap))
 
 
 def cluster_rows(features: F64, centres: F64, cap: float | None, rounds: int) -> tuple[Labels, float]:
@@ -171,7 +171,7 @@ def cluster_rows(features: F64, centres: F64, cap: float | None, rounds: int) ->
     if centres.shape[1:] != (width,):
         raise invalid("wrong-shape", "centres", centres.shape, f"(C, {width})")
     most = most_rows(size, len(centres), cap)
-    return _native.cluster_rows(_doubles(features), _doubles(centres), width, most, rounds)
+    return native.cluster_rows(_doubles(features), _doubles(centres), width, most, rounds)
 
 
 def _node(cells: Cells) -> tuple[Shape, list[NDArray[np.uint16]]]:

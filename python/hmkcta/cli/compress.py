@@ -12,17 +12,17 @@ from numpy.typing import NDArray
 
 from ..axes import format_organisation
 from ..backends import Device, find_device
-from ..comparing.both_goals import UP_TO
-from ..comparing.finer import USED
 from ..encode import compress
 from ..goals import misses
 from ..hmkfile import check_output, level_sizes
 from ..model import Model
 from .failure import Exit
 from .goal import Goal, beyond_cost, goal_from, goal_options, ordinary_cameras
+from .layout import layout_lines, layout_of
 from .notes import notes
 from .options import (
     Command,
+    Duration,
     File,
     OutputFile,
     apart,
@@ -43,15 +43,21 @@ EXAMPLES = (
     'hmkcta compress jet.npy -o jet.hmk --plan "R=4,4,6,6 / R=2,2,3,3 C=4,3,4,4 K=2"',
 )
 
-#: SNR in dB from which about a level's numbers limit it, by their bits, and not its ranks; the same of packed ones;
-#: the SNR in all from which float32 does, in which everything is decoded.
-NUMBERS_SNR, PACKED_SNR, FLOAT32_SNR = {16: 60.0, 8: 40.0}, 60.0, 130.0
+#: SNR in dB that one level hardly exceeds, as its numbers are float16 in the file or once it is opened: cores and bases
+#: together end at some 65 dB, values that are stored as they are at 74.
+LEVEL_SNR = 65.0
+#: SNR in dB from which about float32 limits what is kept, in which everything is decoded.
+FLOAT32_SNR = 130.0
+#: A size of which at least this share is used is used.
+USED = 0.99
 
 
 @click.command("compress", cls=Command, examples=EXAMPLES)
 @click.argument("source", metavar="SRC", type=File())
 @click.option("-o", "--output", required=True, type=OutputFile(), metavar="FILE", help="File to write.")
 @goal_options
+@click.option("--time", type=Duration(), metavar="TIME",
+              help="Search about as long at most, 90s or 5min; what is found by then is taken.")
 @together(device_option, resume_option, overwrite_option, json_option, quiet_option, verbose_option)
 def compress_command(source: str, output: str, plan: str | None, device: str, resume: bool, overwrite: bool,
                      as_json: bool, quiet: bool, verbose: bool, **options: Any) -> None:
@@ -80,7 +86,7 @@ def compress_command(source: str, output: str, plan: str | None, device: str, re
         publish(journal, model, output, overwrite, missed)
     report: dict[str, Any] = {
         **describe(model, array, progress), "device": asdict(where), "nodes_resumed": journal.found,
-        "plans_tried": progress.plans, **plan_of(model),
+        **plan_of(model),
     }
     said += [f"{source} is no longer there: {output} is of what it was"] if watched.gone else []
     said += notes(model, array, planned=plan is not None) + unused(model, goal, plan)
@@ -92,7 +98,7 @@ def compress_command(source: str, output: str, plan: str | None, device: str, re
         if where.name != "cpu":
             click.echo(on_device(where))
         click.echo(f"{output}: {model!r}")
-        click.echo(f"plan: {shlex.join(['--organisation', report['organisation'], '--plan', report['plan']])}")
+        click.echo("\n".join(_made_by(model, report)))
         if verbose:
             click.echo("\n".join(f"  {stage}: {seconds(time)}" for stage, time in progress.stages.items()), err=True)
     for sentence in [] if quiet else said:
@@ -103,7 +109,7 @@ def compress_command(source: str, output: str, plan: str | None, device: str, re
 def _missed(model: Model, goal: Goal, plan: str | None, output: str) -> str | None:
     """What is said where a goal was not reached."""
     missed = missed_goal(model, goal)
-    better = "" if missed is None else f"{output} is written, and is the best found. Next: {advice(model, plan, goal)}."
+    better = "" if missed is None else f"{output} is written, and is the best found. Next: {advice(model, plan)}."
     return None if missed is None else f"{missed} {better}"
 
 
@@ -130,11 +136,12 @@ def _end(missed: str | None) -> None:
 def describe(model: Model, array: NDArray[Any], progress: Progress) -> dict[str, Any]:
     """What the model came to, level by level: `bytes` are a level's own, `bytes_upto` all that is read to decode it."""
     levels: list[dict[str, Any]] = []
-    own = level_sizes(model.levels)
+    own = level_sizes(model.metadata, model.stages)
     read = model.nbytes - sum(own)
     for number, quality in enumerate(model.quality, start=1):
         upto, read = model.at_level(number), read + own[number - 1]
-        spent = sum(time for stage, time in progress.stages.items() if stage.endswith(f"level {number}"))
+        spent = progress.elapsed if len(own) == 1 else sum(
+            time for stage, time in progress.stages.items() if stage.endswith(f"level {number}"))
         levels.append({
             "level": number, "snr_db": quality.snr_db, "transformed_snr_db": upto.metadata.transformed_snr_db[-1],
             "rmse": quality.rmse, "max_abs_error": quality.max_abs_error, "bytes": own[number - 1],
@@ -146,10 +153,18 @@ def describe(model: Model, array: NDArray[Any], progress: Progress) -> dict[str,
             "transform": model.metadata.transform["name"]}
 
 
-def plan_of(model: Model) -> dict[str, str]:
-    """The plan that made the model, as --organisation and --plan have it."""
-    plan = model.made_by or model.plan
-    return {"organisation": format_organisation(plan.organisation), "plan": str(plan)}
+def plan_of(model: Model) -> dict[str, Any]:
+    """The organisation, the text of a written plan (None where a goal chose), and how the array is cut."""
+    plan = model.made_by
+    organisation = format_organisation(model.metadata.organisation)
+    return {"organisation": organisation, "plan": None if plan is None else str(plan), "layout": layout_of(model)}
+
+
+def _made_by(model: Model, report: dict[str, Any]) -> list[str]:
+    """The words that fit the same plan again; of a model that a goal chose, which none does, what it is."""
+    if report["plan"] is not None:
+        return [f"plan: {shlex.join(['--organisation', report['organisation'], '--plan', report['plan']])}"]
+    return [f"organisation: {report['organisation']}", *(f"layout: {line}" for line in layout_lines(model))]
 
 
 def as_text(report: dict[str, Any]) -> str:
@@ -183,49 +198,24 @@ def missed_goal(model: Model, goal: Goal) -> str | None:
 
 def unused(model: Model, goal: Goal, plan: str | None) -> list[str]:
     """A sentence on what keeps a file from its --size; none if it has it, or nothing is left to store."""
-    fixed = plan is not None and "<=" not in plan
-    if goal.size is None or model.nbytes >= USED * goal.size or isinf(model.snr) or fixed:
+    if goal.size is None or plan is not None or model.nbytes >= USED * goal.size or isinf(model.snr):
         return []
-    cost, bound = goal.settings["decode_cost"], _is_bound_by_cost(model, goal)
-    if model.snr > UP_TO:
-        why = "everything is decoded in float32, which keeps hardly more. Next: as good is a smaller --size"
-    elif plan is None and bound:
-        why = (f"nothing better was found within --decode-cost {cost}. Next: allow more multiply-adds, if what reads "
-               "the file may take longer for an element")
-    elif plan is None:
-        why = "nothing larger that was tried is better. Next: as good is a smaller --size"
-    elif _keeps_no_more(model):
-        numbers = "packed" if model.levels[-1].rice else f"{model.levels[-1].bits}-bit"
-        why = f"the plan's {numbers} numbers keep no more. Next: add a level"
-    elif bound:
-        why = (f"the ranks of the plan allow no more within --decode-cost {cost}. Next: write higher ranks, and allow "
-               "more multiply-adds")
-    else:
-        why = "the ranks of the plan allow no more. Next: write higher ones"
-    return [f"of --size {100 * model.nbytes / goal.size:.0f} % are used: {why}"]
+    why = ("numbers are decoded in float16, which keeps hardly more" if model.snr > LEVEL_SNR else
+           "that is the closest to it that was found")
+    return [f"of --size {100 * model.nbytes / goal.size:.0f} % are used: {why}. Next: as good is a smaller --size"]
 
 
-def _keeps_no_more(model: Model) -> bool:
-    """Whether the numbers of all levels reach what their bits can."""
-    return model.snr > sum(PACKED_SNR if level.rice else NUMBERS_SNR[level.bits] for level in model.levels)
-
-
-def _is_bound_by_cost(model: Model, goal: Goal) -> bool:
-    """Whether a rank more may be beyond --decode-cost."""
-    return 2 * model.decode_cost > goal.settings["decode_cost"]
-
-
-def advice(model: Model, plan: str | None, goal: Goal) -> str:
+def advice(model: Model, plan: str | None) -> str:
     """What may reach the goal that was missed."""
     levels = len(model.levels)
-    if model.levels[-1].bits == 8 and (plan is not None or goal.settings["bits"] == 8):
-        wide = "bits=16" if plan is not None and "bits=" in plan else "--bits 16"
-        return f"allow numbers of two bytes, {wide}" + ("" if plan is None else ", or add ranks or a level")
     if model.snr > FLOAT32_SNR:
-        return f"ask for up to {max(FLOAT32_SNR, floor(model.snr)):.0f} dB: everything is decoded in float32"
-    if _keeps_no_more(model):
-        return f'write a level more, for what float16 numbers leave: --plan "{" / ".join(["R=.."] * (levels + 1))}"'
+        return f"ask for up to {floor(model.snr)} dB: everything is decoded in float32"
+    if plan is None and model.snr > LEVEL_SNR:
+        return f"ask for up to {floor(model.snr)} dB: a search makes two levels of float16 numbers at most"
+    if model.snr > LEVEL_SNR * levels:
+        text = " / ".join(["R=.."] * (levels + 1))
+        return (f"ask for up to {floor(model.snr)} dB, or write a level more, for what float16 numbers leave: "
+                f'--plan "{text}"')
     if plan is None:
         return "allow a higher --decode-cost, or try --quality thorough"
-    bound = "<=" in plan and _is_bound_by_cost(model, goal)
-    return "allow a higher --decode-cost, or add a level" if bound else "add ranks or a level"
+    return "add ranks or a level"

@@ -1,4 +1,4 @@
-"""`hmkcta demo`: what the method does, on data it makes itself, in about a minute."""
+"""`hmkcta demo`: what the method does, on data it makes itself, in a few minutes."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Result:
 @click.command("demo", cls=Command, examples=EXAMPLES)
 @click.option("-o", "--output", type=click.Path(file_okay=False), default="demo-output",
               help="Folder for files and pictures (default demo-output).")
-@click.option("--tiny", is_flag=True, help="Small data, a few seconds.")
+@click.option("--tiny", is_flag=True, help="Small data, in less time.")
 @quiet_option
 @verbose_option
 def demo_command(output: str, tiny: bool, quiet: bool, verbose: bool) -> None:

@@ -25,7 +25,7 @@ goal_options = together(
     click.option("--size", type=ByteSize(), metavar="SIZE",
                  help="Goal: the highest SNR in this file size, e.g. 20MiB."),
     click.option("--decode-cost", type=Count(1), default=4096, metavar="N",
-                 help="Of chosen ranks: most multiply-adds an element (default 4096)."),
+                 help="Of a goal: most multiply-adds an element (default 4096)."),
     click.option("--quality", type=click.Choice(list(EFFORTS)), default="medium", metavar="NAME",
                  help="Effort: fast, medium or thorough (default medium)."),
     click.option("--plan", "plan", metavar="TEXT", help="Levels to fit: R=.. C=.. K=.. / R=.. C=.. K=.."),
@@ -42,8 +42,6 @@ goal_options = together(
     click.option("--transform", default="identity", metavar="NAME",
                  help="Transform values first: log1p[:S], asinh[:S] or sqrt."),
     nan_option,
-    click.option("--bits", type=click.Choice(["8", "16"]), metavar="N",
-                 help="Bits of each stored number: 8 or 16 (default: chosen for the goal)."),
     click.option("--seed", type=Count(0), default=0, metavar="N",
                  help="Seed of random starts; the same seed makes the same file (default 0)."),
     click.option("--threads", type=Count(1), metavar="N", help="Threads, no more than there are cores (default: all)."),
@@ -59,7 +57,7 @@ class Goal:
     snr: float | None
     size: int | None
     kind: str | None
-    settings: dict[str, Any]  # further arguments of `compress` and `choose_plan`; axes by name
+    settings: dict[str, Any]  # further arguments of `compress`; axes by name
     source: dict[str, Any]  # arguments of `open_array`
     along: dict[str, tuple[tuple[str, str], ...]]  # --coords and --unit
 
@@ -95,7 +93,6 @@ def goal_from(options: dict[str, Any]) -> Goal:
     """
     source = {key: options.pop(key) for key in ("member", "shape", "dtype", "order", "offset")}
     along = {key: options.pop(key) for key in ("coords", "unit")}
-    options["bits"] = None if options["bits"] is None else int(options["bits"])
     goal = Goal(options.pop("snr"), options.pop("size"), options.pop("kind"), options, source, along)
     if goal.snr is not None and goal.size is not None:
         raise click.UsageError("--snr and --size are both given: choose one of them.")
@@ -109,7 +106,7 @@ def command_for(source: str, output: str, plan: Plan | None, goal: Goal) -> str:
     given: dict[str, Any] = {"snr": goal.snr, "size": goal.size, "kind": goal.kind, **goal.settings, **goal.source}
     if plan is not None:
         words += ["--organisation", format_organisation(plan.organisation), "--plan", str(plan)]
-        given |= {"organisation": None, "bits": None, "snr": plan.snr, "size": plan.size}
+        given |= {"organisation": None, "snr": plan.snr, "size": plan.size}
     defaults = {param.name: param.default for param in click.get_current_context().command.params}
     for name, value in given.items():
         if value is not None and value != defaults.get(name):
@@ -129,12 +126,12 @@ def _written(name: str, value: Any) -> str:
 
 
 def beyond_cost(cost: int, goal: Goal, plan: str | None) -> list[str]:
-    """A sentence on a --plan whose written ranks take more multiply-adds than --decode-cost."""
+    """A sentence on a --plan that takes more multiply-adds than --decode-cost."""
     most = goal.settings["decode_cost"]
     if plan is None or cost <= most:
         return []
-    return [f"an element takes {multiply_adds(cost)}, more than --decode-cost {most}, which bounds ranks that are "
-            "chosen (R<=..), not written ones. Next: write lower ranks, or leave --plan out"]
+    return [f"an element takes {multiply_adds(cost)}, more than --decode-cost {most}, which bounds what a goal "
+            "chooses, not a written plan. Next: write lower ranks, or leave --plan out"]
 
 
 def ordinary_cameras(goal: Goal, kind: str) -> list[str]:

@@ -10,12 +10,13 @@ import click
 import numpy as np
 
 from ..axes import format_organisation
-from ..hmkfile import table_bytes
+from ..hmkfile import level_bytes
 from ..model import Model
 from ..model import open as open_model
-from ..packed import PackedLevel
+from ..packed import PackedLevel, undecomposed_modes
 from ..plan import multiply_adds
 from ..support.memory import format_bytes
+from .layout import layout_lines, layout_of
 from .options import Command, file_argument, json_option, verbose_option
 from .output import decibels, emit, number_bits, share, shown_bits, table, transformed_column
 
@@ -28,7 +29,7 @@ EXAMPLES = ("hmkcta info wood.hmk", "hmkcta info wood.hmk --json", "hmkcta info 
 @verbose_option
 def info_command(file: str, as_json: bool, verbose: bool) -> None:
     """Show axes, levels, quality and sizes of FILE, whose checksums are verified."""
-    report = describe(open_model(file), os.path.getsize(file), table_bytes(file))
+    report = describe(open_model(file), os.path.getsize(file), level_bytes(file))
     if as_json:
         emit({"file": file, **report})
     else:
@@ -36,11 +37,9 @@ def info_command(file: str, as_json: bool, verbose: bool) -> None:
         click.echo(as_text(report, verbose))
 
 
-def describe(model: Model, size: int, tables: Sequence[int]) -> dict[str, Any]:
-    """The facts of a model whose file has `size` bytes, of which each level's tables take what `tables` says."""
+def describe(model: Model, size: int, sizes: Sequence[int]) -> dict[str, Any]:
+    """The facts of a model whose file has `size` bytes, of which each level takes what `sizes` says."""
     metadata = model.metadata
-    numbers = sum(level.number_bytes for level in model.levels)
-    sizes = [level.number_bytes + own for level, own in zip(model.levels, tables, strict=True)]
     source_bytes = model.size * np.dtype(metadata.source_dtype).itemsize
     return {
         "kind": metadata.kind,
@@ -48,12 +47,13 @@ def describe(model: Model, size: int, tables: Sequence[int]) -> dict[str, Any]:
         "axes": [{"name": axis.name, "size": axis.size, "role": axis.role, "unit": axis.unit,
                   "coordinates": axis.coords is not None} for axis in metadata.axes],
         "organisation": format_organisation(metadata.organisation),
-        "undecomposed": list(metadata.undecomposed),
+        "undecomposed": list(undecomposed_modes(model.stages)),
         "transform": metadata.transform,
-        "levels": [_level(model, number, own, size - sum(sizes[number:])) for number, own in enumerate(sizes, 1)],
+        "levels": [{**_level(model, number, own, size - sum(sizes[number:])), "layout": layout}
+                   for number, (own, layout) in enumerate(zip(sizes, layout_of(model), strict=True), 1)],
+        "layout": layout_lines(model),
         "decode_cost": model.decode_cost,
-        "bytes": {"file": size, "numbers": numbers, "tables": sum(tables),
-                  "header": size - numbers - sum(tables)},
+        "bytes": {"file": size, "levels": sum(sizes), "header": size - sum(sizes)},
         "ratio": source_bytes / size,
         "source": metadata.source, "seed": metadata.seed, "writer": metadata.writer,
     }
@@ -65,7 +65,7 @@ def _level(model: Model, number: int, own: int, upto: int) -> dict[str, Any]:
     cells, zero_cells = cells_of(level)
     return {
         "level": number, "R": list(bounds.ranks), "C": list(bounds.clusters), "K": list(bounds.mixture),
-        "bits": number_bits(level), "subdivision": bounds.scheme,
+        "bits": number_bits(level, own), "subdivision": bounds.scheme,
         "nodes": level.nodes, "nodes_that_carry_nothing": int((~level.shape.any(axis=(1, 2))).sum()),
         "clusters": cells, "clusters_that_carry_nothing": zero_cells,
         "bytes": own, "bytes_upto": upto,
@@ -82,7 +82,7 @@ def cells_of(level: PackedLevel) -> tuple[int, int]:
     (1, 0)
     """
     shape = level.shape.astype(np.int64)
-    alive = shape.any(axis=(1, 2))
+    alive = level.has_cells
     cells = np.where(alive, shape[:, 0].prod(axis=1), 0)
     lengths = np.repeat(shape[:, 2].prod(axis=1), cells)  # numbers in each cell's core
     if not lengths.size:
@@ -100,7 +100,8 @@ def _coordinates(axis: dict[str, Any]) -> str:
 def _shape(level: dict[str, Any], undecomposed: Sequence[int]) -> list[str]:
     """R, C, K as a plan has them: * for the rank of a mode that is left undecomposed."""
     ranks = ["*" if n in undecomposed else rank for n, rank in enumerate(level["R"])]
-    return [",".join(map(str, numbers)) for numbers in (ranks, level["C"], level["K"])]
+    mixture = [max(1, k) for k in level["K"]]  # 0 in a file, where a mode has no basis
+    return [",".join(map(str, numbers)) for numbers in (ranks, level["C"], mixture)]
 
 
 def as_text(report: dict[str, Any], verbose: bool) -> str:
@@ -124,11 +125,11 @@ def as_text(report: dict[str, Any], verbose: bool) -> str:
         f"seed {report['seed']}",
         f"  axes          {axes}",
         f"  organisation  {report['organisation']}",
+        *(f"  layout        {line}" for line in report["layout"]),
         f"  transform     {transform}",
         f"  decode cost   {multiply_adds(report['decode_cost'])} an element",
-        f"  size          {format_bytes(parts['file'])}, {share(report['ratio'])} the source: numbers "
-        f"{format_bytes(parts['numbers'])}, tables {format_bytes(parts['tables'])}, "
-        f"header {format_bytes(parts['header'])}",
+        f"  size          {format_bytes(parts['file'])}, {share(report['ratio'])} the source: levels "
+        f"{format_bytes(parts['levels'])}, header {format_bytes(parts['header'])}",
         "", levels,
     ]
     if verbose:

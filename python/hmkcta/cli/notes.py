@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..axes import folded
+from ..hmkfile import level_sizes
 from ..model import Model
 from ..offset import HIDDEN
 from ..support.memory import drop_pages
@@ -58,27 +59,28 @@ def notes(model: Model, array: NDArray[Any], *, planned: bool = True) -> list[st
 
 
 def _share_of_longest(model: Model) -> float:
-    """The share of a file that the bases of the mode with the longest axis take, a row each for every row."""
+    """The share of a file that the bases of the mode with the longest axis take, were all numbers of a level alike."""
     longest = max(model.metadata.axes, key=lambda axis: axis.size).name
     n = next(n for n, mode in enumerate(model.metadata.organisation) if longest in mode)
-    return sum(level.basis_bytes(n) for level in model.levels) / model.nbytes
+    sizes = zip(model.levels, level_sizes(model.metadata, model.stages), strict=True)
+    return sum(size * level.basis[n].size / max(1, level.numbers()) for level, size in sizes) / model.nbytes
 
 
 def _why_large(model: Model, array: NDArray[Any], planned: bool) -> str:
     """What takes the bytes of a model that is no smaller than its source, and what to do."""
-    numbers = sum(level.number_bytes for level in model.levels)
+    numbers = sum(level_sizes(model.metadata, model.stages))
     if 2 * numbers < array.nbytes:
-        return "header and tables alone take some KiB. Next: compress more data as one array"
+        return "header and tables alone take some hundred bytes. Next: compress more data as one array"
     fewer = ("give the plan smaller R or K, or a goal in its place" if planned else
              "ask for less, by --snr or --size, or leave noise as it is: it takes "
              f"{_each(model)} a number")
-    return f"{numbers} are for cores and bases. Next: {fewer}"
+    return f"{numbers} are for its levels. Next: {fewer}"
 
 
 def _each(model: Model) -> str:
     """What a number of the last level takes."""
-    bits = number_bits(model.levels[-1])
-    return "a byte" if bits == 8 else "two bytes" if bits == 16 else f"{shown_bits(bits)} bits"
+    bits = number_bits(model.levels[-1], level_sizes(model.metadata, model.stages)[-1])
+    return "two bytes" if bits == 16 else f"{shown_bits(bits)} bits"
 
 
 def _lost_channels(model: Model, array: NDArray[Any]) -> list[str]:

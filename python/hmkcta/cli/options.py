@@ -11,8 +11,8 @@ from typing import Any, TypeVar
 
 import click
 
-from ..errors import invalid
-from ..goals import BYTES_ALLOWED, read_bytes
+from ..errors import HmkctaError, invalid
+from ..goals import BYTES_ALLOWED, TIME_ALLOWED, read_bytes, time_given
 from .output import JSON
 
 #: Key of `click.Context.meta` that is true with -v.
@@ -43,6 +43,26 @@ class ByteSize(click.ParamType[int]):
         if not 1 <= number < inf:
             self.fail(f"a size is 1 byte or more, and not {number:g}.", param, ctx)
         return round(number)
+
+
+class Duration(click.ParamType[float]):
+    """Seconds, with or without a unit.
+
+    >>> Duration().convert("2min", None, None)
+    120.0
+    """
+
+    name = "time"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Read it, or end with what is wrong."""
+        try:
+            found = time_given(str(value))
+        except HmkctaError:
+            found = None
+        if found is None:
+            self.fail(f"{value!r} is no time: write {TIME_ALLOWED}.", param, ctx)
+        return found
 
 
 class File(click.Path):

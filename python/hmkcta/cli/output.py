@@ -46,14 +46,14 @@ def warnings_as_notes() -> Generator[list[str]]:
     said += [str(each.message) for each in warned]
 
 
-def number_bits(level: PackedLevel) -> float:
-    """Bits of a core or basis number in the file; of a packed level on average.
+def number_bits(level: PackedLevel, size: int) -> float:
+    """Bits of a core or basis number in the file; on average, where the level's `size` bytes are a code.
 
     >>> from hmkcta._example import example_level
-    >>> number_bits(example_level())
+    >>> number_bits(example_level(), 100)
     16
     """
-    return 8 * level.number_bytes / level.numbers() if level.rice and level.numbers() else level.bits
+    return 8 * size / level.numbers() if level.step is not None and level.numbers() else 16
 
 
 def shown_bits(bits: float) -> str:

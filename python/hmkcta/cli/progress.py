@@ -10,7 +10,6 @@ from typing import Any
 
 import click
 
-from ..support.progress import OF_PLAN
 from .output import seconds
 
 #: Seconds between the lines where there is no terminal.
@@ -24,14 +23,12 @@ class Progress:
         quiet: show nothing, only keep the times.
 
     Attributes:
-        stages: seconds spent in each stage, those of all compared plans together.
-        plans: how many plans were begun, where they are compared: some of them may not be followed to the end.
+        stages: seconds spent in each stage.
     """
 
     def __init__(self, quiet: bool = False) -> None:
         self.quiet = quiet
         self.stages: dict[str, float] = {}
-        self.plans = 1
         self._start = self._called = self._begun = time.monotonic()
         self._now: tuple[str, float] = ("starting", 0.0)
         self._ended = threading.Event()
@@ -67,9 +64,7 @@ class Progress:
             if self._bar is not None:
                 self._bar.reset(self._task, start=False, total=1.0, description=stage)
                 self._bar.tasks[0].start_time = self._start  # elapsed is of all stages, left of this one
-        alone, _, which = stage.partition(OF_PLAN)
-        self.plans = int(which.split()[0]) if which else self.plans
-        self.stages[alone] = self.stages.get(alone, 0.0) + now - self._called
+        self.stages[stage] = self.stages.get(stage, 0.0) + now - self._called
         self._called, self._now = now, (stage, fraction)
         if self._bar is not None:
             self._bar.update(self._task, completed=fraction)

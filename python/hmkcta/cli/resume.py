@@ -36,10 +36,10 @@ def journal_beside(output: str, resume: bool, overwrite: bool) -> Journal:
 
 def publish(journal: Journal, model: Model, output: str, overwrite: bool, missed: str | None) -> None:
     """Save the model, so that a process killed before `journal` is removed is known to have finished."""
-    from ..hmkfile import header_digest
+    from ..hmkfile import file_digest
 
-    header = header_digest(model.metadata, model.levels)
-    journal.about_to_publish({"header": header, "words": _lasting_words(), "missed": missed})
+    digest = file_digest(model.metadata, model.stages)
+    journal.about_to_publish({"file": digest, "words": _lasting_words(), "missed": missed})
     model.save(output, overwrite=overwrite)
 
 
@@ -48,7 +48,7 @@ def finished(output: str) -> tuple[Model, str | None] | None:
 
     What the run had kept, and what killed writers left beside the output, is removed.
     """
-    from ..hmkfile import header_digest, remove_stale
+    from ..hmkfile import file_digest, remove_stale
     from ..journal import Journal
     from ..model import open as open_model
 
@@ -60,7 +60,7 @@ def finished(output: str) -> tuple[Model, str | None] | None:
         model = open_model(output)
     except HmkctaError:  # it is not there, or not this run's
         return None
-    if header_digest(model.metadata, model.levels) != done.get("header"):
+    if file_digest(model.metadata, model.stages) != done.get("file"):
         return None
     journal.remove()
     remove_stale(output)
@@ -84,7 +84,7 @@ def nothing_kept(ctx: click.Context) -> str:
     if _JOURNAL not in ctx.meta:
         return "nothing is left half written"
     planned = any(str(word).partition("=")[0] == "--plan" for word in ctx.meta[WORDS])
-    why = "no node was finished" if planned else "the choice of a plan is kept only once it is complete"
+    why = "no node was finished" if planned else "the search keeps only what it has settled"
     return f"nothing is left half written, and nothing kept, as {why}. Next: the same command, which begins anew"
 
 

@@ -8,7 +8,7 @@ import click
 
 from .._version import __version__
 
-LIBRARIES = ("numpy", "safetensors", "click", "rich", "pillow", "wgpu", "cupy-cuda12x")
+LIBRARIES = ("numpy", "click", "rich", "pillow", "wgpu", "cupy-cuda12x")
 
 
 def versions() -> str:
@@ -17,7 +17,7 @@ def versions() -> str:
 
     lines = [f"hmkcta {__version__}", f"python {platform.python_version()} ({platform.python_implementation()})"]
     lines += [f"{name} {_version(name)}" for name in LIBRARIES]
-    return "\n".join([*lines, f"file format {VERSION}", f"native kernels {_native()}", platform.platform()])
+    return "\n".join([*lines, f"file format {VERSION}", platform.platform()])
 
 
 def _version(name: str) -> str:
@@ -27,15 +27,6 @@ def _version(name: str) -> str:
         return version(name)
     except PackageNotFoundError:
         return "not installed"
-
-
-def _native() -> str:
-    try:
-        from .. import _native as module
-    except ImportError as error:
-        return f"missing ({error})"
-    del module
-    return "present"
 
 
 def _show(ctx: click.Context, parameter: click.Parameter, value: bool) -> None:

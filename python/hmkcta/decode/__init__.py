@@ -3,7 +3,7 @@
 The kernels of `backends.decoding` do the work, or their readable twins `scattered` and `dense`, which also stand in for
 them where a block is asked for in float64.
 
-`decode_elements` follows `docs/format.md`, section 4, for scattered elements, and the WGSL decoder mirrors it function
+`decode_elements` follows `docs/format.md`, section 7, for scattered elements, and the WGSL decoder mirrors it function
 by function; `decode_block` decodes an outer product of index lists at a small part of the cost an element. Both read
 the float16 numbers as they are stored and compute in float32 (float64 on request: quality is measured with it).
 """
@@ -19,13 +19,13 @@ from numpy.typing import DTypeLike, NDArray
 
 from .. import backends
 from ..errors import invalid
-from ..packed import PackedLevel
+from ..packed import PackedLevel, level_ends
 from . import dense, scattered
 from .scattered import Index, Real
 
 
 def decode_elements(
-    levels: Sequence[PackedLevel],
+    stages: Sequence[PackedLevel],
     sizes: Sequence[int],
     coords: NDArray[np.integer[Any]],
     upto: int | None = None,
@@ -34,7 +34,7 @@ def decode_elements(
     """Decode scattered elements.
 
     Args:
-        levels: the model's levels.
+        stages: the model's.
         sizes: mode sizes I_1..I_N.
         coords: mode indices of each element, [B, N], from 0.
         upto: how many levels to add up, all by default.
@@ -55,14 +55,14 @@ def decode_elements(
         raise invalid("coords-shape", "coords", f"shape {coords.shape}", f"[elements, {len(sizes)}]")
     for n, size in enumerate(sizes):
         check_indices(coords[:, n], size, f"coords of mode {n + 1}")
-    chosen, out = first_levels(levels, upto), np.zeros(len(coords), _float_type(dtype))
+    chosen, out = first_levels(stages, upto), np.zeros(len(coords), _float_type(dtype))
     with np.errstate(over="ignore", invalid="ignore"):  # Model looks for these, and decodes them again in float64
         _add_elements(chosen, coords.astype(np.intp, copy=False), out)
     return out
 
 
 def decode_block(
-    levels: Sequence[PackedLevel],
+    stages: Sequence[PackedLevel],
     sizes: Sequence[int],
     rows: Sequence[NDArray[np.integer[Any]]],
     upto: int | None = None,
@@ -72,7 +72,7 @@ def decode_block(
     """Decode the dense block of an outer product, like ``tensor[np.ix_(*rows)]``.
 
     Args:
-        levels: the model's levels.
+        stages: the model's.
         sizes: mode sizes I_1..I_N.
         rows: N one-dimensional index arrays from 0, in any order and with repeats.
         upto: how many levels to add up, all by default.
@@ -100,7 +100,7 @@ def decode_block(
     shape = tuple(len(index) for index in rows)
     if out is not None and out.shape != shape:
         raise invalid("out-shape", "out", f"shape {out.shape}", f"{shape}, one number for each requested row")
-    chosen, kind = first_levels(levels, upto), _float_type(dtype if out is None else out.dtype)
+    chosen, kind = first_levels(stages, upto), _float_type(dtype if out is None else out.dtype)
     block = out if out is not None and out.flags.c_contiguous and out.flags.aligned else np.empty(shape, kind)
     block[...] = 0
     if prod(shape):
@@ -131,11 +131,11 @@ def _add_block(levels: Sequence[PackedLevel], rows: Sequence[Index], block: Real
     (native or dense).add_block(levels, rows, block, first)
 
 
-def add_level(levels: Sequence[PackedLevel], rows: Sequence[Index], block: Real, level: int) -> None:
+def add_level(stages: Sequence[PackedLevel], rows: Sequence[Index], block: Real, level: int) -> None:
     """Add one level to a block that holds the levels before it: what `decode_block` would give up to this level.
 
     Args:
-        levels: the model's levels.
+        stages: the model's.
         rows: as of `decode_block`, and valid.
         block: C-contiguous, float32 or float64, of the rows' shape.
         level: its number, 1..L.
@@ -148,16 +148,18 @@ def add_level(levels: Sequence[PackedLevel], rows: Sequence[Index], block: Real,
     """
     if block.size:
         with np.errstate(over="ignore", invalid="ignore"):  # as in `decode_elements`
-            _add_block(levels[:level], rows, block, level - 1)
+            end = level_ends(stages)[level - 1]
+            _add_block(stages[:end], rows, block, end - 1)
 
 
-def first_levels(levels: Sequence[PackedLevel], upto: int | None) -> Sequence[PackedLevel]:
-    """The first `upto` levels; all of them for None."""
+def first_levels(stages: Sequence[PackedLevel], upto: int | None) -> Sequence[PackedLevel]:
+    """The stages of the first `upto` levels; all of them for None."""
     if upto is None:
-        return levels
-    if not 1 <= upto <= len(levels):
-        raise invalid("level-out-of-range", "upto", upto, f"1 to {len(levels)}")
-    return levels[:upto]
+        return stages
+    ends = level_ends(stages)
+    if not 1 <= upto <= len(ends):
+        raise invalid("level-out-of-range", "upto", upto, f"1 to {len(ends)}")
+    return stages[: ends[upto - 1]]
 
 
 def check_indices(index: NDArray[Any], size: int, where: str) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..packed import PackedLevel
 from ..support.grouping import rows_of_parts
-from .scattered import NO_TABLE, Index, Real, count
+from .scattered import Index, Real, count
 
 Rows = dict[int, tuple[Index, Index]]
 Member = tuple[Index, Index]
@@ -46,28 +46,29 @@ def tiles(lengths: Sequence[int], limit: int) -> Iterator[tuple[slice, ...]]:
 
 
 def add_clustered_node(
-    level: PackedLevel, s: int, rows: Rows, fixed: dict[int, Index], block: Real, tile_size: int
+    level: PackedLevel, s: int, requested: Rows, block: Real, tile_size: int
 ) -> None:
     """Add node `s` to the block.
 
     Args:
         level: the level.
         s: the node.
-        rows: of each decomposed mode, requested row positions in the node and their places in the block.
-        fixed: of each undecomposed mode, requested positions; their places are 0, 1, ..
+        requested: of each mode, row positions in the node and their places in the block.
         block: what to add to, [m_1, .., m_N].
         tile_size: elements to work on at a time, at the least.
     """
-    modes = [*fixed, *rows]  # undecomposed modes first: they only ever lengthen the product
-    lengths = [len(fixed[n]) for n in fixed] + [len(rows[n][0]) for n in rows]
     clusters, mixture = level.shape[s, 0].tolist(), level.shape[s, 1].tolist()
+    rows = {n: requested[n] for n in sorted(requested) if mixture[n]}
+    fixed = [n for n in sorted(requested) if not mixture[n]]
+    modes = [*fixed, *rows]  # undecomposed modes first: they only ever lengthen the product
+    lengths = [len(requested[n][0]) for n in modes]
     sparsity = prod(clusters[n] / mixture[n] for n in list(rows)[:-1])
     view = block.transpose(modes)
     for tile in tiles(lengths, int(max(tile_size, min(STEP * sparsity, LARGEST_TILE)))):
         spans = dict(zip(modes, tile, strict=True))
         part = {n: rows[n][0][spans[n]] for n in rows}
-        node = _load(level, s, part, {n: fixed[n][spans[n]] for n in fixed}, block.dtype)
-        places = [count(lengths[i])[tile[i]] if n in fixed else rows[n][1][tile[i]] for i, n in enumerate(modes)]
+        node = _load(level, s, part, {n: requested[n][0][spans[n]] for n in fixed}, block.dtype)
+        places = [requested[n][1][spans[n]] for n in modes]
         add_outer(view, places, node.values().reshape([len(place) for place in places]))
 
 
@@ -87,8 +88,6 @@ def _load(level: PackedLevel, s: int, rows: dict[int, Index], fixed: dict[int, I
     ids: list[Index] = []
     for n, pos in rows.items():
         table, offset = level.cluster[n], level.cluster_offset[n]
-        assert table is not None, NO_TABLE
-        assert offset is not None, NO_TABLE
         subsets = table[offset[s] : offset[s + 1]].reshape(-1, mixture[n])[pos].astype(np.intp)  # [m, K_n]
         used[n], inverse = np.unique(subsets, return_inverse=True)
         ids.append(inverse.reshape(subsets.shape))
@@ -111,8 +110,6 @@ def _load_bases(
     """Basis rows of mode n for the picked clusters of the other modes, [m, K_n, C_1..C_n-1, C_n+1..C_N, R_n]."""
     clusters, mixture, ranks = level.shape[s].astype(np.intp).tolist()
     basis, offset = level.basis[n], level.basis_offset[n]
-    assert basis is not None, NO_TABLE
-    assert offset is not None, NO_TABLE
     others = [c for m, c in enumerate(clusters) if m != n]
     table = basis[offset[s] : offset[s + 1]].reshape(-1, mixture[n], *others, ranks[n])
     wanted = [picked[m] for m in range(level.order) if m != n]

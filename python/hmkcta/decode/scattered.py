@@ -1,4 +1,4 @@
-"""Scattered elements: `docs/format.md`, section 4, for many elements at once; the twin of the WGSL decoder.
+"""Scattered elements: `docs/format.md`, section 7, for many elements at once; the twin of the WGSL decoder.
 
 A shader runs one invocation an element; here a NumPy vector holds one number an element, and each function below
 has a WGSL function of the same name: `cluster_ids`, `flatten_clusters`, `basis_row`, `core_value`, `descend`.
@@ -24,7 +24,7 @@ from ..support.grouping import rows_of_parts
 Index = NDArray[np.intp]
 Real = NDArray[np.floating[Any]]
 
-NO_TABLE = "decomposed modes have all their tables (the reader checked it)"
+NO_TABLE = "all stages but the last say where rows go (the reader checked it)"
 
 #: Elements walked together: bounds memory (about 100 bytes each), and still gives a node many neighbours.
 BATCH = 1 << 18
@@ -41,11 +41,6 @@ FEW = 256
 def count(length: int) -> Index:
     """0, 1, .., length - 1."""
     return np.arange(length, dtype=np.intp)
-
-
-def undecomposed_modes(level: PackedLevel) -> tuple[int, ...]:
-    """Modes with an identity basis: the format leaves their arrays out."""
-    return tuple(n for n, basis in enumerate(level.basis) if basis is None)
 
 
 def decode_batches(levels: Sequence[PackedLevel], coords: Index, out: Real) -> None:
@@ -73,7 +68,7 @@ def level_values(level: PackedLevel, node: Index, pos: Index, dtype: np.dtype[An
     floats = _level_as_floats(level, len(node), dtype)
     values = np.zeros(len(node), dtype)
     for (mixture, ranks), members in _same_contraction(level, node):
-        for chunk in _chunks(members, ranks, level):
+        for chunk in _chunks(members, mixture, ranks):
             values[chunk] = node_values(floats, mixture, ranks, node[chunk], pos[:, chunk])
     return values
 
@@ -84,24 +79,23 @@ class _Floats:
 
     level: PackedLevel
     core: NDArray[Any]
-    basis: tuple[NDArray[Any] | None, ...]
+    basis: tuple[NDArray[Any], ...]
     dtype: np.dtype[Any]
 
 
 def _level_as_floats(level: PackedLevel, elements: int, dtype: np.dtype[Any]) -> _Floats:
     """Convert each float16 array of at most as many numbers as the elements gather from it at the least."""
-    def convert(array: NDArray[np.float16] | None) -> NDArray[Any] | None:
-        return array if array is None or array.size > 4 * elements else array.astype(dtype)
+    def convert(array: NDArray[np.float16]) -> NDArray[Any]:
+        return array if array.size > 4 * elements else array.astype(dtype)
 
-    core = convert(level.core)
-    return _Floats(level, level.core if core is None else core, tuple(map(convert, level.basis)), dtype)
+    return _Floats(level, convert(level.core), tuple(map(convert, level.basis)), dtype)
 
 
 Contraction = tuple[tuple[int, ...], tuple[int, ...]]
 
 
 def _same_contraction(level: PackedLevel, node: Index) -> Iterator[tuple[Contraction, Index]]:
-    """Group the elements by the (K, R) of their `node` [B] (sorted); nodes of shape zero add nothing, and get none."""
+    """Group the elements by the (K, R) of their `node` [B] (sorted); empty and cut nodes add nothing, and get none."""
     if not len(node):
         return
     order = level.order
@@ -117,9 +111,9 @@ def _same_contraction(level: PackedLevel, node: Index) -> Iterator[tuple[Contrac
             yield (tuple(row[:order]), tuple(row[order:])), group
 
 
-def _chunks(members: Index, ranks: tuple[int, ...], level: PackedLevel) -> Iterator[Index]:
+def _chunks(members: Index, mixture: tuple[int, ...], ranks: tuple[int, ...]) -> Iterator[Index]:
     """Parts of `members` whose working set fits the cache."""
-    decomposed = [r for r, basis in zip(ranks, level.basis, strict=True) if basis is not None]
+    decomposed = [r for k, r in zip(mixture, ranks, strict=True) if k]
     at = _split(decomposed)
     numbers = prod(decomposed[:at]) + prod(decomposed[at:]) + sum(decomposed) + 16
     size = max(16, min(1 << 13, CHUNK_NUMBERS // numbers))
@@ -134,7 +128,7 @@ def node_values(
 
     Args:
         floats: the level.
-        mixture: K_n of all nodes at hand.
+        mixture: K_n of all nodes at hand; 0 where the mode is undecomposed in them.
         ranks: R_n of all nodes at hand.
         node: the node of each element, [b].
         pos: its row position in each mode, [N, b].
@@ -142,13 +136,15 @@ def node_values(
     level = floats.level
     clusters = level.shape[node, 0].T.astype(np.intp)  # [N, b]: C_n of each element's node
     others = clusters.prod(axis=0) // clusters  # [N, b]: PC_-n
-    decomposed = [n for n, basis in enumerate(level.basis) if basis is not None]
+    decomposed = [n for n, k in enumerate(mixture) if k]
     ids = {n: cluster_ids(level, n, mixture[n], node, pos[n]) for n in decomposed}
-    rows = {n: _start_of(level.basis_offset[n], node) + pos[n] * mixture[n] * others[n] * ranks[n] for n in decomposed}
+    rows = {n: level.basis_offset[n][node].astype(np.intp) + pos[n] * mixture[n] * others[n] * ranks[n]
+            for n in decomposed}
     cores, cells = level.core_offset[node].astype(np.intp), level.cell_offset[node].astype(np.intp)
     address = _core_addresses(ranks, decomposed)
-    for n in undecomposed_modes(level):  # the row position indexes the core directly
-        cores += pos[n] * prod(ranks[n + 1 :])
+    for n, k in enumerate(mixture):
+        if not k:  # undecomposed: the row position indexes the core directly
+            cores += pos[n] * prod(ranks[n + 1 :])
     value = np.zeros(len(node), floats.dtype)
     for choice in product(*(range(mixture[n]) for n in decomposed)):
         picked = dict(zip(decomposed, choice, strict=True))
@@ -160,16 +156,10 @@ def node_values(
     return value
 
 
-def _start_of(offset: NDArray[np.uint32] | None, node: Index) -> Index:
-    assert offset is not None, NO_TABLE
-    return offset[node].astype(np.intp)
-
-
 def cluster_ids(level: PackedLevel, n: int, mixture: int, node: Index, pos: Index) -> list[Index]:
     """Cluster c_n of each element for k = 0..K_n-1: the row's distinct cluster subsets; K_n x [b]."""
     table = level.cluster[n]
-    assert table is not None, NO_TABLE
-    first = _start_of(level.cluster_offset[n], node) + pos * mixture
+    first = level.cluster_offset[n][node].astype(np.intp) + pos * mixture
     return [table.take(first + k).astype(np.intp) for k in range(mixture)]
 
 
@@ -192,7 +182,6 @@ def flatten_clusters(ids: dict[int, Index], clusters: Index) -> tuple[Index, dic
 def basis_row(floats: _Floats, n: int, address: Index, rank: int) -> Real:
     """The row u_n of the chosen cluster's basis matrix, [R_n, b]; `address` [b] is its first number's."""
     basis = floats.basis[n]
-    assert basis is not None, NO_TABLE
     row = np.empty((rank, len(address)), floats.dtype)
     for r in range(rank):
         row[r] = basis[r:].take(address)
@@ -282,14 +271,14 @@ def descend(level: PackedLevel, node: Index, pos: Index) -> tuple[Index, Index, 
     """Child node and position in it of each element; elements of leaves stop.
 
     Args:
-        level: a level that is not the last.
+        level: a stage that is not the last.
         node: the node of each element, [b].
         pos: its row position in each mode, [N, b].
 
     Returns:
         Which elements go on, [a]; their node, [a]; their position, [N, a].
     """
-    assert level.child is not None, "the last level has no children"
+    assert level.child is not None, NO_TABLE
     child = level.child[node].astype(np.intp)
     alive = np.flatnonzero(level.child[node + 1] > child)
     node, pos, child = node[alive], pos[:, alive], child[alive]
@@ -297,8 +286,7 @@ def descend(level: PackedLevel, node: Index, pos: Index) -> tuple[Index, Index, 
     flat = np.zeros(len(node), np.intp)
     for n in range(level.order):
         part, local = level.part[n], level.local[n]
-        if part is None or local is None:  # an undecomposed mode has part 0 and keeps its position
-            continue
+        assert part is not None and local is not None, NO_TABLE  # noqa: PT018
         row: Index = level.row_offset[n][node] + pos[n]
         flat = flat * clusters[n] + part.take(row).astype(np.intp)
         pos[n] = local.take(row)

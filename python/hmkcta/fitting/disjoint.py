@@ -6,33 +6,24 @@ few blocks at once; joint rows would take numbers for every row and every cell. 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .. import backends as kernels
-from ..arrays import F32, F64
+from ..arrays import F32
 from ..cells import Cells, empty_cells
-from ..metrics import squared_norm
 from ..plan import LevelSpec
 from ..streaming.blocks import Block
 from ..streaming.large import large
 from ..streaming.pieces import Piece
 from ..streaming.streamed import Streamed
-from ..support.executors import Queue, in_order, repeatedly
+from ..support.executors import Queue, repeatedly
 from ..support.progress import Told
 from .fit import COLD, WARM, Effort, Labels
-from .search import orthonormal_again
-from .tucker import core_energies
-from .workset import SAMPLED, fit_streamed, refit_streamed, workset_steps
-
-#: Ranks up to which blocks of some sizes are judged; None for an undecomposed mode.
-LimitsOf = Callable[[Sequence[int]], Sequence[int | None]]
-
-#: What finding a block's energies takes, in times of what fitting it does.
-JUDGING = 2
+from .workset import fit_streamed, refit_streamed
 
 
 def fit_outside(
@@ -64,7 +55,6 @@ def fit_outside(
 
 def refit_outside(residual: Streamed, number: int, cells: Cells, told: Told) -> Cells:
     """Back-fitting of the cells of level `number`, memberships kept."""
-    orthonormal_again(cells)
     if not cells.spec.disjoint:
         with residual.telling(told, cells.order - sum(cells.undecomposed)):
             return refit_streamed(residual, number, cells)
@@ -84,56 +74,6 @@ def cut_as_fitted(residual: Streamed, number: int, cells: Cells) -> None:
     """Cut the scratch file as fitting these cells of level `number` does: what comes after reads it in that order."""
     if cells.spec.disjoint:
         residual.in_blocks(_labels(cells), cells.spec.clusters, number)
-
-
-def energy_table(
-    residual: Streamed, number: int, spec: LevelSpec, labels: Labels, limits_of: LimitsOf, seed: int, told: Told
-) -> tuple[F64, float]:
-    """`tucker.core_energies` of all blocks together, and their squared norm.
-
-    `limits_of` says from the largest sizes of any block up to which ranks. Blocks that memory does not hold are judged
-    by every few rows.
-    """
-    cut = residual.in_blocks(labels, spec.clusters, number)
-    pieces = [piece for piece in cut.pieces if piece.elements]
-    sizes = tuple(max(piece.sizes[n] for piece in pieces) for n in range(spec.order))
-    limits = limits_of(sizes)
-
-    def judged(piece: Piece) -> tuple[F64, float]:
-        outside = large(cut, piece)
-        if outside is None:
-            tensor = cut.settled(Block(piece.rows, cut.read(piece)))
-        else:
-            tensor = outside.sample(workset_steps(piece.sizes, spec.alone(piece.sizes), min(cut.limit, SAMPLED)))
-        own = squared_norm(tensor)
-        norm = own if outside is None else outside.error
-        return norm / (own or 1.0) * core_energies(tensor, limits, np.random.default_rng(seed)), norm
-
-    energy = 0.0
-
-    def tables() -> Iterator[F64]:
-        nonlocal energy
-        workers = cut.workers(JUDGING * max(piece.elements for piece in pieces))
-        for done, (table, norm) in enumerate(in_order(judged, pieces, workers), start=1):
-            energy += norm
-            yield table
-            told(done / len(pieces))
-
-    table = summed(tables())
-    return table, energy
-
-
-def summed(tables: Iterable[F64]) -> F64:
-    """Sum of cumulative energy tables of different extents; beyond its extent a table stays at its last value."""
-    total = np.zeros(())
-    for table in tables:
-        shape = table.shape if not total.ndim else tuple(map(max, total.shape, table.shape))
-        total = (_extended(total, shape) if total.ndim else 0.0) + _extended(table, shape)
-    return total
-
-
-def _extended(table: F64, shape: tuple[int, ...]) -> F64:
-    return np.pad(table, [(0, most - size) for most, size in zip(shape, table.shape, strict=True)], mode="edge")
 
 
 def _each_cell(

@@ -21,7 +21,7 @@ from ..cells import Cells, empty_cells
 from ..metrics import squared_norm
 from ..plan import LevelSpec
 from .memberships import start_candidates, strided_sample
-from .search import OVER_RELAXED, extend, orthonormal_again, sweep
+from .search import OVER_RELAXED, extend, sweep
 from .tucker import st_hosvd
 
 
@@ -129,7 +129,6 @@ def _sequential(
 
 def refit_level(cells: Cells, residual: F32) -> None:
     """Sweeps over fitted cells with the memberships they have; they and the residual they leave change in place."""
-    orthonormal_again(cells)
     if max(cells.spec.mixture) == 1 or cells.spec.search == "fast":
         kernels.fit_cells(cells, residual, 1, WARM)
         return

@@ -25,7 +25,6 @@ from ..streaming.streamed import Streamed
 from ..support.executors import Queue, repeatedly
 from ..support.grouping import rows_of_parts
 from ..support.progress import Told
-from .columns import left_of, rounded_by_columns
 from .disjoint import cut_as_fitted, fit_outside, refit_outside
 from .fit import Labels, fit_level, refit_level
 from .memberships import grid_blocks
@@ -191,16 +190,12 @@ def fit_nodes(
         def fitted(outside: Streamed | None, level: int) -> tuple[Cells | None, F32 | None]:
             if outside is not None:
                 cells = fit_outside(outside, level, spec, run.effort, rng, labels(node), told)
-                return _rounded(cells, lambda: left_of(cells, outside.error)), None
+                return cells.rounded(), None
             tensor = gather(tree.residual, node, lent=True)
 
-            def found() -> Cells | None:
-                if not tensor.any():
-                    return None
-                cells = fit_level(tensor, spec, run.effort, rng, labels(node))
-                return _rounded(cells, lambda: left_of(cells, squared_norm(tensor)))
-
-            return run.first_level(spec, found) if depth == 1 else found(), tensor
+            if not tensor.any():
+                return None, tensor
+            return fit_level(tensor, spec, run.effort, rng, labels(node)).rounded(), tensor
 
         _renew(tree, run, (step, depth, s), spec, fitted)
 
@@ -248,15 +243,6 @@ def _exchanged(residual: F32, old: Cells | None, new: Cells | None) -> F32:
     if new is not None:
         kernels.accumulate(new, residual, -1.0)
     return residual
-
-
-def sampled(tree: Hierarchy, node: Node, spec: LevelSpec) -> tuple[F32, list[int]] | None:
-    """Every few rows of a node of the deepest level that memory does not hold, and the steps; None if it does."""
-    outside = streamed_for(tree, node)
-    if outside is None:
-        return None
-    steps = workset_steps(outside.shape, spec.clamped(outside.shape), min(outside.limit, SAMPLED))
-    return outside.sample(steps, 0 if node.piece else len(tree.levels) - 1), steps
 
 
 def thinned(tree: Hierarchy, spec: LevelSpec) -> Hierarchy:
@@ -346,8 +332,7 @@ def backfit(tree: Hierarchy, run: Run, *, last: bool = False) -> None:
 
             def refitted(outside: Streamed | None, level: int) -> tuple[Cells | None, None]:
                 if outside is not None:
-                    left = outside.error if old.spec.packed else 0.0  # blocks are refitted without what they had
-                    return _rounded(refit_outside(outside, level, old.copy(), told), lambda: left), None
+                    return refit_outside(outside, level, old.copy(), told).rounded(), None
                 return _refitted(old, gather(tree.residual, node)), None
 
             _renew(tree, run, (step, number, s), old.spec, refitted)
@@ -361,13 +346,8 @@ def _refitted(old: Cells, residual: F32) -> Cells | None:
     before = squared_norm(residual)
     cells = old.copy()
     refit_level(cells, residual)
-    rounded = _rounded(cells, lambda: squared_norm(residual))
+    rounded = cells.rounded()
     return rounded if squared_norm(_exchanged(residual, cells, rounded)) <= before else None
-
-
-def _rounded(cells: Cells, left: Callable[[], float]) -> Cells:
-    """The cells as they will be stored, where columns have bits of their own by the squared error that is `left`."""
-    return rounded_by_columns(cells, left()) if cells.spec.packed else cells.rounded()
 
 
 def grid_labels(spec: LevelSpec, axes: Sequence[Axis], organisation: Organisation) -> LabelsOf:

@@ -48,13 +48,6 @@ CANDIDATES: tuple[tuple[float, float | None], ...] = (
     (0.2, None),
     (1.0, 1.05),
 )
-#: Dimensions of the subspaces by which rows are parted while ranks are still to be chosen.
-SOME_DIMENSIONS = (3, 8)
-#: The same for rows of few columns.
-FEW_DIMENSIONS = (1, 2, 3)
-#: Up to so many columns are few: there a rank is a large step.
-FEW_COLUMNS = 16
-
 
 def block_sizes(size: int, blocks: int) -> list[int]:
     """Rows of each of so many equal blocks.
@@ -224,31 +217,18 @@ def start_candidates(
         yield from by_subspaces(tensor, spec, rng)
 
 
-def some_dimensions(columns: int) -> tuple[int, ...]:
-    """Dimensions of subspaces to part rows of so many columns by, while ranks are unknown.
-
-    >>> some_dimensions(4), some_dimensions(100)
-    ((1, 2, 3), (3, 8))
-    """
-    dimensions = dict.fromkeys((FEW_DIMENSIONS if columns <= FEW_COLUMNS else ()) + SOME_DIMENSIONS)
-    return tuple(dimension for dimension in dimensions if dimension < columns)
-
-
 def by_subspaces(
     tensor: NDArray[Any], spec: LevelSpec, rng: np.random.Generator
 ) -> Iterator[list[NDArray[np.intp]]]:
-    """Rows of the one mode that has clusters, by the subspaces that the ranks leave each of them; else nothing.
-
-    Of ranks that are still to be found only the first dimensions tell.
-    """
+    """Rows of the one mode that has clusters, by the subspaces that the ranks leave each of them; else nothing."""
     parted = [n for n, c in enumerate(spec.clusters) if c > 1]
     if len(parted) != 1:
         return
     n, ranks = parted[0], [rank or size for rank, size in zip(spec.ranks, tensor.shape, strict=True)]
     most = prod(rank for m, rank in enumerate(ranks) if m != n)
     rows = sampled_rows(tensor, n).astype(np.float32, order="C").reshape(tensor.shape[n], -1)
-    for dimension in some_dimensions(rows.shape[1]) if spec.own else (min(ranks[n], most),):
-        if dimension < rows.shape[1] and len(rows) >= 2 * spec.clusters[n]:
-            labels = [np.zeros(size, np.intp) for size in tensor.shape]
-            labels[n] = subspace_clusters(rows, spec.clusters[n], dimension, rng)
-            yield labels
+    dimension = min(ranks[n], most)
+    if dimension < rows.shape[1] and len(rows) >= 2 * spec.clusters[n]:
+        labels = [np.zeros(size, np.intp) for size in tensor.shape]
+        labels[n] = subspace_clusters(rows, spec.clusters[n], dimension, rng)
+        yield labels

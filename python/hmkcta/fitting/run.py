@@ -1,21 +1,16 @@
-"""What every step of a fit shares, and what fits of plans that begin alike share."""
+"""What every step of a fit shares."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
-from ..cells import Cells
 from ..journal import NoJournal
 from ..plan import LevelSpec
 from ..streaming.budget import side_by_side
 from ..streaming.pieces import SubTensor
-from ..support.once import Once
 from ..support.progress import Progress
 from .fit import Effort
-
-#: First levels of one organisation: the cells, None where the tensor is zero, by what they were fitted by.
-FirstLevels = Once[Cells | None]
 
 
 @dataclass(frozen=True)
@@ -30,7 +25,6 @@ class Run:
         journal: keeps the nodes that are finished.
         device: ``cpu`` or ``cuda``, where the kernels work.
         room: bytes that nodes may take together while they are fitted; None: as many as they like.
-        first_levels: of other plans of the same organisation for the same tensor; None: there are none.
     """
 
     effort: Effort
@@ -40,7 +34,6 @@ class Run:
     journal: NoJournal = field(default_factory=NoJournal)
     device: str = "cpu"
     room: int | None = None
-    first_levels: FirstLevels | None = None
 
     def side_by_side(self, specs: Iterable[LevelSpec | None], nodes: Sequence[SubTensor]) -> int:
         """How many of the nodes are fitted side by side; what comes out does not depend on it."""
@@ -48,9 +41,3 @@ class Run:
             return self.threads
         largest = tuple(map(max, *(node.sizes for node in nodes)))
         return min((side_by_side(spec, largest, self.threads, self.room) for spec in set(specs) if spec), default=1)
-
-    def first_level(self, spec: LevelSpec, fit: Callable[[], Cells | None]) -> Cells | None:
-        """The cells of a first level, of another plan that begins with it or fitted now; nobody changes them."""
-        if self.first_levels is None or spec.cells == 1 or spec.grid or spec.own:
-            return fit()
-        return self.first_levels.get((spec, self.effort), fit)

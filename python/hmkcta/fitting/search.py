@@ -46,13 +46,6 @@ def sweep(
                 refit_cores(cells, products, y, n)
 
 
-def orthonormal_again(cells: Cells) -> None:
-    """Orthonormal columns in every mode, in place, where stored ones have the lengths that bytes want."""
-    for n, skip in enumerate(cells.undecomposed):
-        if not skip and cells.spec.bits == 8:
-            kernels.orthonormalise(cells, n)
-
-
 def all_products(cells: Cells) -> list[Products | None]:
     """Inner products `M_m(c, c') = U_{m,c}^T U_{m,c'}` of every mode; None where it is undecomposed."""
     return [None if skip else _inner_products(cells, m) for m, skip in enumerate(cells.undecomposed)]

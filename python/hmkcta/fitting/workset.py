@@ -131,14 +131,6 @@ def fitting_bytes(sizes: Sequence[int], level: LevelSpec, limit: int) -> int:
     return 8 * elements
 
 
-def projected_share(sizes: Sequence[int], level: LevelSpec) -> float:
-    """Numbers of a slab's projections for each of its elements: next to none where every mode is decomposed."""
-    spec = level.clamped(sizes)
-    shares = [1.0 if rank is None else rank / size for rank, size in zip(spec.ranks, sizes, strict=True)]
-    seen = (prod(share for m, share in enumerate(shares) if m != n) for n, r in enumerate(spec.ranks) if r is not None)
-    return min(1.0, spec.cells * max(seen, default=0.0))
-
-
 def check_worksets(plan: Plan, sizes: Sequence[int], limit: int, memory: int | None) -> None:
     """Refuse a plan whose levels cannot be fitted on as little as memory holds.
 

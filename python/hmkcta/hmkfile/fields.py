@@ -19,13 +19,14 @@ Json: TypeAlias = "bool | int | float | str | list[Json] | dict[str, Json] | Non
 #: Whole numbers that JavaScript holds exactly.
 SAFE_INTEGER = 2**53 - 1
 
+_TEXT = re.compile(r'"(?:[^"\\]|\\.)*"')
 _SURROGATE = re.compile("[\ud800-\udfff]")
 
 
 def parse_json(text: str, where: str, limits: Limits) -> Json:
-    """Parse a JSON text: no duplicate keys, no NaN or infinity, no whole number beyond 2^53 - 1.
+    """Parse a JSON text: no white space outside strings, no key twice, no NaN, no whole number beyond 2^53 - 1.
 
-    >>> parse_json('{"a": [1, 2.5, null]}', "example", Limits())
+    >>> parse_json('{"a":[1,2.5,null]}', "example", Limits())
     {'a': [1, 2.5, None]}
     """
     def pairs(items: list[tuple[str, Json]]) -> dict[str, Json]:
@@ -44,6 +45,8 @@ def parse_json(text: str, where: str, limits: Limits) -> Json:
             raise fault("json-number", where, digits[:40], "finite numbers")
         return float(digits)
 
+    if " " in _TEXT.sub("", text):
+        raise fault("json-syntax", where, "white space outside strings", "none")
     try:
         return cast("Json", json.loads(text, object_pairs_hook=pairs, parse_int=whole, parse_float=number,
                                        parse_constant=number))
@@ -87,10 +90,10 @@ def type_name(value: object) -> str:
     return names.get(type(value), type(value).__name__)
 
 
-def as_object(value: Json, where: str, keys: Collection[str]) -> dict[str, Json]:
-    """An object with exactly these keys.
+def as_object(value: Json, where: str, keys: Collection[str], optional: Collection[str] = ()) -> dict[str, Json]:
+    """An object with exactly these keys, and any of the optional ones.
 
-    >>> as_object({"C": 1}, "example", ("C",))
+    >>> as_object({"C": 1}, "example", ("C",), ("K",))
     {'C': 1}
     """
     found = as_map(value, where)
@@ -98,8 +101,8 @@ def as_object(value: Json, where: str, keys: Collection[str]) -> dict[str, Json]
         if key not in found:
             raise fault("field-missing", f"{where}.{key}", "nothing", "a value")
     for key in found:
-        if key not in keys:
-            raise fault("field-unknown", f"{where}.{key}", repr(key), ", ".join(keys))
+        if key not in keys and key not in optional:
+            raise fault("field-unknown", f"{where}.{key}", repr(key), ", ".join([*keys, *optional]))
     return found
 
 

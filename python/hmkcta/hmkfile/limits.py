@@ -1,4 +1,4 @@
-"""Limits on what a file may declare, checked before anything of that size is allocated (`docs/format.md`, section 7).
+"""Limits on what a file may declare, checked before anything of that size is allocated (`docs/format.md`, part II).
 
 Standard library only.
 """
@@ -25,15 +25,16 @@ class Limits:
     order: int = 8  # modes of the tensor
     axes: int = 32  # axes of the source array
     elements: int = 2**48  # of the source array
-    levels: int = 16
-    nodes: int = 1_000_000  # of all levels together
+    levels: int = 16  # and stages without numbers
+    nodes: int = 1_000_000  # of all stages together
     clusters: int = 65_535  # C_n
     mixture: int = 8  # K_n
     rank: int = 1024  # R_n of a decomposed mode
-    level_cost: int = 2**20  # prod K_n R_n over the decomposed modes, for the largest values of a level
-    json_bytes: int = 16 * 2**20  # the safetensors header, in which the metadata is
+    level_cost: int = 2**20  # prod K_n R_n over the decomposed modes, of any node
+    widened: int = 64 * 2**20  # bytes of the arrays of all stages, beyond 64 a byte of the file
+    json_bytes: int = 16 * 2**20  # the header
     json_depth: int = 16
-    json_string: int = 4096  # characters of any string but the metadata text itself
+    json_string: int = 4096  # characters of any string
 
 
 DEFAULT_LIMITS = Limits()
@@ -45,7 +46,7 @@ def check_limit(reason: str, where: str, found: int, allowed: int) -> None:
     Raises:
         HmkctaError: `ResourceLimit`, of this reason.
 
-    >>> check_limit("order-limit", "hmkcta.organisation", 4, 8)
+    >>> check_limit("order-limit", "header.organisation", 4, 8)
     """
     if found > allowed:
         name = reason.removesuffix("-limit").replace("-", "_")

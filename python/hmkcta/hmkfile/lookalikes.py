@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 import stat
 
-from ..errors import ForeignFile, Kind
-from .limits import DEFAULT_LIMITS, Limits
+from ..errors import ForeignFile, HmkctaError, Kind
 
+_MAGIC = b"\x89HMK\r\n\x1a\n"
 _COMPRESS = "hmkcta compress it, or give the .hmk file that was made of it"
 _SEE = "see in a browser what the server says, and where the file is"
 #: First bytes, lower-cased, what they look like, and what to do.
@@ -33,36 +33,19 @@ _STARTS = (
 START = 64
 
 
-#: Where the JSON of a header begins.
-_JSON_AT = 8
+def foreign(start: bytes) -> HmkctaError:
+    r"""The error of a file that does not begin as an `.hmk` file does, which says what it looks like.
 
-
-def check_start(start: bytes, size: int, limits: Limits) -> None:
-    """Refuse a file of `size` bytes that begins as no `.hmk` file does, even a damaged or truncated one.
-
-    Args:
-        start: its first `START` bytes, or all there are.
-
-    Raises:
-        ForeignFile: reason ``foreign-file``: behind the length there is no ``{``, and the file begins as another format
-            does, or the length is none that a header can have.
-
-    >>> check_start(b"\\x1f\\x8b\\x08" + bytes(20), 23, DEFAULT_LIMITS)
-    Traceback (most recent call last):
-        ...
-    hmkcta.errors.ForeignFile: header: found what begins like a file packed by gzip, allowed an .hmk file. Next: \
-unpack it: gunzip. [Io/foreign-file]
+    >>> foreign(b"\x1f\x8b\x08").found
+    'what begins like a file packed by gzip'
     """
-    if start[_JSON_AT:_JSON_AT + 1] == b"{":
-        return
-    length, found, advice = int.from_bytes(start[:_JSON_AT], "little"), "", ""
-    if size > _JSON_AT:  # fewer bytes might be those of a length
-        begins = start.lstrip().lower() if start.lstrip().startswith(b"<") else start.lower()
-        found, advice = next(((what, advice) for first, what, advice in _STARTS if begins.startswith(first)), ("", ""))
-    is_length = length <= limits.json_bytes and (size <= _JSON_AT or 0 < length <= size - _JSON_AT)
-    if found or not is_length:
-        raise ForeignFile(Kind.IO, "foreign-file", "header", found=f"what begins like {found or 'no .hmk file'}",
-                          allowed="an .hmk file", hint=advice or "check that it is an .hmk file")
+    begins = start.lstrip().lower() if start.lstrip().startswith(b"<") else start.lower()
+    # Of safetensors there is a JSON object behind its length.
+    other = "safetensors" if start[8:9] == b"{" else "no .hmk file"
+    what, advice = next(((what, advice) for first, what, advice in _STARTS if begins.startswith(first)),
+                        (other, "check that it is an .hmk file"))
+    return ForeignFile(Kind.IO, "foreign-file", "header", found=f"what begins like {what}",
+                       allowed="an .hmk file", hint=advice)
 
 
 def is_hmk(path: str | os.PathLike[str]) -> bool:
@@ -77,8 +60,6 @@ def is_hmk(path: str | os.PathLike[str]) -> bool:
         if not stat.S_ISREG(os.stat(path).st_mode):  # a pipe would block on opening
             return False
         with open(path, "rb") as file:
-            start, size = file.read(_JSON_AT + 1), os.fstat(file.fileno()).st_size
+            return file.read(len(_MAGIC)) == _MAGIC
     except (OSError, ValueError):
         return False
-    length = int.from_bytes(start[:_JSON_AT], "little")
-    return start[_JSON_AT:] == b"{" and 2 <= length <= min(size - _JSON_AT, DEFAULT_LIMITS.json_bytes)

@@ -1,12 +1,12 @@
-"""Metadata to and from the JSON object of the file (`docs/format.md`, section 5): every field, type and range.
+"""The header to and from JSON (`docs/format.md`): every field, type and range.
 
-Coordinates of more than `INLINE_COORDS` numbers, or of many digits, are arrays of the file, named in the JSON.
+Coordinates of more than `INLINE_COORDS` numbers, or of many digits, are sections of the file.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import prod
 from typing import Any
@@ -16,60 +16,72 @@ from numpy.typing import NDArray
 
 from ..axes import MOST_COORDS, ROLES, Axis, Organisation, check_organisation, mode_sizes
 from ..errors import HmkctaError
-from ..packed import LevelBounds, LevelQuality, Metadata
-from ..plan import SCHEMES
+from ..packed import LevelQuality, Metadata
 from ..transform import TRANSFORMS
 from .fields import SAFE_INTEGER, Json, as_integer, as_list, as_map, as_number, as_object, as_text, check_sizes
-from .header import ITEM_SIZES, parse_shape
 from .limits import Limits, check_limit
 from .reasons import fault
-from .schema import NUMBER_TYPES, SHORT, TYPE_NAMES, ArrayInfo, version_of
+from .stages import MAX_U32, Stage, parse_stages, stage_to_json
 
-#: The newest version that is read and written.
-VERSION = list(NUMBER_TYPES)[-1]
 KINDS = ("svbrdf", "lightfield", "volume", "generic")
 SOURCE_DTYPES = ("bool", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64",
                  "float16", "float32", "float64")
 
-#: More coordinates than this are stored as an array, which takes about so many bytes of header.
-INLINE_COORDS, ARRAY_HEADER = 64, 160
+#: More coordinates than this have a section, which takes this many bytes besides its numbers.
+INLINE_COORDS, SECTION_BYTES = 64, 32
 
-_MAX_U32 = 2**32 - 1
-_FIELDS = ("version", "source_dtype", "axes", "organisation", "levels", "undecomposed", "kind", "transform", "quality",
-           "source", "writer", "seed", "arrays")
+_DTYPES = {"F32": "<f4", "F64": "<f8"}
+_FIELDS = ("axes", "organisation", "dtype", "stages", "quality")
+_OPTIONAL = ("kind", "transform", "source", "writer", "seed")
 
 
 @dataclass(frozen=True)
-class ArrayRecord:
-    """What the metadata says of an array: CRC-32 of its bytes, and number type and shape up to version 1.1."""
+class CoordSection:
+    """Coordinates of the axis of this number that are a section: number type, and numbers an index (0: plain ones)."""
 
-    crc32: int
-    info: ArrayInfo | None = None
+    axis: int
+    dtype: str
+    width: int
+    size: int
+
+    @property
+    def name(self) -> str:
+        """What the section is called in errors."""
+        return f"axes[{self.axis}].coordinates"
+
+    @property
+    def length(self) -> int:
+        """Bytes of its numbers."""
+        return self.size * max(1, self.width) * np.dtype(_DTYPES[self.dtype]).itemsize
+
+    def numbers(self, data: memoryview) -> NDArray[Any]:
+        """The coordinates, which must be finite."""
+        flat = np.frombuffer(data, _DTYPES[self.dtype]).copy()  # of which no file is needed
+        if not np.isfinite(flat).all():
+            at = int(np.argmin(np.isfinite(flat)))
+            raise fault("not-finite", self.name, f"{flat[at]} at {at}", "finite numbers")
+        return flat.reshape(self.size, self.width) if self.width else flat
 
 
 @dataclass(frozen=True, eq=False)
 class Parsed:
-    """Metadata as parsed: coordinates that are arrays are still missing from the axes, `coords` names them."""
+    """A header as parsed: coordinates that are sections are still missing from the axes."""
 
     metadata: Metadata
-    version: str
-    arrays: dict[str, ArrayRecord]
-    coords: dict[int, str]
+    stages: tuple[Stage, ...]
+    coords: tuple[CoordSection, ...]
 
-    def resolve(self, arrays: Mapping[str, NDArray[Any]]) -> Metadata:
-        """The metadata with the named coordinate arrays put into its axes."""
-        axes = list(self.metadata.axes)
-        for n, name in self.coords.items():
-            axes[n] = replace(axes[n], coords=arrays[name])
-        return replace(self.metadata, axes=tuple(axes))
+    def resolve(self, arrays: Mapping[int, NDArray[Any]]) -> Metadata:
+        """The metadata with the coordinates of axes of these numbers."""
+        axes = tuple(replace(axis, coords=arrays.get(n, axis.coords)) for n, axis in enumerate(self.metadata.axes))
+        return replace(self.metadata, axes=axes)
 
 
-def coords_name(axis: Axis) -> str | None:
-    """Name of the array that holds an axis's coordinates; None where they are inline, few and short, or absent."""
+def is_section(axis: Axis) -> bool:
+    """Whether an axis's coordinates are a section, not inline: they are if they are many, or take more digits."""
     if axis.coords is None:
-        return None
-    short = axis.coords.size <= INLINE_COORDS and _digits(axis) <= coords_array(axis).nbytes + ARRAY_HEADER
-    return None if short else f"coords/{axis.name}"
+        return False
+    return axis.coords.size > INLINE_COORDS or _digits(axis) > coords_array(axis).nbytes + SECTION_BYTES
 
 
 def _digits(axis: Axis) -> int:
@@ -88,44 +100,34 @@ def coords_array(axis: Axis) -> NDArray[Any]:
     return narrow if np.array_equal(narrow, wide) else wide
 
 
-def coords_info(axis: Axis) -> ArrayInfo:
-    """Number type and shape of the array that holds an axis's coordinates."""
-    coords = coords_array(axis)
-    return ArrayInfo(TYPE_NAMES[coords.dtype], coords.shape)
-
-
-def to_json(metadata: Metadata, arrays: Mapping[str, ArrayRecord]) -> dict[str, Any]:
-    """The JSON object of the metadata and of the records of a file's arrays, which have infos here."""
-    version = version_of({name: record.info for name, record in arrays.items() if record.info})
+def to_json(metadata: Metadata, stages: Sequence[Stage]) -> dict[str, Any]:
+    """The header's object; what has its default is absent."""
+    numbers = {axis.name: n for n, axis in enumerate(metadata.axes)}
+    given = {"kind": metadata.kind, "transform": metadata.transform, "source": metadata.source,
+             "writer": metadata.writer, "seed": int(metadata.seed)}
+    absent = {"kind": "generic", "transform": {"name": "identity"}, "source": {}, "writer": "", "seed": 0}
+    kept = {name: value for name, value in given.items() if value != absent[name]}
     return {
-        "version": version, "source_dtype": metadata.source_dtype,
         "axes": [axis_to_json(axis) for axis in metadata.axes],
-        "organisation": [list(mode) for mode in metadata.organisation],
-        "levels": [{"C": _integers(level.clusters), "K": _integers(level.mixture), "R": _integers(level.ranks),
-                    "scheme": level.scheme} for level in metadata.levels],
-        "undecomposed": _integers(metadata.undecomposed), "kind": metadata.kind, "transform": metadata.transform,
+        "organisation": [[numbers[name] for name in mode] for mode in metadata.organisation],
+        "dtype": metadata.source_dtype,
+        "stages": [stage_to_json(stage) for stage in stages],
         "quality": [_quality_to_json(quality) for quality in metadata.quality],
-        "source": metadata.source, "writer": metadata.writer, "seed": int(metadata.seed),
-        "arrays": {name: _record_to_json(record, version) for name, record in arrays.items()},
+        **kept,
     }
 
 
-def _record_to_json(record: ArrayRecord, version: str) -> Any:
-    if record.info is None or version in SHORT:
-        return record.crc32
-    return {"dtype": record.info.dtype, "shape": list(record.info.shape), "crc32": record.crc32}
-
-
-def _integers(values: Iterable[int]) -> list[int]:
-    """Plain numbers: NumPy's own are unknown to JSON."""
-    return [int(value) for value in values]
-
-
 def axis_to_json(axis: Axis) -> dict[str, Any]:
-    """The axis as the metadata holds it; long coordinates are an array of their own, named there."""
-    coords = coords_name(axis)
-    inline = None if axis.coords is None or coords else _inline_coords(axis)
-    return {"name": axis.name, "size": int(axis.size), "role": axis.role, "coords": coords or inline, "unit": axis.unit}
+    """The axis as the header holds it."""
+    coords: dict[str, Any] = {}
+    if is_section(axis):
+        array = coords_array(axis)
+        coords = {"coordinates": {"dtype": "F32" if array.dtype.itemsize == 4 else "F64",
+                                  "width": array.shape[1] if array.ndim > 1 else 0}}
+    elif axis.coords is not None:
+        coords = {"coordinates": _inline_coords(axis)}
+    role = {} if axis.role == "other" else {"role": axis.role}
+    return {"name": axis.name, "size": int(axis.size), **role, **({"unit": axis.unit} if axis.unit else {}), **coords}
 
 
 def _inline_coords(axis: Axis) -> list[Any]:
@@ -143,61 +145,66 @@ def _quality_to_json(quality: LevelQuality) -> dict[str, Any]:
     return {"snr_db": snr, "rmse": float(quality.rmse), "max_abs_error": float(quality.max_abs_error)}
 
 
-def from_json(value: Json, limits: Limits) -> Parsed:
-    """Check the JSON object of a file and return what it says."""
-    root = "hmkcta"
+def from_json(value: Json, size: int, limits: Limits) -> Parsed:
+    """Check the header's object of a file of `size` bytes and return what it says."""
+    root = "header"
     check_sizes(value, root, limits)
-    version = as_map(value, root).get("version")
-    if isinstance(version, str) and version not in NUMBER_TYPES:
-        raise fault("version-unknown", f"{root}.version", repr(version), " or ".join(NUMBER_TYPES), "update hmkcta")
-    fields = as_object(value, root, _FIELDS)
-    version = as_text(fields["version"], f"{root}.version")
+    fields = as_object(value, root, _FIELDS, _OPTIONAL)
     axes, coords = _parse_axes(fields["axes"], f"{root}.axes", limits)
     organisation = _parse_organisation(fields["organisation"], f"{root}.organisation", axes, limits)
-    sizes = mode_sizes(axes, organisation)
-    undecomposed = _parse_undecomposed(fields["undecomposed"], f"{root}.undecomposed", len(sizes))
-    levels = _parse_levels(fields["levels"], f"{root}.levels", sizes, undecomposed, limits)
+    dtype = as_text(fields["dtype"], f"{root}.dtype", SOURCE_DTYPES)
+    kind = as_text(fields.get("kind", "generic"), f"{root}.kind", KINDS)
+    transform = _parse_transform(fields.get("transform", {"name": "identity"}), f"{root}.transform")
+    stages = parse_stages(fields["stages"], f"{root}.stages", mode_sizes(axes, organisation), size, limits)
+    levels = sum(not stage.bounds.is_cut for stage in stages)
     metadata = Metadata(
-        as_text(fields["source_dtype"], f"{root}.source_dtype", SOURCE_DTYPES), axes, organisation, levels,
-        undecomposed, as_text(fields["kind"], f"{root}.kind", KINDS),
-        _parse_transform(fields["transform"], f"{root}.transform"),
-        _parse_quality(fields["quality"], f"{root}.quality", len(levels)),
-        as_map(fields["source"], f"{root}.source"), as_text(fields["writer"], f"{root}.writer"),
-        as_integer(fields["seed"], f"{root}.seed"),
+        dtype, axes, organisation, tuple(stage.bounds for stage in stages), kind, transform,
+        _parse_quality(fields["quality"], f"{root}.quality", levels),
+        as_map(fields.get("source", {}), f"{root}.source"), as_text(fields.get("writer", ""), f"{root}.writer"),
+        as_integer(fields.get("seed", 0), f"{root}.seed"),
     )
-    return Parsed(metadata, version, _parse_arrays(fields["arrays"], f"{root}.arrays", version), coords)
+    return Parsed(metadata, stages, coords)
 
 
-def _parse_axes(value: Json, where: str, limits: Limits) -> tuple[tuple[Axis, ...], dict[int, str]]:
+def _parse_axes(value: Json, where: str, limits: Limits) -> tuple[tuple[Axis, ...], tuple[CoordSection, ...]]:
     items = as_list(value, where)
     check_limit("axes-limit", where, len(items), limits.axes)
     axes: list[Axis] = []
-    named: dict[int, str] = {}
+    sections: list[CoordSection] = []
     for n, item in enumerate(items):
         path = f"{where}[{n}]"
-        fields = as_object(item, path, ("name", "size", "role", "coords", "unit"))
-        name, size = as_text(fields["name"], f"{path}.name"), as_integer(fields["size"], f"{path}.size", 1, _MAX_U32)
-        role, unit = as_text(fields["role"], f"{path}.role", ROLES), as_text(fields["unit"], f"{path}.unit")
-        coords = fields["coords"]
-        if isinstance(coords, str):
-            named[n] = as_text(coords, f"{path}.coords", (f"coords/{name}",))
-            coords = None
-        try:
-            axes.append(Axis(name, size, role, _parse_coords(coords, f"{path}.coords", size), unit))
-        except HmkctaError as error:
-            if error.reason != "bad-axis-name":
-                raise
-            raise fault("field-value", f"{path}.name", error.found, error.allowed) from error
+        fields = as_object(item, path, ("name", "size"), ("role", "unit", "coordinates"))
+        name, size = as_text(fields["name"], f"{path}.name"), as_integer(fields["size"], f"{path}.size", 1, MAX_U32)
+        role = as_text(fields.get("role", "other"), f"{path}.role", ROLES)
+        unit, given, coords = as_text(fields.get("unit", ""), f"{path}.unit"), fields.get("coordinates"), None
+        if isinstance(given, dict):
+            sections.append(_parse_section(given, f"{path}.coordinates", n, size))
+        elif "coordinates" in fields:
+            coords = _parse_coords(given, f"{path}.coordinates", size)
+        axes.append(_axis(name, size, role, coords, unit, path))
         if name in {axis.name for axis in axes[:-1]}:
             raise fault("field-value", f"{path}.name", repr(name), "names that differ")
     check_limit("elements-limit", where, prod(axis.size for axis in axes), limits.elements)
-    return tuple(axes), named
+    return tuple(axes), tuple(sections)
 
 
-def _parse_coords(value: Json, where: str, size: int) -> NDArray[np.float64] | None:
+def _axis(name: str, size: int, role: str, coords: NDArray[Any] | None, unit: str, path: str) -> Axis:
+    try:
+        return Axis(name, size, role, coords, unit)
+    except HmkctaError as error:
+        if error.reason != "bad-axis-name":
+            raise
+        raise fault("field-value", f"{path}.name", error.found, error.allowed) from error
+
+
+def _parse_section(value: Json, where: str, axis: int, size: int) -> CoordSection:
+    fields = as_object(value, where, ("dtype", "width"))
+    dtype = as_text(fields["dtype"], f"{where}.dtype", _DTYPES)
+    return CoordSection(axis, dtype, as_integer(fields["width"], f"{where}.width", 0, MOST_COORDS), size)
+
+
+def _parse_coords(value: Json, where: str, size: int) -> NDArray[np.float64]:
     """Inline coordinates: a list of numbers, or of equally long lists of numbers, one an index."""
-    if value is None:
-        return None
     items = as_list(value, where, size)
     width = len(items[0]) if isinstance(items[0], list) else None
     if width is None:
@@ -211,51 +218,14 @@ def _parse_coords(value: Json, where: str, size: int) -> NDArray[np.float64] | N
 def _parse_organisation(value: Json, where: str, axes: tuple[Axis, ...], limits: Limits) -> Organisation:
     modes = as_list(value, where)
     check_limit("order-limit", where, len(modes), limits.order)
-    organisation = tuple(tuple(as_text(name, f"{where}[{n}]") for name in as_list(mode, f"{where}[{n}]"))
-                         for n, mode in enumerate(modes))
-    if not organisation or not all(organisation):
-        raise fault("field-value", where, "a mode without axes" if organisation else "no modes", "axes in each mode")
-    try:
-        return check_organisation(organisation, axes)
-    except HmkctaError as error:
-        raise fault("organisation", where, error.found, error.allowed) from error
-
-
-def _parse_undecomposed(value: Json, where: str, order: int) -> tuple[int, ...]:
-    modes = tuple(as_integer(mode, where, 0, order - 1) for mode in as_list(value, where))
-    if list(modes) != sorted(set(modes)):
-        raise fault("field-value", where, list(modes), "mode numbers that differ, ascending")
-    return modes
-
-
-def _parse_levels(value: Json, where: str, sizes: tuple[int, ...], undecomposed: tuple[int, ...], limits: Limits
-                  ) -> tuple[LevelBounds, ...]:
-    items = as_list(value, where)
-    if not items:
-        raise fault("field-value", where, "no levels", "1 level and more")
-    check_limit("levels-limit", where, len(items), limits.levels)
-    levels: list[LevelBounds] = []
-    for n, item in enumerate(items):
-        path = f"{where}[{n}]"
-        fields = as_object(item, path, ("C", "K", "R", "scheme"))
-        clusters, mixture, ranks = (tuple(as_integer(number, f"{path}.{key}") for number
-                                          in as_list(fields[key], f"{path}.{key}", len(sizes))) for key in "CKR")
-        scheme = as_text(fields["scheme"], f"{path}.scheme", SCHEMES)
-        levels.append(LevelBounds(clusters, mixture, ranks, scheme))
-        _check_bounds(levels[-1], path, sizes, undecomposed, limits)
-    return tuple(levels)
-
-
-def _check_bounds(bounds: LevelBounds, where: str, sizes: tuple[int, ...], undecomposed: tuple[int, ...],
-                  limits: Limits) -> None:
-    """Limits of a level; the arrays are held against these bounds later."""
-    cost = 1
-    for n, size in enumerate(sizes):
-        check_limit("clusters-limit", f"{where}.C", bounds.clusters[n], limits.clusters)
-        check_limit("mixture-limit", f"{where}.K", bounds.mixture[n], limits.mixture)
-        check_limit("rank-limit", f"{where}.R", bounds.ranks[n], size if n in undecomposed else limits.rank)
-        cost *= 1 if n in undecomposed else bounds.mixture[n] * bounds.ranks[n]
-    check_limit("level-cost-limit", where, cost, limits.level_cost)
+    numbers = [[as_integer(axis, f"{where}[{n}]") for axis in as_list(mode, f"{where}[{n}]")]
+               for n, mode in enumerate(modes)]
+    if not numbers or not all(numbers):
+        raise fault("field-value", where, "a mode without axes" if numbers else "no modes", "axes in each mode")
+    if sorted(axis for mode in numbers for axis in mode) != list(range(len(axes))):
+        raise fault("organisation", where, numbers, f"each of 0 to {len(axes) - 1} exactly once")
+    organisation = tuple(tuple(axes[axis].name for axis in mode) for mode in numbers)
+    return check_organisation(organisation, axes)
 
 
 def _parse_transform(value: Json, where: str) -> dict[str, Any]:
@@ -285,17 +255,3 @@ def _parse_quality(value: Json, where: str, levels: int) -> tuple[LevelQuality, 
         snr = math.inf if exact else as_number(fields["snr_db"], f"{path}.snr_db")
         result.append(LevelQuality(snr, rmse, largest))
     return tuple(result)
-
-
-def _parse_arrays(value: Json, where: str, version: str) -> dict[str, ArrayRecord]:
-    records: dict[str, ArrayRecord] = {}
-    for name, item in as_map(value, where).items():
-        path = f"{where}.{name}"
-        if version in SHORT:
-            records[name] = ArrayRecord(as_integer(item, path, 0, _MAX_U32))
-            continue
-        fields = as_object(item, path, ("dtype", "shape", "crc32"))
-        info = ArrayInfo(as_text(fields["dtype"], f"{path}.dtype", ITEM_SIZES),
-                         parse_shape(fields["shape"], f"{path}.shape"))
-        records[name] = ArrayRecord(as_integer(fields["crc32"], f"{path}.crc32", 0, _MAX_U32), info)
-    return records

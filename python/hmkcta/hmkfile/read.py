@@ -1,51 +1,44 @@
-"""Read a file: nothing is believed before it is checked, and no damage goes unnoticed.
-
-Checks come in this order, so that every reader gives the same reason: header, metadata hash, byte ranges, metadata,
-which arrays there are, their checksums, their contents (`docs/format.md`, section 8).
-"""
+"""Read a file into memory: nothing is believed before it is checked, and no damage goes unnoticed."""
 
 from __future__ import annotations
 
 import mmap
 import os
 import stat
-import zlib
-from collections import Counter
-from collections.abc import Generator, Mapping
+from collections.abc import Generator
 from contextlib import contextmanager
 from io import FileIO
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from ..axes import mode_sizes
 from ..errors import HmkctaError, expect, shown
 from ..packed import Metadata, PackedLevel
-from .check import check_coords, check_levels
+from .check import check_largest, check_nodes, check_reach, reach_of
+from .coding import decode_stage, root_places
+from .container import Section, header_end, header_text, lay_out, payload
 from .fields import parse_json
-from .header import LENGTH_BYTES, TEXT_KEY, Entry, Header, header_length, parse_header
 from .limits import DEFAULT_LIMITS, Limits
-from .lookalikes import START, check_start
-from .metadata import ArrayRecord, Parsed, from_json
+from .lookalikes import START
+from .metadata import Parsed, from_json
 from .reasons import fault
-from .schema import NUMPY_TYPES, SHORT, ArrayInfo, check_order, check_schema, is_number, level_of
-from .short import completed
 
-Loaded: TypeAlias = tuple[Metadata, tuple[PackedLevel, ...]]
+#: What a file holds: the metadata, and the arrays of each stage.
+Loaded = tuple[Metadata, tuple[PackedLevel, ...]]
+
+
+class Frame(NamedTuple):
+    """A file's header and its sections: coordinates, then stage by stage its runs."""
+
+    parsed: Parsed
+    header: int
+    coords: list[Section]
+    runs: list[list[Section]]
 
 
 def load(path: str | os.PathLike[str], *, verify: bool = True, limits: Limits = DEFAULT_LIMITS) -> Loaded:
-    """Read a file. Its arrays are read-only views of the memory-mapped file; bytes and packed numbers are widened.
-
-    Args:
-        path: a regular file.
-        verify: compare the CRC-32 of each array. Without it, flipped bits in the numbers go unnoticed; indices,
-            offsets and finiteness are checked in any case.
-        limits: the largest sizes accepted.
+    """Read a file; `verify`: compare the checksums of its sections.
 
     Raises:
-        HmkctaError: the file cannot be read, or violates the format in any way; see `REASONS`.
+        HmkctaError: it is missing, damaged, of a later version, or beyond the limits.
     """
     with open_regular(path) as file:
         return load_open(file, path, verify=verify, limits=limits)
@@ -64,15 +57,69 @@ def load_open(
         raise
 
 
-def table_bytes(path: str | os.PathLike[str]) -> list[int]:
-    """Bytes that each level's arrays but core and basis numbers have in a file that `load` accepts."""
+def loads(data: bytes | bytearray | memoryview | mmap.mmap, *, verify: bool = True, limits: Limits = DEFAULT_LIMITS
+          ) -> Loaded:
+    """Read a file whose bytes are in memory. As `load` in all else."""
+    view = memoryview(data).toreadonly()
+    parsed, _, coords, runs = frame_of(view, limits)
+    arrays: dict[int, Any] = {own.axis: own.numbers(payload(view, section, verify=verify))
+                              for own, section in zip(parsed.coords, coords, strict=True)}
+    metadata = parsed.resolve(arrays)
+    return metadata, _stages(view, parsed, runs, limits, verify=verify)
+
+
+def _stages(
+    view: memoryview, parsed: Parsed, runs: list[list[Section]], limits: Limits, *, verify: bool
+) -> tuple[PackedLevel, ...]:
+    places = root_places(parsed.metadata.axes, parsed.metadata.organisation)
+    levels: list[PackedLevel] = []
+    reach = 0.0
+    for t, (stage, sections) in enumerate(zip(parsed.stages, runs, strict=True)):
+        name = f"stages[{t}]"
+        after = parsed.stages[t + 1] if t + 1 < len(parsed.stages) else None
+        payloads = [payload(view, section, verify=verify) for section in sections]
+        level, places = decode_stage(stage, places, after, payloads, name)
+        check_nodes(level, stage, limits, name)
+        check_largest(level, stage, name)
+        reach += reach_of(level, name)
+        check_reach(reach, name)
+        levels.append(level)
+    return tuple(levels)
+
+
+def frame_of(view: memoryview, limits: Limits = DEFAULT_LIMITS) -> Frame:
+    """Check a file's header, and that the file is as long as that says."""
+    end = header_end(bytes(view[:START]), len(view), limits)
+    parsed = from_json(parse_json(header_text(view, end), "header", limits), len(view), limits)
+    lengths = [(own.name, own.length) for own in parsed.coords]
+    lengths += [(f"stages[{t}].runs[{i}]", length) for t, stage in enumerate(parsed.stages)
+                for i, length in enumerate(stage.lengths)]
+    sections = iter(lay_out(end, lengths, len(view)))
+    return Frame(parsed, end, [next(sections) for _ in parsed.coords],
+                 [[next(sections) for _ in stage.runs] for stage in parsed.stages])
+
+
+def level_bytes(path: str | os.PathLike[str]) -> list[int]:
+    """Bytes of each level's sections, with those of stages without numbers before it, in a file that `load` accepts."""
     with open_regular(path) as file:
-        entries = read_header(memoryview(_mapped(file, path)), DEFAULT_LIMITS).entries
-    counted = Counter[int]()
-    for name, entry in entries.items():
-        if name.startswith("level/") and not is_number(name):
-            counted[int(name.split("/")[1])] += entry.end - entry.begin
-    return [counted[level] for level in sorted(counted)]
+        frame = frame_of(memoryview(_mapped(file, path)))
+    sizes = [sum(section.end - section.begin for section in own) for own in frame.runs]
+    return by_level([stage.bounds.is_cut for stage in frame.parsed.stages], sizes)
+
+
+def by_level(cut: list[bool], sizes: list[int]) -> list[int]:
+    """Sums over the stages of each level.
+
+    >>> by_level([True, False, False], [1, 2, 4])
+    [3, 4]
+    """
+    sums, held = list[int](), 0
+    for is_cut, size in zip(cut, sizes, strict=True):
+        held += size
+        if not is_cut:
+            sums.append(held)
+            held = 0
+    return sums
 
 
 def open_regular(path: str | os.PathLike[str]) -> FileIO:
@@ -114,64 +161,3 @@ def _as_unreadable(path: str | os.PathLike[str]) -> Generator[None]:
         where = shown(path) if isinstance(path, bytes) else str(path)  # which may be what somebody read from a file
         said = getattr(error, "strerror", None) or error
         raise fault("unreadable", where, said, "a readable file", told=f"cannot be read: {said}") from error
-
-
-def loads(data: bytes | bytearray | mmap.mmap, *, verify: bool = True, limits: Limits = DEFAULT_LIMITS) -> Loaded:
-    """Read a file whose bytes are in memory; the arrays are views of them. As `load` in all else."""
-    view = memoryview(data).toreadonly()
-    header = read_header(view, limits)
-    parsed = from_json(parse_json(header.text, TEXT_KEY, limits), limits)
-    infos = {name: ArrayInfo(entry.dtype, entry.shape) for name, entry in header.entries.items()}
-    _check_records(parsed.arrays, infos)
-    check_schema(parsed.metadata, parsed.version, parsed.coords, infos, limits)
-    check_order(list(infos), infos)
-    if verify:
-        _verify(view, header, parsed)
-    arrays = {name: _array(view, header.data_start, entry) for name, entry in header.entries.items()}
-    check_coords({name: arrays[name] for name in parsed.coords.values()})
-    metadata = parsed.resolve(arrays)
-    if parsed.version in SHORT:
-        sizes = mode_sizes(metadata.axes, metadata.organisation)
-        arrays = completed(arrays, sizes, len(metadata.levels), metadata.undecomposed)
-    levels = tuple(level_of(arrays, level, len(metadata.organisation))
-                   for level in range(1, len(metadata.levels) + 1))
-    check_levels(metadata, levels)
-    return metadata, levels
-
-
-def read_header(view: memoryview, limits: Limits) -> Header:
-    """Parse the header of a file's bytes and check which bytes it gives to which array."""
-    check_start(bytes(view[:START]), len(view), limits)
-    length = header_length(bytes(view[:LENGTH_BYTES]), len(view), limits)
-    return parse_header(bytes(view[LENGTH_BYTES:LENGTH_BYTES + length]), len(view), limits)
-
-
-def _check_records(records: Mapping[str, ArrayRecord], infos: Mapping[str, ArrayInfo]) -> None:
-    """The header and the metadata must speak of the same arrays."""
-    for name, record in records.items():
-        if name not in infos:
-            raise fault("array-missing", name, "no such array", "an array, as the metadata has a record of it")
-        if record.info is not None and infos[name].dtype != record.info.dtype:
-            raise fault("array-dtype", name, infos[name].dtype, record.info.dtype)
-        if record.info is not None and infos[name].shape != record.info.shape:
-            raise fault("array-shape", name, list(infos[name].shape), list(record.info.shape))
-    for name in infos:
-        if name not in records:
-            raise fault("array-unexpected", name, "an array", "none without a record in the metadata")
-
-
-def _verify(view: memoryview, header: Header, parsed: Parsed) -> None:
-    for name, entry in header.entries.items():
-        crc = zlib.crc32(view[header.data_start + entry.begin:header.data_start + entry.end])
-        if crc != parsed.arrays[name].crc32:
-            found = f"stored bytes whose checksum (CRC-32) is {crc:#010x}"
-            allowed = f"{parsed.arrays[name].crc32:#010x}, as the metadata say"
-            raise fault("array-crc", name, found, allowed, "fetch the file again")
-
-
-def _array(view: memoryview, start: int, entry: Entry) -> NDArray[Any]:
-    dtype = np.dtype(NUMPY_TYPES[entry.dtype])
-    if entry.begin == entry.end:
-        return np.empty(entry.shape, dtype)
-    count = (entry.end - entry.begin) // dtype.itemsize
-    return np.frombuffer(view, dtype, count, start + entry.begin).reshape(entry.shape)

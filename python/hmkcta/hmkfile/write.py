@@ -4,114 +4,68 @@ from __future__ import annotations
 
 import hashlib
 import os
-import zlib
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
-from math import prod
-from typing import Any, TypeAlias, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import HmkctaError, Kind, invalid
-from ..narrow import BASIS_NUMBERS, CORE_NUMBERS, widened
-from ..packed import Metadata, PackedLevel
-from ..plan import SCHEMES
-from .check import check_levels
-from .header import ITEM_SIZES, TEXT_KEY, format_header, format_json
+from ..packed import U32, Metadata, PackedLevel, bounds_of
+from .coding import arrays_of, encode_stage, following, root_places
+from .container import closed, prefix_of
 from .limits import DEFAULT_LIMITS, Limits
-from .metadata import ArrayRecord, coords_array, coords_name, to_json
+from .metadata import coords_array, is_section, to_json
 from .publish import check_output, published
-from .read import loads
+from .read import by_level, loads
 from .reasons import fault
-from .schema import (
-    LEVEL_TYPES,
-    NUMPY_TYPES,
-    TYPE_NAMES,
-    WHOLE,
-    ArrayInfo,
-    check_schema,
-    file_order,
-    in_file_order,
-    prefix,
-)
-from .short import shortened
-from .tables import check_entries
+from .stages import Run, Stage
+from .text import format_json
 
-Piece: TypeAlias = bytes | memoryview
-
-#: A checksum with the most digits, and a figure as long as any of six decimals, or of seven digits and an exponent.
-_WIDEST_CRC, _WIDEST_FIGURE = 2**32 - 1, -1234.567891
+#: Types of the arrays of a stage.
+_TYPES = {"shape": np.uint32, "child": np.uint32, "row_offset": np.uint32, "core": np.float16, "core_offset": np.uint32,
+          "core_scale": np.float32, "cell_offset": np.uint32, "cluster": np.uint16, "cluster_offset": np.uint32,
+          "basis": np.float16, "basis_offset": np.uint32, "part": np.uint16, "local": np.uint32, "column": np.uint8}
 
 
-def encode(metadata: Metadata, levels: Sequence[PackedLevel]) -> list[Piece]:
-    """The bytes of the file, in pieces that share the memory of the model's arrays. `save` also checks the model.
+#: Those of each mode, and those that the last stage does not have.
+_OF_MODES = ("row_offset", "cluster", "cluster_offset", "basis", "basis_offset", "part", "local", "column")
+_NOT_AT_LAST = ("child", "part", "local")
+
+
+def encode(metadata: Metadata, levels: Sequence[PackedLevel]) -> list[bytes]:
+    """The bytes of the file, in pieces. `save` also checks the model.
 
     Raises:
         HmkctaError: `InvalidArgument` where the model holds something that has no place in a file at all.
     """
     with _as_invalid_argument():
-        coords = _coords(metadata)
-        _check_types(levels)
-        if _is_short(levels):
-            _check_whole(metadata, levels, coords)
-        infos = _infos(levels, coords, short=_is_short(levels))
-        arrays = _arrays(levels, coords, short=_is_short(levels))
-        _check_bytes(arrays, levels)
-        pieces = [_bytes_of(array, infos[name].dtype) for name, array in arrays.items()]
-        records = {name: ArrayRecord(zlib.crc32(piece), infos[name])
-                   for name, piece in zip(arrays, pieces, strict=True)}
-        text = _metadata_text(metadata, records)
-        header = format_header(
-            infos, text, hashlib.sha256(text.encode()).hexdigest(), least=header_size(metadata, infos)
-        )
-    return [header, *pieces]
+        coded = _coded(metadata, levels)
+        stages = [_stage(level, metadata.stages[t].scheme, [run for _, run in runs])
+                  for t, (level, runs) in enumerate(zip(levels, coded, strict=True))]
+        header = _header(metadata, stages)
+        coords = [coords_array(axis).tobytes() for axis in metadata.axes if is_section(axis)]
+        sections = [*([array] for array in coords), *(pieces for runs in coded for pieces, _ in runs)]
+        return [prefix_of(header), header, *(piece for section in sections for piece in closed(section))]
 
 
-def header_digest(metadata: Metadata, levels: Sequence[PackedLevel]) -> str:
-    """SHA-256 of the header of the model's file, which has the checksums of all that follows it."""
-    return hashlib.sha256(encode(metadata, levels)[0]).hexdigest()
+def file_digest(metadata: Metadata, levels: Sequence[PackedLevel]) -> str:
+    """SHA-256 of the model's file."""
+    digest = hashlib.sha256()
+    for piece in encode(metadata, levels):
+        digest.update(piece)
+    return digest.hexdigest()
 
 
 def encoded_size(metadata: Metadata, levels: Sequence[PackedLevel]) -> int:
-    """Exact number of bytes of the file that `save` writes; neither checksums nor quality change it."""
+    """Exact number of bytes of the file that `save` writes."""
+    return sum(map(len, encode(metadata, levels)))
+
+
+def level_sizes(metadata: Metadata, levels: Sequence[PackedLevel]) -> list[int]:
+    """Bytes of each level's sections in the file, with those of the stages without numbers before it."""
     with _as_invalid_argument():
-        _check_types(levels)
-        return file_size(metadata, _infos(levels, _coords(metadata), short=_is_short(levels)))
-
-
-def level_sizes(levels: Sequence[PackedLevel]) -> list[int]:
-    """Bytes of each level's arrays in the file of all of them."""
-    sizes = [0] * len(levels)
-    for name, (dtype, shape) in _infos(levels, {}, short=_is_short(levels)).items():
-        sizes[int(name.split("/")[1]) - 1] += prod(shape) * ITEM_SIZES[dtype]
-    return sizes
-
-
-def file_size(metadata: Metadata, arrays: Mapping[str, ArrayInfo]) -> int:
-    """Bytes of a file with these arrays, known before their values and the figures of quality are."""
-    numbers = sum(prod(shape) * ITEM_SIZES[dtype] for dtype, shape in arrays.values())
-    return header_size(metadata, in_file_order(arrays)) + numbers
-
-
-def header_size(metadata: Metadata, arrays: Mapping[str, ArrayInfo]) -> int:
-    """Bytes of the header, where all that is known only after a fit (checksums, figures of quality, subdivision) takes
-    the most room it usually may."""
-    records = {name: ArrayRecord(_WIDEST_CRC, info) for name, info in arrays.items()}
-    text = _metadata_text(metadata, records, widest=True)
-    return len(format_header(arrays, text, "0" * 64))
-
-
-def _widest(value: Any) -> Any:
-    """A JSON value, its measured figures (null is one) replaced by texts as wide as such figures come."""
-    if isinstance(value, Mapping):
-        return {key: _widest(item) for key, item in cast("Mapping[str, Any]", value).items()}
-    if isinstance(value, list | tuple):
-        return [_widest(item) for item in cast("Sequence[Any]", value)]
-    if value is None or isinstance(value, float):
-        return value if len(repr(value)) > len(repr(_WIDEST_FIGURE)) else _WIDEST_FIGURE
-    return value
+        sizes = [sum(len(piece) for pieces, _ in runs for piece in closed(pieces)) for runs in _coded(metadata, levels)]
+    return by_level([level.is_cut for level in levels], sizes)
 
 
 def save(path: str | os.PathLike[str], metadata: Metadata, levels: Sequence[PackedLevel], *, overwrite: bool = False,
@@ -126,10 +80,75 @@ def save(path: str | os.PathLike[str], metadata: Metadata, levels: Sequence[Pack
     check_output(path, overwrite)
     data = b"".join(encode(metadata, levels))
     with _as_invalid_argument():
-        loads(data, verify=False, limits=limits)  # no file is written that the reader would refuse
+        _check_read(loads(data, verify=False, limits=limits)[1], levels)
     with published(path, overwrite) as file:
         file.write(data)
     return len(data)
+
+
+def _coded(metadata: Metadata, levels: Sequence[PackedLevel]) -> list[list[tuple[list[bytes], Run]]]:
+    """The runs of each stage."""
+    if len(levels) != len(metadata.stages):
+        raise fault("array-shape", "levels", f"{len(levels)} stages", f"{len(metadata.stages)}, as the metadata say")
+    places = root_places(metadata.axes, metadata.organisation)
+    coded: list[list[tuple[list[bytes], Run]]] = []
+    for t, level in enumerate(levels):
+        name = f"stages[{t}]"
+        _check_arrays(level, name, last=level is levels[-1])
+        _check_rows(level, places["rows"].reshape(-1, level.order), name)
+        coded.append(encode_stage(level, places, name))
+        if level is not levels[-1]:
+            places = following(level, places, name)
+    return coded
+
+
+def _stage(level: PackedLevel, scheme: str, runs: Sequence[Run]) -> Stage:
+    rows = tuple(int(offsets[-1]) for offsets in level.row_offset)
+    half = level.step is None and not level.is_cut
+    return Stage(level.nodes, bounds_of(level, scheme), level.step, half, rows, tuple(runs))
+
+
+def _header(metadata: Metadata, stages: Sequence[Stage]) -> bytes:
+    try:
+        return format_json(to_json(metadata, stages)).encode()
+    except (TypeError, ValueError, RecursionError) as error:
+        raise fault("field-type", "header", error, "strings, finite numbers, lists and objects") from error
+
+
+def _check_arrays(level: PackedLevel, name: str, *, last: bool) -> None:
+    """Number types, and arrays where there must be some: without these there is no telling what a stage holds."""
+    if level.shape.ndim != 3 or level.shape.shape[1] != 3:
+        raise fault("array-shape", f"{name}.shape", list(level.shape.shape), "[nodes, 3, modes]")
+    for field, dtype in _TYPES.items():
+        absent = (last and field in _NOT_AT_LAST) or (field == "column" and level.step is None)
+        arrays = arrays_of(level, field)
+        modes = (0 if field == "column" and absent else level.order) if field in _OF_MODES else 1
+        if len(arrays) != modes:
+            raise fault("array-shape", f"{name}.{field}", f"{len(arrays)} modes", modes)
+        for array in arrays:
+            if (array is None) != absent:
+                raise fault("array-shape", f"{name}.{field}", "no array" if array is None else "an array",
+                            "none" if absent else "an array")
+            if array is not None and array.ndim != (3 if field == "shape" else 1):
+                raise fault("array-shape", f"{name}.{field}", f"{array.ndim} dimensions", 1)
+            if array is not None and array.dtype != dtype:
+                raise fault("array-dtype", f"{name}.{field}", array.dtype, np.dtype(dtype))
+
+
+def _check_rows(level: PackedLevel, rows: U32, name: str) -> None:
+    """A stage's nodes must own the rows that the stage before gives them."""
+    for n, offsets in enumerate(level.row_offset):
+        if not np.array_equal(np.diff(offsets.astype(np.int64)), rows[:, n].astype(np.int64)):
+            raise fault("row-count", f"{name}.row_offset[{n}]", "other rows", "those that the parts of parents give")
+
+
+def _check_read(read: Sequence[PackedLevel], levels: Sequence[PackedLevel]) -> None:
+    """What a file leaves out must be in the arrays as a reader makes it: a model with other arrays would be another."""
+    for t, (one, other) in enumerate(zip(read, levels, strict=True)):
+        for field in ("shape", "child", "row_offset", "cluster", "part", "local", "core_offset", "basis_offset"):
+            pairs = zip(arrays_of(one, field), arrays_of(other, field), strict=True)
+            if any(a is not None and b is not None and not np.array_equal(a, b) for a, b in pairs):
+                raise fault("array-shape", f"stages[{t}].{field}", "other numbers", "those that a reader finds")
 
 
 @contextmanager
@@ -144,104 +163,3 @@ def _as_invalid_argument() -> Generator[None]:
                 error.kind, error.reason, error.where, found=error.found, allowed=error.allowed, hint=hint
             ) from error
         raise invalid(error.reason, error.where, error.found, error.allowed, error.hint) from error
-
-
-def _metadata_text(metadata: Metadata, records: dict[str, ArrayRecord], *, widest: bool = False) -> str:
-    try:
-        described = to_json(metadata, records)
-        if widest:
-            described |= {field: _widest(described[field]) for field in ("quality", "source")}
-            described["levels"] = [{**level, "scheme": max(SCHEMES, key=len)} for level in described["levels"]]
-        text = format_json(described)
-        text.encode()
-        return text
-    except (TypeError, ValueError, RecursionError) as error:
-        raise fault("field-type", TEXT_KEY, error, "strings, finite numbers, lists and objects") from error
-
-
-def _coords(metadata: Metadata) -> dict[str, NDArray[Any]]:
-    """The coordinates that are arrays."""
-    return {name: coords_array(axis) for axis in metadata.axes if (name := coords_name(axis)) is not None}
-
-
-def _is_short(levels: Sequence[PackedLevel]) -> bool:
-    """Whether the file leaves out what follows from other arrays: readers that know bytes know that as well."""
-    return any(packed.bits == 8 for packed in levels)
-
-
-def _check_whole(metadata: Metadata, levels: Sequence[PackedLevel], coords: Mapping[str, NDArray[Any]]) -> None:
-    """A model is checked with all that short tables leave out: what is wrong might be among it."""
-    names = {n: name for n, axis in enumerate(metadata.axes) if (name := coords_name(axis)) is not None}
-    check_schema(metadata, WHOLE, names, _infos(levels, coords, short=False), DEFAULT_LIMITS)
-    check_levels(metadata, levels)
-
-
-def _arrays(levels: Sequence[PackedLevel], coords: Mapping[str, NDArray[Any]], *, short: bool, wide: bool = False
-            ) -> dict[str, NDArray[Any]]:
-    """Names and arrays in the order of the file; if `wide`, core and basis numbers as they are in memory."""
-    stored = [(prefix(level) + name, array) for level, packed in enumerate(levels, 1)
-              for name, array in (*(shortened(packed) if short else replace(packed, rice=()).tables()),
-                                  *(packed.wide() if wide else packed.coefficients()))]
-    return file_order([*coords.items(), *stored])
-
-
-def _infos(levels: Sequence[PackedLevel], coords: Mapping[str, NDArray[Any]], *, short: bool) -> dict[str, ArrayInfo]:
-    """Number types and shapes in the order of the file, for which no number is narrowed."""
-    infos = {name: ArrayInfo(TYPE_NAMES[array.dtype.newbyteorder("<")], array.shape)
-             for name, array in _arrays(levels, coords, short=short, wide=True).items()}
-    for level, packed in enumerate(levels, 1):
-        for name, array in packed.wide() if packed.bits == 8 else ():
-            if short and packed.rice:  # of a whole file offsets are still to be checked, by which bits are counted
-                stored = packed.core_bytes if name == "core" else packed.basis_bytes(int(name.split("/")[1]))
-                infos[prefix(level) + name] = ArrayInfo("U8", (stored,))
-            else:
-                infos[prefix(level) + name] = ArrayInfo("I8", array.shape)
-    return infos
-
-
-def _check_bytes(arrays: Mapping[str, NDArray[Any]], levels: Sequence[PackedLevel]) -> None:
-    """The bytes of a level must stand for the very numbers that it holds."""
-    for level, packed in enumerate(levels, 1):
-        for name, numbers in packed.wide() if packed.bits == 8 else ():
-            stored = arrays[prefix(level) + name]
-            table = CORE_NUMBERS if name == "core" else BASIS_NUMBERS
-            differ = (packed.unpacked(name, stored) if packed.rice else widened(stored, table)) != numbers
-            if not differ.any():
-                continue
-            found = numbers[differ][0]
-            raise fault("array-dtype" if np.isfinite(found) else "not-finite", prefix(level) + name, found,
-                        "whole numbers that there are codes for" if packed.rice else "numbers that a byte stands for")
-
-
-def _check_types(levels: Sequence[PackedLevel]) -> None:
-    """Wrong types and parameters are refused first, as they would also spoil the order and the sizes in the file."""
-    for level, packed in enumerate(levels, 1):
-        if packed.shape.ndim != 3:
-            raise fault("array-shape", f"{prefix(level)}shape", list(packed.shape.shape), "[nodes, 3, modes]")
-        for name, array in (*packed.tables(), *packed.wide()):
-            allowed = LEVEL_TYPES[name.split("/")[0]]
-            if TYPE_NAMES.get(array.dtype.newbyteorder("<")) != allowed:
-                raise fault("array-dtype", prefix(level) + name, array.dtype, NUMPY_TYPES[allowed])
-        _check_columns(packed, prefix(level))
-
-
-def _check_columns(packed: PackedLevel, level: str) -> None:
-    """Without sound parameters there is no telling how long the arrays of a packed level are."""
-    if packed.rice and len(packed.rice) != packed.order:
-        raise fault("array-shape", f"{level}rice", f"of {len(packed.rice)} modes", f"of {packed.order}, or of none")
-    for n, (entries, basis) in enumerate(zip(packed.rice, packed.basis, strict=bool(packed.rice))):
-        if entries is not None and (packed.bits != 8 or basis is None):
-            raise fault("array-unexpected", f"{level}rice/{n}", "an array", "one beside a basis of few bits alone")
-        if basis is not None and entries is None:
-            raise fault("array-missing", f"{level}rice/{n}", "no such array", "one for each decomposed mode")
-        if entries is not None:
-            check_entries(f"{level}rice/{n}", entries, packed.shape[:, 2, n])
-    if packed.rice and all(basis is None for basis in packed.basis):
-        raise fault("array-dtype", f"{level}core", "packed", "a level with bases")
-
-
-def _bytes_of(array: NDArray[Any], dtype: str) -> Piece:
-    """The array's little-endian bytes in C order, without a copy where it has them."""
-    if not array.size:
-        return b""
-    return np.ascontiguousarray(array, NUMPY_TYPES[dtype]).reshape(-1).view(np.uint8).data

@@ -53,7 +53,7 @@ NOT_READ = (
     NotRead("MATLAB before 7.3", "save it with -v7.3, or an array of scipy.io.loadmat by numpy.save",
             (*_at(b"MATLAB 5.0"), *_at(b"\0\1IM", b"\1\0MI", place=124)), (".mat",), "MATLAB 7.3, which is HDF5"),
     NotRead("a compressed file", "decode it first: hmkcta decompress IN.hmk -o OUT.npy",
-            _at(b'{"__metadata__":{"hmkcta"', place=8), allowed="the array that was compressed"),
+            _at(b"\x89HMK\r\n\x1a\n"), allowed="the array that was compressed"),
     NotRead("a FreeSurfer volume (MGH)", "convert it: mri_convert IN.mgz OUT.nii.gz; or " + _NIBABEL,
             endings=(".mgz", ".mgh", ".mgh.gz"), allowed="NIfTI"),
     NotRead("AFNI's format", "convert it: 3dAFNItoNIFTI IN+orig", endings=(".head", ".brik", ".brik.gz"),

@@ -19,6 +19,7 @@ from ..errors import HmkctaError, invalid
 from ..labels import named
 from ..support.optional import library
 from .source import Layout, choose, guarded, io_error, map_part
+from .tiff_scaling import as_meant
 from .unpacked import BLOCK, Part, Unpacker, block_parts
 
 #: Names of axes by tifffile's letters; others get tifffile's own words.
@@ -32,7 +33,7 @@ def open_tiff(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any
     """Open a TIFF file: page (of several), y, x, channel (of several), or the axes that its series says.
 
     Palettes are looked up, but for those of ImageJ, which only say how its numbers are shown. Pages of another shape or
-    type are a series of their own, counted from 0: ``file.tif:1``.
+    type are a series of their own, counted from 0: ``file.tif:1``. Calibrations of ImageJ and GDAL are applied.
 
     Raises:
         HmkctaError: tifffile or imagecodecs is missing, the file is damaged, or has several series and none is chosen.
@@ -51,6 +52,7 @@ def open_tiff(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any
             array = map_part(path, Layout(layout.shape, ordered), int(chosen.dataoffset), str(path))
         else:
             array = _pages(chosen, layout, str(path), unpacker)
+        array = as_meant(array, chosen.keyframe, file.imagej_metadata, str(path), unpacker)
         return _with_axes(array, chosen)
 
 

@@ -1,6 +1,6 @@
 """The part of a prelude that adds up the cells of a node for `weighted.wgsl`: loops with everything in registers.
 
-For levels whose nodes all have the same ranks. One loop a mode goes over the clusters that any row inside the node is a
+For stages whose nodes all have the same ranks. One loop a mode goes over the clusters that any row inside the node is a
 member of. What depends on one mode alone (is the row a member, where do its basis rows of this cluster begin) is found
 in the loop of that mode, so that the innermost one has nothing left but to read and to multiply.
 
@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import prod
 
-from ..packed import Metadata
+from .tree import Tree, undecomposed_in
 
 #: Clusters of a mode are kept in a mask of one word.
 _MOST_CLUSTERS = 32
@@ -29,40 +29,39 @@ _UNROLLED = 32
 _MOST_WORDS = 18
 
 
-def picked_cells(metadata: Metadata, room: Sequence[int], colour: int | None, contracted: Sequence[int],
-                 uniform: Sequence[int], tinted: bool = False) -> list[str]:
-    """`picked_node(node, depth)`: what a node adds, by registers where its level allows it, else by `picked_value`.
+def picked_cells(tree: Tree, room: Sequence[int], colour: int | None, contracted: Sequence[int],
+                 tinted: bool = False) -> list[str]:
+    """`picked_node(node, depth)`: what a node adds, by registers where its stage allows it, else by `picked_value`.
 
     Args:
-        metadata: the model's.
+        tree: what is known of the model.
         room: for each mode the most rows that it has at once.
         colour: the mode with the colours.
         contracted: modes that are summed into the cores already.
-        uniform: levels, from 0, whose nodes that are not empty all have the ranks in the metadata.
         tinted: whether contracted cores hold colours.
     """
-    chosen = registered_levels(metadata, room, colour, contracted, uniform, tinted)
+    chosen = registered_stages(tree, room, colour, contracted, tinted)
     cases: dict[str, list[int]] = {}
     lines: list[str] = []
-    for level, cells in chosen.items():
+    for stage, cells in chosen.items():
         if cells.name not in cases:
             lines += cells.function()
-        cases.setdefault(cells.name, []).append(level)
-    choices = [f"    case {', '.join(f'{level}u' for level in levels)}: {{ return {name}(node, depth); }}"
-               for name, levels in cases.items()]
-    rest = "picked_value(node, depth)" if len(chosen) < len(metadata.levels) else "Value(0.0)"
+        cases.setdefault(cells.name, []).append(stage)
+    choices = [f"    case {', '.join(f'{stage}u' for stage in stages)}: {{ return {name}(node, depth); }}"
+               for name, stages in cases.items()]
+    rest = "picked_value(node, depth)" if len(chosen) < len(tree.metadata.levels) else "Value(0.0)"
     return [*lines, "fn picked_node(node: u32, depth: u32) -> Value {", "  switch depth {", *choices,
             f"    default: {{ return {rest}; }}", "  }", "}"]
 
 
-def registered_levels(metadata: Metadata, room: Sequence[int], colour: int | None, contracted: Sequence[int],
-                      uniform: Sequence[int], tinted: bool = False) -> dict[int, Cells]:
-    """The levels, from 0, whose cells are added up by registers, with the arguments of `picked_cells`."""
-    if max(room) > _MOST_ROWS or any(n not in contracted for n in metadata.undecomposed):
+def registered_stages(tree: Tree, room: Sequence[int], colour: int | None, contracted: Sequence[int],
+                      tinted: bool = False) -> dict[int, Cells]:
+    """The stages, from 0, whose cells are added up by registers, with the arguments of `picked_cells`."""
+    if max(room) > _MOST_ROWS:
         return {}
-    return {level: Cells(bounds.ranks, tuple(room), colour, tuple(contracted), prod(bounds.clusters) == 1, tinted)
-            for level in uniform for bounds in [metadata.levels[level]]
-            if max(bounds.clusters) <= _MOST_CLUSTERS
+    return {stage: Cells(bounds.ranks, tuple(room), colour, tuple(contracted), prod(bounds.clusters) == 1, tinted)
+            for stage in tree.uniform for bounds in [tree.metadata.stages[stage]]
+            if max(bounds.clusters) <= _MOST_CLUSTERS and set(undecomposed_in(bounds)) <= set(contracted)
             and all(rank <= _MOST_RANK for n, rank in enumerate(bounds.ranks) if n not in contracted)}
 
 

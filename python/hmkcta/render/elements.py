@@ -59,4 +59,4 @@ def _decode(model: Model, axes: list[Index]) -> F32:
         for name in members:
             coords[:, mode] = coords[:, mode] * model.shape[number[name]] + axes[number[name]]
     sizes = mode_sizes(metadata.axes, metadata.organisation)
-    return np.asarray(decode_elements(model.levels, sizes, coords), np.float32)
+    return np.asarray(decode_elements(model.stages, sizes, coords), np.float32)

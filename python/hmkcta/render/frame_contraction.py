@@ -7,6 +7,7 @@ lie close together: an undecomposed time mode scatters them over all time steps.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, final
 
 import numpy as np
@@ -28,6 +29,7 @@ from .prelude import (
     prelude,
     rooms,
 )
+from .tree import Tree, tree_of
 
 U32 = NDArray[np.uint32]
 
@@ -53,20 +55,19 @@ def contractable(model: Model, still: Sequence[int], folds: int = 1) -> tuple[in
     modes, _ = axis_places(model.metadata)
     found = tuple(n for n in range(len(model.metadata.organisation))
                   if all(axis in still for axis, mode in enumerate(modes) if mode == n))
-    return found if _words(model.levels, found, folds) <= 1 << PAGE_SHIFT else ()
+    return found if _words(model.stages, found, folds) <= 1 << PAGE_SHIFT else ()
 
 
-def contraction_constants(metadata: Metadata, levels: Sequence[PackedLevel], image: Image, options: Options
-                          ) -> dict[str, int]:
+def contraction_constants(tree: Tree, stages: Sequence[PackedLevel], image: Image, options: Options) -> dict[str, int]:
     """The constants that `contract.wgsl` needs beside the prelude of the same model with nothing contracted."""
-    room = rooms(metadata, options)
-    taken = (sum(room[n] if n in metadata.undecomposed else level.ranks[n] for n in options.contracted)
-             for level in metadata.levels)
-    most = max((int(count) for level in levels for count in _numbers(level, options.contracted)), default=1)
+    room = rooms(tree.metadata, options)
+    most = max((int(count) for stage in stages for count in _numbers(stage, options.contracted)), default=1)
+    folded = sum(tree.most(n, room[n]) for n in options.contracted)
     lanes = min(_GROUP, 1 << max(0, most - 1).bit_length())
-    return {"FOLDED": sum(1 << n for n in options.contracted), "FOLD_SUM": max(1, *taken), "LANES": lanes,
-            "FOLD_CHANNELS": fold_channels(metadata, options), "SET_NUMBERS": set_numbers(levels, options.contracted),
-            "NODES": sum(level.nodes for level in levels), "SCALES": image.scales,
+    return {"FOLDED": sum(1 << n for n in options.contracted), "FOLD_SUM": max(1, folded), "LANES": lanes,
+            "FOLD_CHANNELS": fold_channels(tree.metadata, options),
+            "SET_NUMBERS": set_numbers(stages, options.contracted),
+            "NODES": sum(stage.nodes for stage in stages), "SCALES": image.scales,
             "CELLS": image.coefficients[0] - image.scales}
 
 
@@ -166,28 +167,29 @@ class FrameContraction:
         self._metadata = model.metadata
         self._contracted = options.contracted
         self._channels = fold_channels(model.metadata, options)
-        self.stride = set_numbers(model.levels, options.contracted)
-        self._parents = device.buffer("hmkcta parents", parent_table(model.levels))
+        self.stride = set_numbers(model.stages, options.contracted)
+        self._parents = device.buffer("hmkcta parents", parent_table(model.stages))
         own = device.layout("hmkcta contraction", ["read-only-storage", "read-only-storage", "storage"])
         self._own, self._sets = own, 0
         self.reserve(1)
-        head = prelude(model.metadata, pages, Options(page_shift=options.page_shift))
-        constants = contraction_constants(model.metadata, model.levels, image, options)
+        tree = replace(tree_of(model.metadata, model.stages), uniform=())
+        head = prelude(tree, pages, Options(page_shift=options.page_shift))
+        constants = contraction_constants(tree, model.stages, image, options)
         self._pipeline = device.pipeline("contract_frame", contraction_shader(head, constants), [layout, own])
         self._counts = spread(-(-constants["CELLS"] * constants["LANES"] // _GROUP))
 
     def fits(self, sets: int) -> bool:
         """Whether that many `sets` of cores fit into one binding."""
-        return _words(self._model.levels, self._contracted, sets * self._channels) <= 1 << PAGE_SHIFT
+        return _words(self._model.stages, self._contracted, sets * self._channels) <= 1 << PAGE_SHIFT
 
     def reserve(self, sets: int) -> bool:
         """Have room for that many `sets` of cores; whether there is a new buffer for it."""
         if sets <= self._sets:
             return False
         self._sets = sets
-        words = _words(self._model.levels, self._contracted, sets * self._channels)
+        words = _words(self._model.stages, self._contracted, sets * self._channels)
         self.cores = self._device.room("hmkcta contracted cores", 4 * words, "STORAGE|COPY_DST|COPY_SRC")
-        starts = core_starts(self._model.levels, self._contracted, self._channels)
+        starts = core_starts(self._model.stages, self._contracted, self._channels)
         self._device.gpu.queue.write_buffer(self.cores, 0, starts)
         folds = sets * self._channels
         order = len(self._metadata.organisation)

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from ..model import Model
 from ..packed import PackedLevel
-from .cell_loops import registered_levels
-from .core_sums import uniform_levels
+from .cell_loops import registered_stages
 from .prelude import Options, axis_places, colour_mode
 from .single_cell import is_single
+from .tree import tree_of
 
 #: Bytes of a float16 number and of a word of the tables.
 _HALF, _WORD = 2, 4
@@ -81,9 +81,9 @@ def picked_cost(model: Model, picks: Mapping[int, Sequence[int]], channels: int 
         index = np.asarray(picks.get(axis, [0]), np.int64)
         rows[mode] = (rows[mode][:, None] + index * stride).reshape(-1)
     colour, tinted = colour_mode(model.metadata, Options(channels=channels, contracted=tuple(contracted)))
-    uniform = uniform_levels(model.metadata, model.levels)
-    registered = registered_levels(model.metadata, [len(each) for each in rows], colour, contracted, uniform)
-    single = is_single(model.metadata, uniform)
+    tree = tree_of(model.metadata, model.stages)
+    registered = registered_stages(tree, [len(each) for each in rows], colour, contracted)
+    single = is_single(tree)
     counter = _Counter(model, colour, tinted, single, tuple(contracted), tuple(registered))
     return counter.node(0, 0, rows)
 
@@ -111,19 +111,19 @@ class _Counter:
 
     def node(self, depth: int, s: int, rows: Sequence[NDArray[np.int64]]) -> Cost:
         """Cost of node s of a level and of all below it, for rows by their places in its lists."""
-        level = self.model.levels[depth]
+        level = self.model.stages[depth]
         order = len(rows)
         own = Cost(nodes=1, words=2 + order if self.single else 3 + 5 * order)
         if not level.shape[s].any():
             return own
-        subsets = [_subsets(level, s, n, rows[n]) for n in range(order)]
+        subsets = [_subsets(level, s, n, rows[n]) for n in range(order)] if level.has_cells[s] else []
         distinct = [np.unique(subset).tolist() for subset in subsets]
         once = sum(subset.size for subset in subsets)
         searched = 0 if self.single else once
         if not self.single and depth not in self.registered:
             searched = _searches(subsets, [len(each) for each in distinct])
         own += Cost(words=searched)
-        for cell in product(*distinct):
+        for cell in product(*distinct) if subsets else ():
             own += self._cell(level, s, [subset == c for subset, c in zip(subsets, cell, strict=True)])
         child = level.child
         if child is None or child[s] == child[s + 1]:
@@ -134,14 +134,14 @@ class _Counter:
             number = 0
             for (part, _), c in zip(chosen, clusters, strict=True):
                 number = number * c + part
-            own += Cost(words=2 * sum(map(len, rows)))
+            own += Cost(words=2 * sum(len(each) for each, c in zip(rows, clusters, strict=True) if c > 1))
             own += self.node(depth + 1, int(child[s]) + number, [places for _, places in chosen])
         return own
 
     def _cell(self, level: PackedLevel, s: int, members: Sequence[NDArray[np.bool_]]) -> Cost:
         """Cost of a cell; members [rows, K] of each mode tell which rows' subsets are the cell's."""
         ranks = level.shape[s, 2].tolist()
-        undecomposed = self.model.metadata.undecomposed
+        undecomposed = np.flatnonzero(level.undecomposed[s]).tolist()
         kept = [n for n in range(len(members)) if n not in self.contracted]
         nest = sorted(kept, key=lambda n: n != self.colour)
         counts = [len(members[n]) if n in undecomposed else ranks[n] for n in nest]
@@ -166,16 +166,17 @@ def _searches(subsets: Sequence[NDArray[np.int64]], distinct: Sequence[int]) -> 
 
 def _subsets(level: PackedLevel, s: int, n: int, rows: NDArray[np.int64]) -> NDArray[np.int64]:
     """Cluster subsets [rows, K] of rows in a node; one subset 0 in an undecomposed mode."""
-    cluster, offset = level.cluster[n], level.cluster_offset[n]
-    if cluster is None or offset is None:
+    cluster, offset, mixture = level.cluster[n], level.cluster_offset[n], int(level.shape[s, 1, n])
+    if not mixture:
         return np.zeros((len(rows), 1), np.int64)
-    return cluster[int(offset[s]) : int(offset[s + 1])].reshape(-1, int(level.shape[s, 1, n]))[rows].astype(np.int64)
+    return cluster[int(offset[s]) : int(offset[s + 1])].reshape(-1, mixture)[rows].astype(np.int64)
 
 
 def _groups(level: PackedLevel, s: int, n: int, rows: NDArray[np.int64]) -> list[tuple[int, NDArray[np.int64]]]:
     """The parts that rows of a node go to, with the rows' places there."""
     part, local = level.part[n], level.local[n]
-    if part is None or local is None:
+    assert part is not None and local is not None, "stages with children say where rows go"  # noqa: PT018
+    if level.shape[s, 0, n] == 1:
         return [(0, rows)]
     at = int(level.row_offset[n][s]) + rows
     parts, places = part[at].astype(np.int64), local[at].astype(np.int64)

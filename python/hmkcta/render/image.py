@@ -5,12 +5,13 @@ absolute, in words, those of float16 numbers in halves (2 a word, the low half f
 
     child, core, scale, then for each mode C_n, K_n, R_n, rows, basis
 
-with the addresses of its first child's record (`LEAF` for none), its core (half), its core_scale, and for each
-decomposed mode its row records and its basis (half). A row's record is
+with the addresses of its first child's record (`LEAF` for none), its core (half), its core_scale, and for each mode its
+row records and its basis (half). A row's record is
 
     part, local, cluster_0 .. cluster_{K_n - 1}
 
-with the K_n of its node. Each float16 array starts at a whole word.
+with the K_n of its node; modes with C_n = 1 and K_n = 0 have none, as all rows go to part 0 and keep their places. Each
+float16 array starts at a whole word.
 """
 
 from __future__ import annotations
@@ -96,37 +97,39 @@ def _node_records(level: PackedLevel, next_level: int, rows: Sequence[int], scal
         records[inner, 0] = next_level + level.child[:-1][inner].astype(np.int64) * size
     records[:, 1] = 2 * arrays[0] + level.core_offset[:-1]
     records[:, 2] = scale + level.cell_offset[:-1]
-    place = 1
     for n in range(level.order):
         mode = records[:, 3 + 5 * n : 8 + 5 * n]
         mode[:, :3] = level.shape[:, :, n]
-        clusters, bases = level.cluster_offset[n], level.basis_offset[n]
-        if clusters is not None and bases is not None:
-            mode[:, 3] = rows[n] + 2 * level.row_offset[n][:-1].astype(np.int64) + clusters[:-1]
-            mode[:, 4] = 2 * arrays[place] + bases[:-1]
-            place += 1
+        words = _row_lengths(level, n)
+        mode[:, 3] = rows[n] + np.cumsum(words) - words
+        mode[:, 4] = 2 * arrays[1 + n] + level.basis_offset[n][:-1]
     return records.astype(np.uint32)
 
 
+def _row_lengths(level: PackedLevel, n: int) -> NDArray[np.int64]:
+    """Words that the row records of mode n of each node take: 2 + K_n a row, or none, [S]."""
+    clusters, mixture, _ = level.shape[:, :, n].T.astype(np.int64)
+    return np.diff(level.row_offset[n].astype(np.int64)) * np.where((clusters > 1) | (mixture > 0), 2 + mixture, 0)
+
+
 def _row_words(level: PackedLevel, n: int) -> int:
-    """Words that the row records of mode n take: 2 + K_n a row."""
-    cluster = level.cluster[n]
-    return 0 if cluster is None else 2 * int(level.row_offset[n][-1]) + cluster.size
+    """Words that the row records of mode n take."""
+    return int(_row_lengths(level, n).sum())
 
 
 def _row_records(level: PackedLevel, n: int) -> U32:
     """The row records of mode n of a level, one after the other."""
-    cluster, part, local = level.cluster[n], level.part[n], level.local[n]
+    part, local = level.part[n], level.local[n]
+    counts = np.diff(level.row_offset[n].astype(np.int64))
+    clusters, mixture = (np.repeat(level.shape[:, i, n].astype(np.int64), counts) for i in (0, 1))  # of each row
+    kept = (clusters > 1) | (mixture > 0)
     records = np.zeros(_row_words(level, n), np.uint32)
-    if cluster is None:
-        return records
-    row_offset = level.row_offset[n].astype(np.int64)
-    mixture = np.repeat(level.shape[:, 1, n].astype(np.int64), np.diff(row_offset))
-    starts = np.concatenate([[0], np.cumsum(2 + mixture)])[:-1]
+    mixture = mixture[kept]
+    starts = np.cumsum(2 + mixture) - (2 + mixture)
     if part is not None and local is not None:
-        records[starts] = part
-        records[starts + 1] = local
-    # The clusters of all rows stand in the same order in the file and here, with two words before those of each row.
+        records[starts] = part[kept]
+        records[starts + 1] = local[kept]
+    # The clusters of all rows stand in the same order in the model and here, with two words before those of each row.
     behind = np.repeat(2 * np.arange(1, len(mixture) + 1), mixture)
-    records[np.arange(cluster.size) + behind] = cluster
+    records[np.arange(level.cluster[n].size) + behind] = level.cluster[n]
     return records

@@ -15,11 +15,12 @@ import numpy as np
 
 from ..axes import axis_order
 from ..errors import HmkctaError, Kind, invalid
-from ..packed import Metadata
+from ..packed import Metadata, level_ends
 from ..transform import from_json
 from .cell_loops import picked_cells
 from .core_sums import contraction
 from .single_cell import is_single, single_cell
+from .tree import Tree
 
 #: Words of a page by its logarithm: 2^25 words are the 128 MiB that WebGPU guarantees for a storage buffer binding.
 PAGE_SHIFT = 25
@@ -59,38 +60,37 @@ class Options:
 PLAIN = Options()
 
 
-def prelude(metadata: Metadata, pages: int, options: Options = PLAIN, uniform: Sequence[int] = ()) -> str:
+def prelude(tree: Tree, pages: int, options: Options = PLAIN) -> str:
     """The constants and generated functions that the files of `hmkcta/shaders` are written against.
 
     Args:
-        metadata: the model's.
+        tree: what is known of the model.
         pages: of its image, from `image_pages`.
         options: of the shader.
-        uniform: levels, from 0, whose nodes that are not empty all have the ranks in the metadata: loops over their
-            cores then have constant bounds (`uniform_levels`).
 
     Raises:
         HmkctaError: `picks` are not one number of 1 or more an axis, or give a mode more than 32 rows; the channels
             are neither 1 nor 3.
 
-    >>> from hmkcta._example import example_metadata
-    >>> prelude(example_metadata(), 1).splitlines()[1:3]
+    >>> from hmkcta._example import example_level, example_metadata
+    >>> from hmkcta.render.tree import tree_of
+    >>> prelude(tree_of(example_metadata(), [example_level()]), 1).splitlines()[1:3]
     ['const AXES = 2u;', 'const ORDER = 2u;']
     """
     if options.channels not in (1, 3):
         raise invalid("channels", "channels", options.channels, "1 or 3")
-    order, picks = len(metadata.organisation), _picks(metadata, options)
+    metadata, order = tree.metadata, tree.order
+    picks = _picks(metadata, options)
     modes, strides = axis_places(metadata)
     room = rooms(metadata, options)
-    taken = _weights(metadata, room, options.contracted)
+    taken = [0 if n in options.contracted else tree.most(n, room[n]) for n in range(order)]
     colour, tinted = colour_mode(metadata, options)
     first = [sum(room[:n]) for n in range(order + 1)]
     lines = [
         "// Constants of one model: generated, not to be edited.",
         f"const AXES = {len(metadata.axes)}u;",
         f"const ORDER = {order}u;",
-        f"const LEVELS = {len(metadata.levels)}u;",
-        f"const UNDECOMPOSED = {_mask(metadata.undecomposed)}u;",
+        *_tree(tree),
         f"const CONTRACTED = {_mask(options.contracted)}u;",
         f"const NODE_WORDS = {node_words(order)}u;",
         f"const AXIS_MODE = {_array(modes)};",
@@ -109,12 +109,12 @@ def prelude(metadata: Metadata, pages: int, options: Options = PLAIN, uniform: S
         f"const COLOUR_ROWS = {1 if colour is None else room[colour]}u;",
         f"const COLOUR_RANKS = {1 if colour is None else max(taken[colour], 1)}u;",
         *_pages(pages, options.page_shift),
-        *contraction(metadata, taken, colour, options.contracted, uniform, tinted),
+        *contraction(tree, taken, colour, options.contracted, tinted),
     ]
-    if options.picks is not None and is_single(metadata, uniform):
-        lines += single_cell(metadata, (modes, strides), colour, options.contracted, tinted)
+    if options.picks is not None and is_single(tree):
+        lines += single_cell(tree, (modes, strides), colour, options.contracted, tinted)
     elif options.picks is not None:
-        lines += picked_cells(metadata, room, colour, options.contracted, uniform, tinted)
+        lines += picked_cells(tree, room, colour, options.contracted, tinted)
     return "\n".join(lines) + "\n"
 
 
@@ -208,7 +208,7 @@ def axis_places(metadata: Metadata) -> tuple[list[int], list[int]]:
 
 
 def decoder_uniform(metadata: Metadata, levels: int) -> bytes:
-    """The 12 bytes of the uniform `Decoder`: levels to add up, scale and limit of the value transform.
+    """The 12 bytes of the uniform `Decoder`: stages of so many levels, scale and limit of the value transform.
 
     >>> from hmkcta._example import example_metadata
     >>> decoder_uniform(example_metadata(), 1).hex()
@@ -222,7 +222,7 @@ def decoder_uniform(metadata: Metadata, levels: int) -> bytes:
     transform = from_json(metadata.transform)
     limit = float(transform.forward(np.array(_LARGEST))) if not transform.is_identity else 0.0
     numbers = np.array([transform.scale, limit], "<f4").tobytes()
-    return np.uint32(levels).astype("<u4").tobytes() + numbers
+    return np.uint32(level_ends(metadata.stages)[levels - 1]).astype("<u4").tobytes() + numbers
 
 
 def image_pages(words: int, page_shift: int = PAGE_SHIFT) -> int:
@@ -250,11 +250,11 @@ def _picks(metadata: Metadata, options: Options) -> Sequence[int]:
     return picks
 
 
-def _weights(metadata: Metadata, room: Sequence[int], contracted: Sequence[int]) -> list[int]:
-    """For each mode the most numbers that its weights in a cell take: R_n, or the rows where it is not decomposed."""
-    ranks = [max(level.ranks[n] for level in metadata.levels) for n in range(len(room))]
-    return [0 if n in contracted else room[n] if n in metadata.undecomposed else max(1, ranks[n])
-            for n in range(len(room))]
+def _tree(tree: Tree) -> list[str]:
+    """How deep the tree is, and what holds in all its nodes."""
+    masks = {"UNDECOMPOSED": tree.undecomposed, "MIXED": tree.mixed, "WHOLE": tree.whole}
+    return [f"const STAGES = {len(tree.metadata.stages)}u;", f"const CUTS = {'true' if tree.cuts else 'false'};",
+            *(f"const {name} = {_mask(modes)}u;" for name, modes in masks.items())]
 
 
 def _value(channels: int) -> list[str]:

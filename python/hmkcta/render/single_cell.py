@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import prod
 
-from ..packed import Metadata
+from .tree import Tree
 
 #: For each source axis its mode, and by how many rows of the mode an index counts.
 Places = tuple[Sequence[int], Sequence[int]]
@@ -19,26 +19,27 @@ Places = tuple[Sequence[int], Sequence[int]]
 _UNROLLED = 8
 
 
-def is_single(metadata: Metadata, uniform: Sequence[int]) -> bool:
+def is_single(tree: Tree) -> bool:
     """Whether the model is one cell."""
-    return len(metadata.levels) == 1 and tuple(uniform) == (0,) and set(metadata.levels[0].clusters) == {1}
+    stages = tree.metadata.stages
+    return len(stages) == 1 and tree.uniform == (0,) and set(stages[0].clusters) == {1}
 
 
-def single_cell(metadata: Metadata, places: Places, colour: int | None, contracted: Sequence[int], tinted: bool
+def single_cell(tree: Tree, places: Places, colour: int | None, contracted: Sequence[int], tinted: bool
                 ) -> list[str]:
-    """`decode_picked(levels)`, where `is_single`.
+    """`decode_picked(stages)`, where `is_single`.
 
     Args:
-        metadata: the model's.
+        tree: what is known of the model.
         places: from `axis_places`.
         colour: the mode whose weights are colours.
         contracted: modes that are summed into the core already.
         tinted: whether the contracted core holds colours.
     """
-    modes = [n for n in range(len(metadata.organisation)) if n not in contracted]
-    cell = _Cell(metadata, places, colour, sorted(modes, key=lambda n: n != colour), bool(contracted), tinted)
+    modes = [n for n in range(tree.order) if n not in contracted]
+    cell = _Cell(tree, places, colour, sorted(modes, key=lambda n: n != colour), bool(contracted), tinted)
     weights = [line for n in modes for line in cell.weights(n)]
-    return ["fn decode_picked(levels: u32) -> Value {", *weights, *cell.core(),
+    return ["fn decode_picked(stages: u32) -> Value {", *weights, *cell.core(),
             "  return bitcast<f32>(word(word(2u))) * total;", "}"]
 
 
@@ -46,7 +47,7 @@ def single_cell(metadata: Metadata, places: Places, colour: int | None, contract
 class _Cell:
     """The cell; `modes` in the order of the loops over the core."""
 
-    metadata: Metadata
+    tree: Tree
     places: Places
     colour: int | None
     modes: Sequence[int]
@@ -55,11 +56,11 @@ class _Cell:
 
     @property
     def ranks(self) -> Sequence[int]:
-        return self.metadata.levels[0].ranks
+        return self.tree.metadata.stages[0].ranks
 
     def weights(self, n: int) -> list[str]:
         """`w_n`: the basis rows of mode n, weighted and added up; those of a colour count in its channel only."""
-        if n in self.metadata.undecomposed:
+        if n in self.tree.undecomposed:
             return []
         rank, tint = self.ranks[n], self._tint(n)
         lines = [f"  let basis_{n} = word({3 + 5 * n + 4}u);",
@@ -80,7 +81,7 @@ class _Cell:
 
     def _tint(self, n: int) -> int | None:
         """The axis of the colours, if it is in mode n and weights are colours."""
-        axes = self.metadata.axes
+        axes = self.tree.metadata.axes
         found = (axis for axis, mode in enumerate(self.places[0]) if mode == n and axes[axis].role == "channel")
         return next(found, None) if n == self.colour else None
 
@@ -107,7 +108,7 @@ class _Cell:
         rank, stride = self.ranks[n], prod(self.ranks[m] for m in self.modes if m > n)
         inner = self._nest(k + 1) if k + 1 < len(self.modes) else [f"  let sum_{k + 1} = core_number(at_{k + 1});"]
         head = f"  var sum_{k} = {kind}(0.0);"
-        if n in self.metadata.undecomposed:
+        if n in self.tree.undecomposed:
             tint = self._tint(n)
             if tint is None:
                 return [head, *self._rows(n), f"  let at_{k + 1} = at_{k} + row * {stride}u;", *inner,

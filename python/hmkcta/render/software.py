@@ -10,13 +10,14 @@ from collections.abc import Sequence
 from math import prod
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..model import Model
-from ..packed import PackedLevel
-from .cell_loops import Cells, registered_levels
-from .core_sums import uniform_levels
+from ..packed import PackedLevel, level_ends
+from .cell_loops import Cells, registered_stages
 from .prelude import Options, axis_places, channel_axis, colour_mode
 from .single_cell import is_single
+from .tree import tree_of
 
 #: A little below the limit, for the loops outside the decoder.
 MOST_TURNS = 60_000
@@ -41,22 +42,24 @@ def loop_turns(model: Model, picks: Sequence[int], level: int, contracted: Seque
     channel = channel_axis(model.metadata)
     coloured = channel is not None and picks[channel] == 3
     colour, _ = colour_mode(model.metadata, Options(channels=3 if coloured else 1, contracted=tuple(contracted)))
-    uniform = uniform_levels(model.metadata, model.levels)
-    if is_single(model.metadata, uniform):
+    tree = tree_of(model.metadata, model.stages)
+    if is_single(tree):
         return _single(model, rows, contracted)
-    registered = registered_levels(model.metadata, rows, colour, contracted, uniform)
+    registered = registered_stages(tree, rows, colour, contracted)
     parts = [1] * order
     turns = 0
-    for number, (packed, bounds) in enumerate(zip(model.levels[:level], model.bounds, strict=False)):
+    stages = level_ends(model.stages)[level - 1]
+    for number, (packed, bounds) in enumerate(zip(model.stages[:stages], model.metadata.stages, strict=False)):
         if not all(bounds.clusters):  # only empty nodes
             break
         groups = [min(r, p) for r, p in zip(rows, parts, strict=True)]
-        clusters = [min(r * k, g * c) for r, g, k, c in zip(rows, groups, bounds.mixture, bounds.clusters, strict=True)]
+        mixture = [max(1, k) for k in bounds.mixture]
+        clusters = [min(r * k, g * c) for r, g, k, c in zip(rows, groups, mixture, bounds.clusters, strict=True)]
         if number in registered:
-            turns += _registered(rows, groups, clusters, bounds.mixture, registered[number])
-        else:
-            together = _together(model, number, rows, groups, prod(clusters))
-            turns += min(together, prod(groups) * _worst_node(packed, rows, model.metadata.undecomposed))
+            turns += _registered(rows, groups, clusters, mixture, registered[number])
+        elif not bounds.is_cut:
+            together = _together(packed, mixture, rows, groups, prod(clusters))
+            turns += min(together, prod(groups) * _worst_node(packed, rows))
         turns += prod(groups) * 8 * order
         parts = [p * c for p, c in zip(parts, bounds.clusters, strict=True)]
     return turns
@@ -65,9 +68,9 @@ def loop_turns(model: Model, picks: Sequence[int], level: int, contracted: Seque
 def _single(model: Model, rows: Sequence[int], contracted: Sequence[int]) -> int:
     """Turns of `single_cell.py`'s loops: over the rows of every mode, their numbers, and the core."""
     kept = [n for n in range(len(rows)) if n not in contracted]
-    ranks = model.bounds[0].ranks
-    counts = [rows[n] if n in model.metadata.undecomposed else ranks[n] for n in kept]
-    weights = sum(rows[n] * (2 + ranks[n]) for n in kept if n not in model.metadata.undecomposed)
+    bounds = model.bounds[0]
+    counts = [bounds.ranks[n] if bounds.mixture[n] else rows[n] for n in kept]
+    weights = sum(rows[n] * (2 + bounds.ranks[n]) for n in kept if bounds.mixture[n])
     return weights + 2 * sum(prod(counts[: k + 1]) for k in range(len(counts)))
 
 
@@ -86,21 +89,25 @@ def _registered(rows: Sequence[int], groups: Sequence[int], clusters: Sequence[i
     return opened + loops + members + cells * generated.turns
 
 
-def _together(model: Model, level: int, rows: Sequence[int], groups: Sequence[int], cells: int) -> int:
+def _entries(level: PackedLevel, rows: Sequence[int]) -> NDArray[np.int64]:
+    """Weights of each node and mode, [S, N]: an undecomposed mode brings its rows, not all of its core."""
+    return np.where(level.undecomposed, np.array(rows, np.int64), level.shape[:, 2])
+
+
+def _together(level: PackedLevel, mixture: Sequence[int], rows: Sequence[int], groups: Sequence[int], cells: int
+              ) -> int:
     """Turns of `picked_value` in all nodes of a level."""
-    bounds = model.bounds[level]
-    # An undecomposed mode brings its rows into the contraction, not all of its core.
-    entries = [rows[n] if n in model.metadata.undecomposed else rank for n, rank in enumerate(bounds.ranks)]
+    entries = _entries(level, rows).max(axis=0, initial=0).tolist()
     contraction = sum(prod(entries[: n + 1]) for n in range(len(rows)))
     shared = [-(-r // g) for r, g in zip(rows, groups, strict=True)]
-    weighing = sum(r * k * (2 + rank) for r, k, rank in zip(shared, bounds.mixture, entries, strict=True))
+    weighing = sum(r * k * (2 + rank) for r, k, rank in zip(shared, mixture, entries, strict=True))
     return cells * (contraction + weighing + 6 * len(rows))
 
 
-def _worst_node(level: PackedLevel, rows: Sequence[int], undecomposed: Sequence[int]) -> int:
+def _worst_node(level: PackedLevel, rows: Sequence[int]) -> int:
     """A bound of the turns in any one node of a level, if all rows were in it."""
-    clusters, mixture, ranks = level.shape.astype(np.int64).transpose(1, 0, 2)
-    ranks[:, list(undecomposed)] = np.array(rows, np.int64)[list(undecomposed)]
+    clusters, mixture, _ = level.shape.astype(np.int64).transpose(1, 0, 2)
+    mixture, ranks = np.maximum(mixture, 1), _entries(level, rows)
     cells = np.minimum(np.array(rows) * mixture, clusters).prod(axis=1)
     weighing = (np.array(rows) * mixture * (2 + ranks)).sum(axis=1)
     return int((cells * (ranks.cumprod(axis=1).sum(axis=1) + weighing + 6 * len(rows))).max(initial=0))

@@ -17,6 +17,7 @@ from .gpu_path import GpuPath
 from .layout import Layout, lay_out
 from .peak import Peak, rate
 from .scene import Camera, Light, Look, Scene, Surface
+from .tree import tree_of
 from .workload import Configuration, random_model
 
 #: Scattered elements that are decoded at once, and pixels whose cost is counted.
@@ -117,9 +118,8 @@ def box_cost(model: Model, layout: Layout, elements: int) -> Cost:
     rng = np.random.default_rng(4)
     picked = [{axis: [int(rng.integers(size))] for axis, size in enumerate(model.shape)} for _ in range(_COUNTED)]
     whole = mean_cost(model, picked, contracted=contracted).times(elements)
-    numbers = set_numbers(model.levels, contracted) if contracted else 0
-    terms = prod(1 if n in model.metadata.undecomposed else max(level.ranks[n] for level in model.bounds)
-                 for n in contracted)
+    numbers = set_numbers(model.stages, contracted) if contracted else 0
+    terms = prod(max(1, rank) for n, rank in enumerate(tree_of(model.metadata, model.stages).ranks) if n in contracted)
     return whole + Cost(multiply_adds=numbers * terms, coefficients=numbers * terms)
 
 

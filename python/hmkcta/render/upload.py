@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Any, final
 
 from ..model import Model
-from .core_sums import FRAME_BINDING, uniform_levels
+from .core_sums import FRAME_BINDING
 from .device import Device
 from .frame_contraction import AxisPicks, FrameContraction
 from .image import Image, pack_image
 from .prelude import PLAIN, Options, decoder_uniform, image_pages, prelude
+from .tree import tree_of
 
 
 @final
@@ -32,12 +33,12 @@ class DecoderBuffers:
 
     def __init__(self, device: Device, model: Model, options: Options = PLAIN, shared: DecoderBuffers | None = None
                  ) -> None:
-        image = pack_image(model.levels) if shared is None else shared._image
+        image = pack_image(model.stages) if shared is None else shared._image
         self._image = image
         self.device = device
         self.metadata = model.metadata
         self.options = options
-        self._uniform = uniform_levels(model.metadata, model.levels)
+        self._tree = tree_of(model.metadata, model.stages) if shared is None else shared._tree
         self.pages = image_pages(image.words.size, options.page_shift)
         self._buffers = _paged(device, image, self.pages, options) if shared is None else shared._buffers
         kinds = dict(enumerate(["uniform", *["read-only-storage"] * self.pages]))
@@ -52,7 +53,7 @@ class DecoderBuffers:
 
     def prelude(self, options: Options | None = None) -> str:
         """The prelude for these buffers; other options must have the same `page_shift` and contracted modes."""
-        return prelude(self.metadata, self.pages, self.options if options is None else options, self._uniform)
+        return prelude(self._tree, self.pages, self.options if options is None else options)
 
     def bind_group(self, levels: int | None = None) -> Any:
         """Group 0 for the first `levels` levels, all by default.

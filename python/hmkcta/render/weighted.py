@@ -59,6 +59,6 @@ def decode_picked(model: Model, picks: Sequence[Picks], level: int | None = None
             weight *= np.asarray(weights[:, j], np.float32).reshape(len(weights), -1)
         used = np.flatnonzero(weight.any(axis=1))
         if used.size:
-            total[used] += weight[used] * decode_elements(model.levels, sizes, rows[used], level)[:, None]
+            total[used] += weight[used] * decode_elements(model.stages, sizes, rows[used], level)[:, None]
     values = from_json(metadata.transform).inverse(total).astype(np.float32, copy=False)
     return values if channels == 3 else values[:, 0]

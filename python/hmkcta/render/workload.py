@@ -17,9 +17,9 @@ from ..axes import Axis, Organisation, mode_sizes
 from ..cells import Cells, zero_cells
 from ..errors import invalid
 from ..fitting.hierarchy import Node
+from ..fitting.pack import pack_levels
 from ..model import Model
-from ..pack import bounds, pack_levels
-from ..packed import LevelQuality, Metadata
+from ..packed import LevelQuality, Metadata, bounds_of
 from ..plan import LevelSpec, parse_plan
 from ..support.grouping import rows_of_parts
 from ..synthetic.directions import hemisphere_directions
@@ -114,9 +114,9 @@ def random_model(config: Configuration, seed: int = 0) -> Model:
             nodes = [child for node in nodes for child in node.children]
             levels.append(nodes)
     undecomposed = tuple(n for n, rank in enumerate(plan.levels[0].ranks) if rank is None)
-    packed = pack_levels(levels, undecomposed, [spec.bits for spec in plan.levels])
+    packed = pack_levels(levels, undecomposed)
     quality = tuple(LevelQuality(0.0, 1.0, 1.0) for _ in packed)
-    metadata = Metadata("float32", axes, organisation, tuple(bounds(level, "most") for level in packed), undecomposed,
+    metadata = Metadata("float32", axes, organisation, tuple(bounds_of(level, "most") for level in packed),
                         kind=config.kind, quality=quality, writer="random numbers")
     return Model(metadata, packed)
 

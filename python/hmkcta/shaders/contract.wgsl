@@ -14,7 +14,7 @@ var<private> fold_first: array<u32, ORDER>;        // where a mode begins in the
 var<private> fold_count: array<u32, ORDER>;
 var<private> fold_weight: array<f32, FOLD_SUM>;
 var<private> fold_index: array<u32, FOLD_SUM>;     // core index of each weight
-var<private> ancestry: array<u32, LEVELS>;         // the node, its parent, .., the root
+var<private> ancestry: array<u32, STAGES>;         // the node, its parent, .., the root
 var<private> generations: u32;
 
 fn folded(n: u32) -> bool {
@@ -102,12 +102,15 @@ fn weigh_mode(n: u32) {
   for (var i = 0u; i < rows; i++) {
     let row = fixed_rows[mode + 1u + i];
     let weight = bitcast<f32>(fixed_rows[mode + 1u + MODE_ROWS + i]);
+    var position = row;
+    if (!whole(n)) {
+      position = place_in_node(n, row);
+    }
     if (undecomposed(n)) {
-      fold_weight[first + i] = weight;
-      fold_index[first + i] = row;
+      fold_weight[first + i] = select(weight, 0.0, position == LEAF);
+      fold_index[first + i] = select(position, 0u, position == LEAF);
       continue;
     }
-    let position = place_in_node(n, row);
     if (position == LEAF) {
       continue;
     }
@@ -155,7 +158,11 @@ fn place_in_node(n: u32, row: u32) -> u32 {
     for (var m = ORDER - 1u; m > n; m--) {
       part = part / word(parent + 3u + 5u * m);
     }
-    part = part % word(parent + 3u + 5u * n);
+    let clusters = word(parent + 3u + 5u * n);
+    if (clusters == 1u) {
+      continue;
+    }
+    part = part % clusters;
     let record = row_record(parent, n, position);
     if (word(record) != part) {
       return LEAF;

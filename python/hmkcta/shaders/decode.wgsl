@@ -1,33 +1,35 @@
-// One element of the tensor: docs/format.md, section 4, line by line, as hmkcta/decode/scattered.py has it in NumPy.
+// One element of the tensor, as hmkcta/decode/scattered.py has it in NumPy.
 
 // The element with these indices of the source axes, in source values. Indices must be in range.
-fn decode_element(index: array<u32, AXES>, levels: u32) -> Value {
+fn decode_element(index: array<u32, AXES>, stages: u32) -> Value {
   var axis_index = index;
   var rows: array<u32, ORDER>;
   for (var axis = 0u; axis < AXES; axis++) {
     rows[AXIS_MODE[axis]] += axis_index[axis] * AXIS_STRIDE[axis];
   }
-  return source_values(decode_rows(rows, levels));
+  return source_values(decode_rows(rows, stages));
 }
 
 // The element with these rows of the modes, in the domain of the value transform.
-fn decode_rows(rows: array<u32, ORDER>, levels: u32) -> Value {
+fn decode_rows(rows: array<u32, ORDER>, stages: u32) -> Value {
   var row = rows;
   var node = 0u;
   var value = Value(0.0);
-  for (var level = 0u; level < levels; level++) {
+  for (var stage = 0u; stage < stages; stage++) {
     if (!open_node(node)) {
       break;
     }
-    value += node_value(node, level, row);
+    if (!is_cut()) {
+      value += node_value(node, stage, row);
+    }
     let first_child = word(node);
-    if (first_child == LEAF || level + 1u == levels) {
+    if (first_child == LEAF || stage + 1u == stages) {
       break;
     }
     var part = 0u;  // flat(part_1 .. part_N)
     for (var n = 0u; n < ORDER; n++) {
       part *= node_clusters[n];
-      if (!undecomposed(n)) {
+      if (!whole(n) && node_clusters[n] > 1u) {
         let record = node_rows[n] + row[n] * (2u + node_mixture[n]);
         part += word(record);
         row[n] = word(record + 1u);
@@ -39,7 +41,7 @@ fn decode_rows(rows: array<u32, ORDER>, levels: u32) -> Value {
 }
 
 // What the node at hand adds to the element: the sum over all choices of one cluster subset a mode.
-fn node_value(node: u32, level: u32, rows: array<u32, ORDER>) -> Value {
+fn node_value(node: u32, stage: u32, rows: array<u32, ORDER>) -> Value {
   var row = rows;
   var choice: array<u32, ORDER>;  // k_n
   var sum = Value(0.0);
@@ -62,10 +64,11 @@ fn node_value(node: u32, level: u32, rows: array<u32, ORDER>) -> Value {
         cell_count[n] = node_rank[n];
         for (var r = 0u; r < node_rank[n]; r++) {
           set_weight(n, r, coefficient(basis + r));
+          keep_index(n, r);
         }
       }
     }
-    sum += cell_scale * contract_core(level);
+    sum += cell_scale * contract_core(stage);
     more = false;
     for (var left = ORDER; left > 0u && !more; left--) {
       choice[left - 1u] += 1u;

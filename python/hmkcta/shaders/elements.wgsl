@@ -13,5 +13,5 @@ fn decode_elements(@builtin(global_invocation_id) place: vec3u, @builtin(num_wor
   for (var axis = 0u; axis < AXES; axis++) {
     index[axis] = wanted[number * AXES + axis];
   }
-  decoded[number] = decode_element(index, decoder.levels);
+  decoded[number] = decode_element(index, decoder.stages);
 }

@@ -31,5 +31,5 @@ fn decode_grid(@builtin(global_invocation_id) id: vec3u) {
       pick(grid.time_axis, k, grid.time[k], grid.time_weight[k]);
     }
   }
-  textureStore(grid_out, at, vec4f(f32(source_values(decode_picked(decoder.levels)))));
+  textureStore(grid_out, at, vec4f(f32(source_values(decode_picked(decoder.stages)))));
 }

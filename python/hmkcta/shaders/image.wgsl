@@ -2,7 +2,7 @@
 // A node is named by the address of its record, the root's being 0; rows are counted in the node's own list.
 
 struct Decoder {
-  levels: u32,  // how many levels to add up
+  stages: u32,  // how many stages of the tree to walk down
   scale: f32,   // of the value transform, in source values
   limit: f32,   // decoded numbers above it would leave float32 as source values
 }
@@ -10,7 +10,7 @@ struct Decoder {
 
 const LEAF = 0xffffffffu;
 
-// The node at hand, mode by mode.
+// The node at hand, mode by mode; an undecomposed mode has K = 0, a cut K = R = 0 in all modes.
 var<private> node_clusters: array<u32, ORDER>;  // C_n
 var<private> node_mixture: array<u32, ORDER>;   // K_n
 var<private> node_rank: array<u32, ORDER>;      // R_n
@@ -29,7 +29,7 @@ var<private> cell_scale: f32;
 // The cell's weights of every mode: a basis row, or one for each row of an undecomposed mode.
 // Those of mode n begin at WEIGHT_FIRST[n].
 var<private> cell_count: array<u32, ORDER>;      // how many
-var<private> cell_index: array<u32, RANK_SUM>;   // core index of each number of an undecomposed mode
+var<private> cell_index: array<u32, RANK_SUM>;   // core index of each number of a mode that is undecomposed somewhere
 var<private> cell_weight: array<f32, RANK_SUM>;
 var<private> cell_colour: array<Value, COLOUR_RANKS>;  // instead of `cell_weight` in the mode with the colours
 
@@ -38,15 +38,31 @@ fn coefficient(at: u32) -> f32 {
   return unpack2x16float(word(at >> 1u))[at & 1u];
 }
 
+// Whether mode n is undecomposed in the node at hand: in all nodes, or by its record.
 fn undecomposed(n: u32) -> bool {
-  return ((UNDECOMPOSED >> n) & 1u) == 1u;
+  return ((UNDECOMPOSED >> n) & 1u) == 1u || (mixed(n) && node_mixture[n] == 0u);
+}
+
+// Whether mode n is undecomposed in some nodes and decomposed in others.
+fn mixed(n: u32) -> bool {
+  return ((MIXED >> n) & 1u) == 1u;
+}
+
+// Whether rows of mode n keep their places all the way down the tree.
+fn whole(n: u32) -> bool {
+  return ((WHOLE >> n) & 1u) == 1u;
+}
+
+// Whether the node at hand adds nothing, but has children.
+fn is_cut() -> bool {
+  return CUTS && node_rank[0] == 0u;
 }
 
 fn contracted(n: u32) -> bool {
   return ((CONTRACTED >> n) & 1u) == 1u;
 }
 
-// Address of the record of a row: [part, local, cluster_0 .. cluster_{K-1}].
+// Address of the record of a row: [part, local, cluster_0 .. cluster_{K-1}]. There is none where C = 1 and K = 0.
 fn row_record(node: u32, n: u32, row: u32) -> u32 {
   let mode = node + 3u + 5u * n;
   return word(mode + 3u) + row * (2u + word(mode + 1u));
@@ -101,6 +117,13 @@ fn open_cell(node: u32) {
 // Half address of the R_n numbers of a row's k-th subset, for the cell at hand.
 fn basis_row(n: u32, row: u32, k: u32) -> u32 {
   return node_basis[n] + ((row * node_mixture[n] + k) * node_others[n] + cell_others[n]) * node_rank[n];
+}
+
+// Notes the core index of a number of a mode that is decomposed here and undecomposed elsewhere.
+fn keep_index(n: u32, e: u32) {
+  if (mixed(n)) {
+    cell_index[WEIGHT_FIRST[n] + e] = e;
+  }
 }
 
 // Sets a weight of mode n in the cell at hand.

@@ -16,7 +16,7 @@ fn decode_sums(@builtin(global_invocation_id) place: vec3u, @builtin(num_workgro
       pick(axis, k, wanted[at], bitcast<f32>(wanted[at + 1u]));
     }
   }
-  let value = vec3f(source_values(decode_picked(decoder.levels)));
+  let value = vec3f(source_values(decode_picked(decoder.stages)));
   for (var c = 0u; c < CHANNELS; c++) {
     decoded[number * CHANNELS + c] = value[c];
   }

@@ -222,7 +222,7 @@ fn shade_svbrdf(@builtin(global_invocation_id) pixel: vec3u) {
     if (n == 0u) { continue; }
     var scale = min(1.0, local.z / max(height, 1e-6));
     if ((svbrdf.flags & FLAG_COSINE) != 0u) { scale = local.z; }
-    radiance += scale * strength * as_light(vec3f(source_values(decode_picked(decoder.levels))));
+    radiance += scale * strength * as_light(vec3f(source_values(decode_picked(decoder.stages))));
   }
   textureStore(radiance_out, pixel.xy, vec4f(radiance, 1.0));
 }

@@ -5,17 +5,17 @@
 // The nodes that the combinations lie in form a tree. It is walked depth first; at every depth there is a mask a mode of
 // the rows inside the node, and the node's children are the combinations of the parts these rows go to.
 
-const OPEN = LEVELS * ORDER;
+const OPEN = STAGES * ORDER;
 
 var<private> row_weight: array<f32, ROWS>;
 var<private> row_colour: array<Value, COLOUR_ROWS>;  // instead of `row_weight` in the mode with the colours
 var<private> row_count: array<u32, ORDER>;
-var<private> row_at: array<u32, LEVELS * ROWS>;  // by depth: the row's place in the node's list
+var<private> row_at: array<u32, STAGES * ROWS>;  // by depth: the row's place in the node's list
 var<private> row_cluster: array<u32, ROWS>;      // the row's first cluster that is not below the cell's; LEAF: none
 var<private> row_subset: array<u32, ROWS>;       // which of its subsets that is
 var<private> inside: array<u32, OPEN>;           // by depth: rows of mode n inside the node
 var<private> waiting: array<u32, OPEN>;          // by depth: those of them in parts that no child was entered for yet
-var<private> node_at: array<u32, LEVELS>;
+var<private> node_at: array<u32, STAGES>;
 
 // The rows of every mode, which are the combinations of its axes' picks, and their weights.
 fn gather_rows() {
@@ -47,7 +47,7 @@ fn gather_rows() {
 }
 
 // The weighted sum, in the domain of the value transform.
-fn decode_picked(levels: u32) -> Value {
+fn decode_picked(stages: u32) -> Value {
   var sum = Value(0.0);
   gather_rows();
   for (var n = 0u; n < ORDER; n++) {
@@ -61,7 +61,7 @@ fn decode_picked(levels: u32) -> Value {
   var entered = true;
   loop {
     if (entered) {
-      sum += visit(depth, levels);
+      sum += visit(depth, stages);
     }
     entered = node_at[depth] != LEAF && enter_next_child(depth, entered);
     if (entered) {
@@ -76,14 +76,14 @@ fn decode_picked(levels: u32) -> Value {
 }
 
 // What the node at this depth adds; its rows wait for its children, if it has any.
-fn visit(depth: u32, levels: u32) -> Value {
+fn visit(depth: u32, stages: u32) -> Value {
   let node = node_at[depth];
   var sum = Value(0.0);
   let full = open_node(node);
-  if (full) {
+  if (full && !is_cut()) {
     sum = picked_node(node, depth);
   }
-  if (!full || word(node) == LEAF || depth + 1u >= levels) {
+  if (!full || word(node) == LEAF || depth + 1u >= stages) {
     node_at[depth] = LEAF;
   }
   return sum;
@@ -106,11 +106,12 @@ fn enter_next_child(depth: u32, first: bool) -> bool {
     if (first || m > n) {
       waiting[depth * ORDER + m] = inside[depth * ORDER + m];
     }
+    let clusters = word(node_at[depth] + 3u + 5u * m);
     if (m >= n) {
-      enter_part(depth, m);
+      enter_part(depth, m, clusters);
     }
-    part = part * word(node_at[depth] + 3u + 5u * m);
-    if (!undecomposed(m)) {
+    part = part * clusters;
+    if (!whole(m) && clusters > 1u) {
       part += word(row_record(node_at[depth], m, row_at[depth * ROWS + first_row(m, inside[(depth + 1u) * ORDER + m])]));
     }
   }
@@ -118,12 +119,12 @@ fn enter_next_child(depth: u32, first: bool) -> bool {
   return true;
 }
 
-// Takes the waiting rows of mode n that go to the same part as the first of them down to the next depth.
-fn enter_part(depth: u32, n: u32) {
+// Takes the waiting rows of mode n that go to the same of `clusters` parts as the first of them down to the next depth.
+fn enter_part(depth: u32, n: u32, clusters: u32) {
   let here = depth * ROWS;
   let left = waiting[depth * ORDER + n];
   var group = 0u;
-  if (undecomposed(n)) {
+  if (whole(n) || clusters == 1u) {
     group = left;
     for (var rows = left; rows != 0u; rows &= rows - 1u) {
       let i = first_row(n, rows);
@@ -231,6 +232,7 @@ fn weigh_rows(depth: u32, n: u32) {
   cell_count[n] = node_rank[n];
   for (var r = 0u; r < node_rank[n]; r++) {
     set_weight(n, r, 0.0);
+    keep_index(n, r);
   }
   for (var rows = inside[depth * ORDER + n]; rows != 0u; rows &= rows - 1u) {
     let i = first_row(n, rows);

@@ -30,20 +30,8 @@ NODE = 2500
 ROW = 192
 #: Bytes for each element of a tensor that is fitted in place, by sweeps alone.
 FLAT = 5
-#: Most elements of all samples that are worked on at once while a plan is chosen.
-TOGETHER = 1 << 24
-#: The fewest, where memory is scarce.
-FEWEST = 1 << 20
-#: Bytes of memory for each of these elements.
-EACH = 40
-#: Most plans that are followed at once.
-SIDE_BY_SIDE = 8
-#: Bytes of memory for each element of an array on which a plan is followed beside others.
-BESIDE_OTHERS = 2 * WORKING
-#: SNR in dB beyond which samples are looked at in float64.
-PRECISE = 50.0
-#: How many times fewer elements of samples then have room.
-WIDER = 2
+#: Elements of the samples by which a goal's model is searched at the least, and bytes for each of them.
+SEARCHED, EACH = 1 << 20, 40
 
 
 def memory_limit(plan: Plan, sizes: Sequence[int], memory: int | None, budget: int | None = None) -> int:
@@ -96,20 +84,8 @@ def side_by_side(spec: LevelSpec, sizes: Sequence[int], threads: int, room: int)
     return max(1, min(threads, room // max(1, tried_bytes(spec, sizes))))
 
 
-def followed_together(elements: int, threads: int, budget: int) -> int:
-    """How many plans are followed at once on an array of so many elements: as many as `budget` bytes have room for.
-
-    >>> followed_together(1 << 20, threads=2, budget=1 << 30), followed_together(1 << 24, threads=2, budget=1 << 30)
-    (2, 1)
-    """
-    room = (budget - PROCESS) // (BESIDE_OTHERS * elements)
-    return max(1, min(threads, SIDE_BY_SIDE, TOGETHER // elements, room))
-
-
 def model_bytes(plan: Plan, sizes: Sequence[int], threads: int = 1, room: int = 0) -> int:
     """Bytes that the model of a plan takes: of all levels, and of the nodes that are fitted together.
-
-    Nothing for ranks of each node's own, which a goal decides.
 
     >>> from hmkcta.plan import parse_plan
     >>> plan = parse_plan("R=8 / R=8 C=6,8,8,8 K=1", [("light",), ("view",), ("y",), ("x",)])
@@ -118,8 +94,6 @@ def model_bytes(plan: Plan, sizes: Sequence[int], threads: int = 1, room: int = 
     """
     held, most = 0, 0
     for spec, nodes, parts in nodes_of(plan, sizes):
-        if spec.own:
-            break
         held += nodes * (NODE + MODEL * 2 * numbers(parts, spec))
         most = max(most, held + side_by_side(spec, parts, min(nodes, threads), room) * tried_bytes(spec, parts))
     return most
@@ -188,33 +162,14 @@ def joint_bytes(sizes: Sequence[int], level: LevelSpec, threads: int = 1) -> int
 
 
 def check_least_memory(elements: int, memory: int | None, *, choosing: bool) -> None:
-    """Refuse to begin with less memory than any plan takes; if that is to be chosen, the least named is for both.
+    """Refuse to begin with less memory than any plan, or `choosing` a model for a goal, takes.
 
     Raises:
-        HmkctaError: the memory given is less than even a streamed fit takes.
+        HmkctaError: the memory given is less than even a streamed fit, or the smallest samples, take.
     """
     if memory is not None:
-        least = PROCESS + WORKING * min(elements, SMALLEST)
-        if choosing and memory < least:
-            least = PROCESS + EACH * min(elements, FEWEST)
+        least = PROCESS + (EACH * min(elements, SEARCHED) if choosing else WORKING * min(elements, SMALLEST))
         check_memory(least, "compressing this array", "allow more with max_memory or --max-memory", memory)
-
-
-def sampled_together(elements: int, memory: int | None, snr: float | None) -> int:
-    """Elements of all the samples of a tensor that are worked on at once while a plan for an SNR in dB is chosen.
-
-    Raises:
-        HmkctaError: the memory given is less than the smallest samples take.
-    """
-    hint = "give the levels by --plan, or raise --max-memory"
-    check_memory(PROCESS + EACH * min(elements, FEWEST), "choosing a plan", hint, memory)
-    wider = WIDER if is_precise(snr) else 1
-    return min(TOGETHER, max(FEWEST, (memory_budget(memory) - PROCESS) // EACH) // wider)
-
-
-def is_precise(snr: float | None) -> bool:
-    """Whether plans for an SNR in dB, if there is one, are judged in float64: small singular values are told apart."""
-    return snr is not None and snr > PRECISE
 
 
 def is_streamed(elements: int, limit: int) -> bool:

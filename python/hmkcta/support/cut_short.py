@@ -9,6 +9,7 @@ from typing import Any
 from weakref import WeakSet
 
 from ..errors import source_changed
+from .extension import native
 
 #: Maps of which a part reads as zeros, as their file had lost it. They stay so, whatever becomes of the file.
 _CUT: WeakSet[mmap.mmap] = WeakSet()
@@ -46,12 +47,7 @@ def whole_map(array: Any) -> Generator[None]:
     where = file_of(array) or "the file of the array"
     if base in _CUT:
         raise _lost(where)
-    try:
-        from .._native import MapWatch
-    except ImportError:  # without the native part nothing can be done about it
-        yield
-        return
-    watch = MapWatch(base)
+    watch = native.MapWatch(base)
     try:
         yield
     finally:

@@ -1,36 +1,34 @@
 /**
- * One element by `docs/format.md`, section 4, line by line: for the read-out under the pointer and for tests.
+ * One element, line by line: for the read-out under the pointer and for tests.
  *
  * The shader `decode.wgsl` does the same for all pixels at once.
  */
 
 import { MAX_F32 } from "../reader/check";
 import { halfValues } from "../reader/half";
-import type { Metadata, Transform } from "../reader/metadata";
+import { type Metadata, type Transform, levelEnds } from "../reader/metadata";
 import type { PackedLevel } from "../reader/packed";
 
-/** The element with these rows of the modes up to `levels`, in the domain of the value transform. */
-export function decodeRows(packed: PackedLevel[], rows: number[], levels: number): number {
+/** The element with these rows of the modes up to so many stages, in the domain of the value transform. */
+export function decodeRows(packed: PackedLevel[], rows: number[], stages: number): number {
   const pos = [...rows];
   let s = 0;
   let value = 0;
-  for (let l = 0; l < levels; l += 1) {
-    const level = packed[l]!;
-    if (clustersOf(level, s, 0) === 0) {
-      break;
+  for (let t = 0; t < stages; t += 1) {
+    const level = packed[t]!;
+    if (level.cellOffset[s] !== level.cellOffset[s + 1]) { // else it is empty, or a cut
+      value += nodeValue(level, s, pos);
     }
-    value += nodeValue(level, s, pos);
-    if (level.child === null || l + 1 === levels || level.child[s] === level.child[s + 1]) {
+    if (level.child === null || t + 1 === stages || level.child[s] === level.child[s + 1]) {
       break;
     }
     let part = 0;
     for (let n = 0; n < level.order; n += 1) {
-      const [parts, locals] = [level.part[n], level.local[n]];
-      part *= clustersOf(level, s, n);
-      if (parts != null && locals != null) {
+      const clusters = clustersOf(level, s, n);
+      if (clusters > 1) { // else all rows go to part 0, and keep their places
         const row = level.rowOffset[n]![s]! + pos[n]!;
-        part += parts[row]!;
-        pos[n] = locals[row]!;
+        part = part * clusters + level.part[n]![row]!;
+        pos[n] = level.local[n]![row]!;
       }
     }
     s = level.child[s]! + part;
@@ -63,19 +61,18 @@ function nodeValue(level: PackedLevel, s: number, pos: number[]): number {
     ranks[n] = shape[at + 2 * order]!;
     choice[n] = 0;
     cells *= clusters[n]!;
-    if (node.weights[n]!.length < ranks[n]!) {
+    if (mixture[n]! > 0 && node.weights[n]!.length < ranks[n]!) {
       node.weights[n] = new Float64Array(ranks[n]!);
     }
   }
   let sum = 0;
   for (;;) {
     for (let n = 0; n < order; n += 1) {
-      const table = level.cluster[n];
-      cell[n] = table == null ? 0 : table[level.clusterOffset[n]![s]! + pos[n]! * mixture[n]! + choice[n]!]!;
+      cell[n] = clusters[n] === 1 ? 0 : level.cluster[n]![level.clusterOffset[n]![s]! + pos[n]! * mixture[n]! + choice[n]!]!;
     }
     sum += cellValue(level, s, pos, cells);
     let n = order - 1;
-    while (n >= 0 && (choice[n]! += 1) === mixture[n]) {
+    while (n >= 0 && (choice[n]! += 1) >= mixture[n]!) {
       choice[n] = 0;
       n -= 1;
     }
@@ -100,9 +97,9 @@ function cellValue(level: PackedLevel, s: number, pos: number[], cells: number):
   let numbers = 1;
   for (let n = 0; n < order; n += 1) {
     const rank = node.ranks[n]!;
-    const basis = level.basis[n];
     numbers *= rank;
-    if (basis != null) {
+    if (node.mixture[n]! > 0) {
+      const basis = level.basis[n]!;
       const row = (pos[n]! * node.mixture[n]! + node.choice[n]!) * (cells / node.clusters[n]!) + flatCell(order, n);
       const first = level.basisOffset[n]![s]! + row * rank;
       for (let r = 0; r < rank; r += 1) {
@@ -120,7 +117,7 @@ function contracted(level: PackedLevel, pos: number[], n: number, at: number, nu
   const stride = numbers / rank;
   const { core } = level;
   const last = n === level.order - 1;
-  if (level.basis[n] == null) {
+  if (node.mixture[n] === 0) {
     const place = at + pos[n]! * stride;
     return last ? half[core[place]!]! : contracted(level, pos, n + 1, place, stride, half);
   }
@@ -172,7 +169,7 @@ export function decodeElement(metadata: Metadata, packed: PackedLevel[], index: 
   axisPlaces(metadata).forEach(({ mode, stride }, axis) => {
     rows[mode]! += index[axis]! * stride;
   });
-  return sourceValue(decodeRows(packed, rows, levels), metadata.transform);
+  return sourceValue(decodeRows(packed, rows, levelEnds(metadata)[levels - 1]!), metadata.transform);
 }
 
 export const SAMPLES = 4096;
@@ -193,6 +190,7 @@ export function valueRange(metadata: Metadata, packed: PackedLevel[], levels: nu
   const places = axisPlaces(metadata);
   const rows = metadata.modeSizes.map(() => 0);
   const values = new Float64Array(samples);
+  const stages = levelEnds(metadata)[levels - 1]!;
   for (let i = 0; i < samples; i += 1) {
     let flat = (i * HASH) % total;
     rows.fill(0);
@@ -200,7 +198,7 @@ export function valueRange(metadata: Metadata, packed: PackedLevel[], levels: nu
       rows[places[n]!.mode]! += (flat % sizes[n]!) * places[n]!.stride;
       flat = Math.floor(flat / sizes[n]!);
     }
-    values[i] = sourceValue(decodeRows(packed, rows, levels), metadata.transform);
+    values[i] = sourceValue(decodeRows(packed, rows, stages), metadata.transform);
   }
   values.sort();
   const [least, most] = [values[0]!, values[samples - 1]!];

@@ -1,10 +1,10 @@
 /**
- * The part of a prelude that adds up the cells of a node for `weighted.wgsl`, for levels whose nodes all have the same
+ * The part of a prelude that adds up the cells of a node for `weighted.wgsl`, for stages whose nodes all have the same
  * ranks: loops with everything in registers, and no branches in a cell. The same text as `hmkcta.render.cell_loops`
  * makes.
  */
 
-import type { Metadata } from "../reader/metadata";
+import { type Tree, undecomposedIn } from "./tree";
 
 const MOST_CLUSTERS = 32; // of a mode, which are kept in a mask of one word
 const MOST_ROWS = 9; // of a mode, which are kept beside each other
@@ -16,29 +16,30 @@ function product(numbers: number[]): number {
   return numbers.reduce((all, each) => all * each, 1);
 }
 
-/** `picked_node(node, depth)`: what a node adds, by registers where its level allows it, else by `picked_value`. */
+/** `picked_node(node, depth)`: what a node adds, by registers where its stage allows it, else by `picked_value`. */
 export function pickedCells(
-  metadata: Metadata, room: number[], colour: number | undefined, contracted: number[], uniform: number[], tinted: boolean,
+  { metadata, uniform }: Tree, room: number[], colour: number | undefined, contracted: number[], tinted: boolean,
 ): string[] {
   const cases = new Map<string, number[]>();
   const lines: string[] = [];
-  for (const level of uniform) {
-    const { ranks, clusters } = metadata.levels[level]!;
+  for (const stage of uniform) {
+    const bounds = metadata.stages[stage]!;
+    const { ranks, clusters } = bounds;
     const cells = new Cells(ranks, room, colour, contracted, product(clusters) === 1, tinted);
     if (Math.max(...clusters) > MOST_CLUSTERS || ranks.some((rank, n) => rank > MOST_RANK && !contracted.includes(n)) 
-      || Math.max(...room) > MOST_ROWS || metadata.undecomposed.some((n) => !contracted.includes(n))) {
+      || Math.max(...room) > MOST_ROWS || undecomposedIn(bounds).some((n) => !contracted.includes(n))) {
       continue;
     }
     if (!cases.has(cells.name)) {
       lines.push(...cells.text());
     }
-    cases.set(cells.name, [...(cases.get(cells.name) ?? []), level]);
+    cases.set(cells.name, [...(cases.get(cells.name) ?? []), stage]);
   }
   const covered = [...cases.values()].flat().length;
   const rest = covered < metadata.levels.length ? "picked_value(node, depth)" : "Value(0.0)";
   return [
     ...lines, "fn picked_node(node: u32, depth: u32) -> Value {", "  switch depth {",
-    ...Array.from(cases, ([name, levels]) => `    case ${levels.map((level) => `${level}u`).join(", ")}: { return ${name}(node, depth); }`),
+    ...Array.from(cases, ([name, stages]) => `    case ${stages.map((stage) => `${stage}u`).join(", ")}: { return ${name}(node, depth); }`),
     `    default: { return ${rest}; }`, "  }", "}",
   ];
 }

@@ -1,17 +1,16 @@
 /** The part of a prelude that multiplies the core of a cell with its weights. Twin of `hmkcta.render.core_sums`. */
 
-import type { Metadata } from "../reader/metadata";
-import type { PackedLevel } from "../reader/packed";
+import { type Tree, undecomposedIn } from "./tree";
 
 /** Modes in the order of the loops, where their weights begin, and their counts and strides as text. */
 interface Nest {
   name: string;
+  indexed: number[]; // the core index of each of their numbers is kept beside its weight
   counts: string[];
   strides: string[];
 }
 
 interface Shared {
-  undecomposed: number[];
   colour: number | undefined;
   first: number[];
   modes: number[];
@@ -19,13 +18,13 @@ interface Shared {
 }
 
 /** One function a mode, from the outermost; each adds up its mode and multiplies once. */
-function functions({ name, counts, strides }: Nest, shared: Shared): string[] {
-  const { undecomposed, colour, first, modes, tinted } = shared;
+function functions({ name, indexed, counts, strides }: Nest, shared: Shared): string[] {
+  const { colour, first, modes, tinted } = shared;
   const plain = tinted ? "Value" : "f32";
   const lines = modes.flatMap((n, place) => {
     const kind = n === colour ? "Value" : plain;
     const weight = n === colour ? "cell_colour[e]" : `cell_weight[${first[n]}u + e]`;
-    const index = undecomposed.includes(n) ? `cell_index[${first[n]}u + e]` : "e";
+    const index = indexed.includes(n) ? `cell_index[${first[n]}u + e]` : "e";
     const at = `at + ${index} * ${strides[place]}`;
     const inner = place === modes.length - 1 ? `core_number(${at})` : `${name}_${place + 1}(${at})`;
     return [
@@ -37,14 +36,14 @@ function functions({ name, counts, strides }: Nest, shared: Shared): string[] {
 }
 
 /**
- * `contract_core(level)`: the core of the cell at hand times its weights; and `node_core`, where cores begin. The mode
+ * `contract_core(stage)`: the core of the cell at hand times its weights; and `node_core`, where cores begin. The mode
  * with the colours comes first, so that all others are done in single numbers. `taken` says for each mode how many
- * weights it has at most; `uniform` which levels, from 0, get loops with constant bounds; `tinted` whether contracted
- * cores hold colours.
+ * weights it has at most; `tinted` whether contracted cores hold colours.
  */
 export function contraction(
-  metadata: Metadata, taken: number[], colour: number | undefined, contracted: number[], uniform: number[], tinted: boolean,
+  tree: Tree, taken: number[], colour: number | undefined, contracted: number[], tinted: boolean,
 ): string[] {
+  const { metadata, undecomposed } = tree;
   const order = metadata.modeSizes.length;
   const all = Array.from({ length: order }, (_, n) => n);
   const kept = all.filter((n) => !contracted.includes(n));
@@ -52,29 +51,30 @@ export function contraction(
   const modes = colour === undefined ? rest : [colour, ...rest];
   const first = all.map((n) => taken.slice(0, n).reduce((sum, each) => sum + each, 0));
   const folded = contracted.length > 0;
-  const shared = { undecomposed: metadata.undecomposed, colour, first, modes, tinted };
+  const shared = { colour, first, modes, tinted };
   const last = contracted.includes(order - 1) ? Math.max(0, ...rest) : order - 1;
   const nests = new Map<string, Nest>([["contract", {
-    name: "contract", counts: modes.map((n) => `cell_count[${n}]`),
+    name: "contract", indexed: [...undecomposed, ...tree.mixed], counts: modes.map((n) => `cell_count[${n}]`),
     strides: modes.map((n) => (n === last ? "1u" : `node_stride[${n}]`)),
   }]]);
   const cases = new Map<string, number[]>();
-  for (const level of uniform) {
-    const { ranks } = metadata.levels[level]!;
-    const name = `contract_${ranks.join("x")}`;
+  for (const stage of tree.uniform) {
+    const bounds = metadata.stages[stage]!;
+    const [{ ranks }, own] = [bounds, undecomposedIn(bounds)];
+    const name = `contract_${ranks.map((rank, n) => `${rank}${own.includes(n) && !undecomposed.includes(n) ? "w" : ""}`).join("x")}`;
     const stride = (n: number): number => kept.reduce((product, m) => (m > n ? product * ranks[m]! : product), 1);
     nests.set(name, {
-      name, strides: modes.map((n) => `${stride(n)}u`),
-      counts: modes.map((n) => (metadata.undecomposed.includes(n) ? `cell_count[${n}]` : `${ranks[n]}u`)),
+      name, indexed: own, strides: modes.map((n) => `${stride(n)}u`),
+      counts: modes.map((n) => (own.includes(n) ? `cell_count[${n}]` : `${ranks[n]}u`)),
     });
-    cases.set(name, [...(cases.get(name) ?? []), level]);
+    cases.set(name, [...(cases.get(name) ?? []), stage]);
   }
   return [
     ...coreNumbers(folded, tinted),
     ...[...nests.values()].flatMap((nest) => functions(nest, shared)),
-    "fn contract_core(level: u32) -> Value {", "  switch level {",
-    ...Array.from(cases, ([name, levels]) =>
-      `    case ${levels.map((level) => `${level}u`).join(", ")}: { return Value(${name}_0(cell_core)); }`),
+    "fn contract_core(stage: u32) -> Value {", "  switch stage {",
+    ...Array.from(cases, ([name, stages]) =>
+      `    case ${stages.map((stage) => `${stage}u`).join(", ")}: { return Value(${name}_0(cell_core)); }`),
     "    default: { return Value(contract_0(cell_core)); }", "  }", "}",
     "fn node_core(node: u32) -> u32 {", `  return ${folded ? "frame[node / NODE_WORDS] + frame_first" : "word(node + 1u)"};`, "}",
   ];
@@ -92,17 +92,4 @@ function coreNumbers(folded: boolean, tinted: boolean): string[] {
     `fn core_number(at: u32) -> ${tinted ? "vec3f" : "f32"} {`,
     `  return ${tinted ? `vec3f(${numbers.join(", ")})` : "bitcast<f32>(frame[at])"};`, "}",
   ];
-}
-
-/** Levels, from 0, whose nodes that are not empty all have the ranks that the metadata give. */
-export function uniformLevels(metadata: Metadata, levels: PackedLevel[]): number[] {
-  return levels.flatMap(({ nodes, order, shape }, l) => {
-    const { ranks } = metadata.levels[l]!;
-    for (let s = 0; s < nodes; s += 1) {
-      if (shape[3 * s * order]! > 0 && ranks.some((rank, n) => shape[(3 * s + 2) * order + n] !== rank)) {
-        return [];
-      }
-    }
-    return nodes > 0 ? [l] : [];
-  });
 }

@@ -1,10 +1,10 @@
 /** A model on the GPU: the pages of its image, filled as the levels arrive, and the decoder's bindings (group 0). */
 
-import type { Metadata } from "../reader/metadata";
+import { type Metadata, levelEnds } from "../reader/metadata";
 import type { PackedLevel } from "../reader/packed";
-import { uniformLevels } from "./coreSums";
 import { type ImageLayout, eachCoefficients, layOutImage, packTables } from "./image";
 import { PAGE_SHIFT, decoderUniform, imagePages } from "./prelude";
+import { type Tree, treeOf } from "./tree";
 
 const PAGE_WORDS = 2 ** PAGE_SHIFT;
 const FRAME_BINDING = 8; // as in the prelude
@@ -15,8 +15,8 @@ export class Decoder {
   readonly pages: number;
   readonly bytes: number;
   readonly layout: GPUBindGroupLayout;
-  /** Levels whose loops have constant bounds. */
-  readonly uniform: number[];
+  /** What its shaders are made for. */
+  readonly tree: Tree;
   private readonly image: ImageLayout;
   private readonly buffers: GPUBuffer[];
   /** As `layout`, with contracted cores behind all pages that there can be. */
@@ -24,11 +24,10 @@ export class Decoder {
   private readonly groups = new Map<GPUBuffer | null, GPUBindGroup[]>();
   private readonly uniforms = new Map<number, GPUBuffer>();
 
-  /** `levels` have their tables; their numbers may still be missing. */
-  constructor(private readonly device: GPUDevice, readonly metadata: Metadata, readonly levels: PackedLevel[]) {
-    this.image = layOutImage(levels);
-    this.uniform = uniformLevels(metadata, levels);
-    const words = this.image.coefficients[levels.length]!;
+  constructor(private readonly device: GPUDevice, readonly metadata: Metadata, readonly stages: PackedLevel[]) {
+    this.image = layOutImage(stages);
+    this.tree = treeOf(metadata, stages);
+    const words = this.image.coefficients[stages.length]!;
     this.pages = imagePages(words);
     this.bytes = 4 * words;
     this.buffers = Array.from({ length: this.pages }, (_, page) => device.createBuffer({
@@ -44,14 +43,14 @@ export class Decoder {
 
   /** Upload the numbers of the next level, and before the first one's the tables of all. */
   addLevel(): void {
-    const l = this.arrived;
-    if (l === 0) {
-      this.write(0, packTables(this.levels, this.image));
+    if (this.arrived === 0) {
+      this.write(0, packTables(this.stages, this.image));
     }
-    eachCoefficients(this.levels[l]!, l, this.image, (at, halves) => {
+    const t = levelEnds(this.metadata)[this.arrived]! - 1; // cuts before it have no numbers
+    eachCoefficients(this.stages[t]!, t, this.image, (at, halves) => {
       this.write(at, wholeWords(halves));
     });
-    this.arrived = l + 1;
+    this.arrived += 1;
   }
 
   /** Where the scales of all cells begin and end in the image, in words. */

@@ -9,6 +9,7 @@ import type { PackedLevel } from "../reader/packed";
 import type { Decoder } from "./decoder";
 import { MOST_ROWS, type Options, PAGE_SHIFT, colourMode, nodeWords, prelude, rooms } from "./prelude";
 import { compose } from "./shaders";
+import { type Tree, mostWeights } from "./tree";
 
 /** Indices of an axis and their weights. */
 export type Still = Map<number, { index: number[]; weight: number[] }>;
@@ -18,36 +19,35 @@ const MOST_GROUPS = 65535; // along one dimension
 const FIXED_WORDS = 1 + 2 * MOST_ROWS; // of a mode in `fixed_rows`
 
 /** The modes to contract where these source axes stand still; none if their cores, so many times, would not fit into one binding. */
-export function contractable(metadata: Metadata, levels: PackedLevel[], still: number[], folds = 1): number[] {
+export function contractable(metadata: Metadata, stages: PackedLevel[], still: number[], folds = 1): number[] {
   const places = axisPlaces(metadata);
   const found = metadata.modeSizes.flatMap((_, n) =>
     (places.every(({ mode }, axis) => mode !== n || still.includes(axis)) ? [n] : []));
-  return coreWords(levels, found, folds) <= 2 ** PAGE_SHIFT ? found : [];
+  return coreWords(stages, found, folds) <= 2 ** PAGE_SHIFT ? found : [];
 }
 
 /** The modes of a decoder that pay: an array that is no more than packed has one core, of which a frame takes a part anyway. */
-export function contractedModes({ metadata, levels }: Decoder, still: number[]): number[] {
-  return metadata.undecomposed.length === metadata.modeSizes.length ? [] : contractable(metadata, levels, still);
+export function contractedModes({ metadata, stages, tree }: Decoder, still: number[]): number[] {
+  return tree.undecomposed.length === metadata.modeSizes.length ? [] : contractable(metadata, stages, still);
 }
 
 /** The constants that `contract.wgsl` needs beside the prelude with nothing contracted. */
 export function contractionConstants(
-  metadata: Metadata, levels: PackedLevel[], scales: [number, number], options: Options,
+  tree: Tree, stages: PackedLevel[], scales: [number, number], options: Options,
 ): Record<string, number> {
+  const { metadata } = tree;
   const { contracted = [], picks = metadata.axes.map(() => 1) } = options;
   const room = rooms(metadata, picks);
-  const taken = metadata.levels.map(({ ranks }) => contracted.reduce((sum, n) =>
-    sum + (metadata.undecomposed.includes(n) ? room[n]! : ranks[n]!), 0));
-  const most = levels.reduce((largest, level) => {
+  const most = stages.reduce((largest, level) => {
     for (let s = 0; s < level.nodes; s += 1) {
       largest = Math.max(largest, numbers(level, s, contracted));
     }
     return largest;
   }, 1);
   return {
-    FOLDED: contracted.reduce((bits, n) => bits + 2 ** n, 0), FOLD_SUM: Math.max(1, ...taken),
+    FOLDED: contracted.reduce((bits, n) => bits + 2 ** n, 0), FOLD_SUM: Math.max(1, contracted.reduce((sum, n) => sum + mostWeights(tree, n, room[n]!), 0)),
     LANES: Math.min(GROUP, 2 ** Math.ceil(Math.log2(most))), FOLD_CHANNELS: foldChannels(metadata, options),
-    SET_NUMBERS: setNumbers(levels, contracted), NODES: levels.reduce((sum, { nodes }) => sum + nodes, 0),
+    SET_NUMBERS: setNumbers(stages, contracted), NODES: stages.reduce((sum, { nodes }) => sum + nodes, 0),
     SCALES: scales[0], CELLS: scales[1] - scales[0],
   };
 }
@@ -126,10 +126,10 @@ export class FrameContraction {
 
   /** `options` have the contracted modes, and the picks that leave room for their axes'. */
   constructor(private readonly device: GPUDevice, private readonly decoder: Decoder, private readonly options: Options) {
-    const { metadata, levels } = decoder;
-    this.stride = setNumbers(levels, this.contracted);
+    const { metadata, stages } = decoder;
+    this.stride = setNumbers(stages, this.contracted);
     this.channels = foldChannels(metadata, options);
-    const parents = parentTable(levels);
+    const parents = parentTable(stages);
     this.parents = this.storage(parents.byteLength);
     device.queue.writeBuffer(this.parents, 0, parents);
     this.bindings = device.createBindGroupLayout({
@@ -166,7 +166,7 @@ export class FrameContraction {
 
   /** Whether there is room for so many sets of cores. */
   fits(sets: number): boolean {
-    return coreWords(this.decoder.levels, this.contracted, sets * this.channels) <= 2 ** PAGE_SHIFT;
+    return coreWords(this.decoder.stages, this.contracted, sets * this.channels) <= 2 ** PAGE_SHIFT;
   }
 
   /**
@@ -204,7 +204,7 @@ export class FrameContraction {
   }
 
   private get constants(): Record<string, number> {
-    return contractionConstants(this.decoder.metadata, this.decoder.levels, this.decoder.scales, this.options);
+    return contractionConstants(this.decoder.tree, this.decoder.stages, this.decoder.scales, this.options);
   }
 
   private storage(size: number): GPUBuffer {
@@ -217,11 +217,11 @@ export class FrameContraction {
       return this.buffers;
     }
     this.release();
-    const { metadata, levels } = this.decoder;
+    const { metadata, stages } = this.decoder;
     const folds = sets * this.channels;
-    const cores = this.storage(4 * coreWords(levels, this.contracted, folds));
+    const cores = this.storage(4 * coreWords(stages, this.contracted, folds));
     const fixed = this.storage(4 * FIXED_WORDS * metadata.modeSizes.length * folds);
-    this.device.queue.writeBuffer(cores, 0, coreStarts(levels, this.contracted, this.channels));
+    this.device.queue.writeBuffer(cores, 0, coreStarts(stages, this.contracted, this.channels));
     const own = this.device.createBindGroup({
       layout: this.bindings, entries: [fixed, this.parents, cores].map((buffer, binding) => ({ binding, resource: { buffer } })),
     });
@@ -248,7 +248,7 @@ function splitColours(metadata: Metadata, picks: Still, channels: 1 | 3): Still[
 /** The text of the pass. */
 function contractionShader(decoder: Decoder, constants: Record<string, number>): string {
   const lines = Object.entries(constants).map(([name, value]) => `const ${name} = ${value}u;\n`).join("");
-  return compose(prelude(decoder.metadata, decoder.pages) + lines, "image", "contract");
+  return compose(prelude({ ...decoder.tree, uniform: [] }, decoder.pages) + lines, "image", "contract");
 }
 
 /** PC of a node, 0 where the shape is zero. */

@@ -8,6 +8,7 @@
 import { Problem } from "../problem";
 import type { PackedLevel } from "../reader/packed";
 import { nodeWords } from "./prelude";
+import { shapeOf } from "./tree";
 
 const LEAF = 0xffffffff;
 const MOST_WORDS = 2 ** 31;
@@ -20,14 +21,23 @@ export interface ImageLayout {
   coefficients: number[];
 }
 
+/** Words of a row's record in a node: none where all rows go to one part and have no clusters. */
+function recordWords(level: PackedLevel, s: number, n: number): number {
+  const mixture = shapeOf(level, s, 1, n);
+  return shapeOf(level, s, 0, n) > 1 || mixture > 0 ? 2 + mixture : 0;
+}
+
 function rowWords(level: PackedLevel, n: number): number {
-  const cluster = level.cluster[n];
-  return cluster == null ? 0 : 2 * level.rowOffset[n]![level.nodes]! + cluster.length;
+  let words = 0;
+  for (let s = 0; s < level.nodes; s += 1) {
+    words += (level.rowOffset[n]![s + 1]! - level.rowOffset[n]![s]!) * recordWords(level, s, n);
+  }
+  return words;
 }
 
 /** A level's float16 arrays in the order of the image. */
 function coefficientArrays(level: PackedLevel): Uint16Array[] {
-  return [level.core, ...level.basis.filter((basis): basis is Uint16Array => basis !== null)];
+  return [level.core, ...level.basis];
 }
 
 function wordsOf(halves: Uint16Array): number {
@@ -60,11 +70,7 @@ export function packTables(levels: PackedLevel[], layout: ImageLayout): Uint32Ar
   levels.forEach((level, l) => {
     const next = layout.nodes[l + 1] ?? 0;
     writeNodes(words, level, l, layout, next);
-    level.cluster.forEach((cluster, n) => {
-      if (cluster !== null) {
-        writeRows(words, level, n, layout.rows[l]![n]!);
-      }
-    });
+    level.cluster.forEach((_, n) => writeRows(words, level, n, layout.rows[l]![n]!));
     words.set(new Uint32Array(level.coreScale.buffer, level.coreScale.byteOffset, level.coreScale.length), layout.scales[l]!);
   });
   return words;
@@ -78,6 +84,7 @@ function writeNodes(words: Uint32Array, level: PackedLevel, l: number, layout: I
     start += wordsOf(array);
     return start - wordsOf(array);
   });
+  const rows = [...layout.rows[l]!];
   for (let s = 0; s < level.nodes; s += 1) {
     let at = layout.nodes[l]! + s * size;
     const inner = child !== null && child[s] !== child[s + 1];
@@ -85,28 +92,26 @@ function writeNodes(words: Uint32Array, level: PackedLevel, l: number, layout: I
     words[at + 1] = 2 * starts[0]! + level.coreOffset[s]!;
     words[at + 2] = layout.scales[l]! + level.cellOffset[s]!;
     at += 3;
-    let place = 1;
     for (let n = 0; n < order; n += 1, at += 5) {
       for (let which = 0; which < 3; which += 1) {
         words[at + which] = level.shape[(3 * s + which) * order + n]!;
       }
-      const [clusters, bases] = [level.clusterOffset[n], level.basisOffset[n]];
-      if (clusters != null && bases != null) {
-        words[at + 3] = layout.rows[l]![n]! + 2 * level.rowOffset[n]![s]! + clusters[s]!;
-        words[at + 4] = 2 * starts[place]! + bases[s]!;
-        place += 1;
-      }
+      words[at + 3] = rows[n]!;
+      words[at + 4] = 2 * starts[n + 1]! + level.basisOffset[n]![s]!;
+      rows[n]! += (level.rowOffset[n]![s + 1]! - level.rowOffset[n]![s]!) * recordWords(level, s, n);
     }
   }
 }
 
 function writeRows(words: Uint32Array, level: PackedLevel, n: number, start: number): void {
-  const { order, shape } = level;
   const [offsets, cluster, part, local] = [level.rowOffset[n]!, level.cluster[n]!, level.part[n], level.local[n]];
   let at = start;
   let entry = 0;
   for (let s = 0; s < level.nodes; s += 1) {
-    const mixture = shape[(3 * s + 1) * order + n]!;
+    const mixture = shapeOf(level, s, 1, n);
+    if (recordWords(level, s, n) === 0) {
+      continue;
+    }
     for (let row = offsets[s]!; row < offsets[s + 1]!; row += 1) {
       words[at] = part?.[row] ?? 0;
       words[at + 1] = local?.[row] ?? 0;

@@ -1,15 +1,14 @@
 /**
  * The head of a shader: the constants of one model, the pages of its image, and the contraction of a core.
  *
- * The same text as `hmkcta.render.prelude` makes; `tests/corpus-render/prelude.json` holds the two together.
+ * With `picked.ts` the same text as `hmkcta.render.prelude` makes; `tests/corpus-render/prelude.json` holds the two together.
  */
 
 import { axisPlaces } from "../decode/element";
 import { Problem } from "../problem";
-import type { Metadata } from "../reader/metadata";
-import { pickedCells } from "./cellLoops";
+import { type Metadata, levelEnds } from "../reader/metadata";
 import { contraction } from "./coreSums";
-import { isSingle, singleCell } from "./singleCell";
+import { type Tree, mostWeights } from "./tree";
 
 /** Words of a page by its logarithm: 128 MiB, the storage buffer binding that WebGPU guarantees. */
 export const PAGE_SHIFT = 25;
@@ -22,7 +21,6 @@ export interface Options {
   picks?: number[]; // for each source axis, how many weighted indices it can have; none for shaders without weighted.wgsl
   channels?: 1 | 3;
   contracted?: number[]; // modes
-  uniform?: number[]; // levels, from 0, whose loops get constant bounds: `uniformLevels`
   pageShift?: number;
 }
 
@@ -40,14 +38,14 @@ export function picksFit(metadata: Metadata, picks: number[]): boolean {
   return rooms(metadata, picks).every((rows) => rows <= MOST_ROWS);
 }
 
-/** The constants and generated functions that the files of `hmkcta/shaders` are written against. */
-export function prelude(metadata: Metadata, pages: number, options: Options = {}): string {
-  const { picks = metadata.axes.map(() => 1), channels = 1, contracted = [], uniform = [],
-    pageShift = PAGE_SHIFT } = options;
+/** The constants and generated functions that the files of `hmkcta/shaders` are written against, but for `weighted.wgsl`. */
+export function prelude(tree: Tree, pages: number, options: Options = {}): string {
+  const { metadata } = tree;
+  const { picks = metadata.axes.map(() => 1), channels = 1, contracted = [], pageShift = PAGE_SHIFT } = options;
   const order = metadata.modeSizes.length;
   const places = axisPlaces(metadata);
   const room = rooms(metadata, picks);
-  const taken = weights(metadata, room, contracted);
+  const taken = room.map((rows, n) => (contracted.includes(n) ? 0 : mostWeights(tree, n, rows)));
   const { colour, tinted } = colourMode(metadata, options);
   const channelAxis = metadata.axes.findIndex((axis) => axis.role === "channel");
   const first = [0];
@@ -56,8 +54,11 @@ export function prelude(metadata: Metadata, pages: number, options: Options = {}
     "// Constants of one model: generated, not to be edited.",
     `const AXES = ${metadata.axes.length}u;`,
     `const ORDER = ${order}u;`,
-    `const LEVELS = ${metadata.levels.length}u;`,
-    `const UNDECOMPOSED = ${mask(metadata.undecomposed)}u;`,
+    `const STAGES = ${metadata.stages.length}u;`,
+    `const CUTS = ${tree.cuts};`,
+    `const UNDECOMPOSED = ${mask(tree.undecomposed)}u;`,
+    `const MIXED = ${mask(tree.mixed)}u;`,
+    `const WHOLE = ${mask(tree.whole)}u;`,
     `const CONTRACTED = ${mask(contracted)}u;`,
     `const NODE_WORDS = ${nodeWords(order)}u;`,
     `const AXIS_MODE = ${list(places.map(({ mode }) => mode))};`,
@@ -79,9 +80,7 @@ export function prelude(metadata: Metadata, pages: number, options: Options = {}
     `const COLOUR_ROWS = ${colour === undefined ? 1 : room[colour]!}u;`,
     `const COLOUR_RANKS = ${colour === undefined ? 1 : Math.max(taken[colour]!, 1)}u;`,
     ...pageLines(pages, pageShift),
-    ...contraction(metadata, taken, colour, contracted, uniform, tinted),
-    ...(options.picks === undefined ? [] : isSingle(metadata, uniform) ? singleCell(metadata, places, colour, contracted, tinted)
-      : pickedCells(metadata, room, colour, contracted, uniform, tinted)),
+    ...contraction(tree, taken, colour, contracted, tinted),
   ].join("\n")}\n`;
 }
 
@@ -114,12 +113,12 @@ function transformNumber(metadata: Metadata): number {
   return ["identity", "log1p", "asinh", "sqrt"].indexOf(metadata.transform.name);
 }
 
-/** The 12 bytes of the uniform `Decoder`. */
+/** The 12 bytes of the uniform `Decoder` for so many levels. */
 export function decoderUniform(metadata: Metadata, levels: number): ArrayBuffer {
   const { name, scale } = metadata.transform;
   const limit = { identity: 0, log1p: Math.log1p(LARGEST / scale), asinh: Math.asinh(LARGEST / scale), sqrt: Math.sqrt(LARGEST) };
   const bytes = new ArrayBuffer(12);
-  new Uint32Array(bytes).set([levels]);
+  new Uint32Array(bytes).set([levelEnds(metadata)[levels - 1]!]);
   new Float32Array(bytes).set([scale, limit[name]], 1);
   return bytes;
 }
@@ -130,16 +129,6 @@ function mask(modes: number[]): number {
 
 function list(numbers: number[]): string {
   return `array<u32, ${numbers.length}>(${numbers.map((number) => `${number}u`).join(", ")})`;
-}
-
-/** For each mode the most numbers that its weights take: R_n, or the rows where the mode is not decomposed. */
-function weights(metadata: Metadata, room: number[], contracted: number[]): number[] {
-  return room.map((rows, n) => {
-    if (contracted.includes(n)) {
-      return 0;
-    }
-    return metadata.undecomposed.includes(n) ? rows : Math.max(1, ...metadata.levels.map((level) => level.ranks[n]!));
-  });
 }
 
 function pageLines(pages: number, shift: number): string[] {

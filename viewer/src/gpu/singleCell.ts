@@ -3,24 +3,24 @@
  * `hmkcta.render.single_cell` makes.
  */
 
-import type { Metadata } from "../reader/metadata";
+import type { Tree } from "./tree";
 
 const UNROLLED = 8; // numbers of a core's last mode that are written out one by one; more are looped over
 
 /** Whether the model is one cell. */
-export function isSingle(metadata: Metadata, uniform: number[]): boolean {
-  return metadata.levels.length === 1 && uniform.join() === "0" && metadata.levels[0]!.clusters.every((count) => count === 1);
+export function isSingle({ metadata: { stages }, uniform }: Tree): boolean {
+  return stages.length === 1 && uniform.join() === "0" && stages[0]!.clusters.every((count) => count === 1);
 }
 
-/** `decode_picked(levels)`, where `isSingle`; `places` has for each axis its mode and stride. */
+/** `decode_picked(stages)`, where `isSingle`; `places` has for each axis its mode and stride. */
 export function singleCell(
-  metadata: Metadata, places: { mode: number; stride: number }[], colour: number | undefined, contracted: number[], tinted: boolean,
+  tree: Tree, places: { mode: number; stride: number }[], colour: number | undefined, contracted: number[], tinted: boolean,
 ): string[] {
-  const modes = metadata.modeSizes.flatMap((_, n) => (contracted.includes(n) ? [] : [n]));
+  const modes = tree.metadata.modeSizes.flatMap((_, n) => (contracted.includes(n) ? [] : [n]));
   const nested = [...modes.filter((n) => n === colour), ...modes.filter((n) => n !== colour)];
-  const cell = new Cell(metadata, places, colour, nested, contracted.length > 0, tinted);
+  const cell = new Cell(tree, places, colour, nested, contracted.length > 0, tinted);
   return [
-    "fn decode_picked(levels: u32) -> Value {", ...modes.flatMap((n) => cell.weights(n)), ...cell.core(),
+    "fn decode_picked(stages: u32) -> Value {", ...modes.flatMap((n) => cell.weights(n)), ...cell.core(),
     "  return bitcast<f32>(word(word(2u))) * total;", "}",
   ];
 }
@@ -30,16 +30,16 @@ class Cell {
   private readonly ranks: number[];
 
   constructor(
-    private readonly metadata: Metadata, private readonly places: { mode: number; stride: number }[],
+    private readonly tree: Tree, private readonly places: { mode: number; stride: number }[],
     private readonly colour: number | undefined, private readonly modes: number[], private readonly framed: boolean,
     private readonly tinted: boolean,
   ) {
-    this.ranks = metadata.levels[0]!.ranks;
+    this.ranks = tree.metadata.stages[0]!.ranks;
   }
 
   /** `w_n`: the basis rows of mode n, weighted and added up; those of a colour count in its channel only. */
   weights(n: number): string[] {
-    if (this.metadata.undecomposed.includes(n)) {
+    if (this.tree.undecomposed.includes(n)) {
       return [];
     }
     const [rank, tint] = [this.ranks[n]!, this.tint(n)];
@@ -63,7 +63,7 @@ class Cell {
 
   /** The axis of the colours, if it is in mode n and weights are colours. */
   private tint(n: number): number | undefined {
-    const axis = this.places.findIndex(({ mode }, a) => mode === n && this.metadata.axes[a]!.role === "channel");
+    const axis = this.places.findIndex(({ mode }, a) => mode === n && this.tree.metadata.axes[a]!.role === "channel");
     return n === this.colour && axis >= 0 ? axis : undefined;
   }
 
@@ -95,7 +95,7 @@ class Cell {
     const [rank, stride] = [this.ranks[n]!, this.modes.reduce((product, m) => (m > n ? product * this.ranks[m]! : product), 1)];
     const inner = k + 1 < this.modes.length ? this.nest(k + 1) : [`  let sum_${k + 1} = core_number(at_${k + 1});`];
     const head = `  var sum_${k} = ${kind}(0.0);`;
-    if (this.metadata.undecomposed.includes(n)) {
+    if (this.tree.undecomposed.includes(n)) {
       const tint = this.tint(n);
       const close = this.axes(n).map(() => "  }");
       return tint === undefined ? [

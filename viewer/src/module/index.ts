@@ -18,7 +18,7 @@ export type LevelListener = (model: Model, level: number) => void | Promise<void
 
 /**
  * Read a file from its address, or one that is at hand, and check it on the way. Of files that are trusted `limits` may
- * let pass more than usual (docs/format.md, section 7).
+ * let pass more than usual (docs/format.md, part II).
  *
  * Throws an `HmkError` of a file that is damaged, incomplete, newer or no `.hmk` file (its `reason` is of docs/format.md,
  * section 8), a `Problem` where it could not be fetched or `source` is nothing to read.
@@ -28,7 +28,7 @@ export async function open(
 ): Promise<Model> {
   let model: Model | null = null;
   const reading = await load(await byteSource(source), {
-    onTables: () => undefined,
+    onStart: () => undefined,
     onLevel: (read, level) => {
       model ??= new Model(read);
       model.arrived = level;

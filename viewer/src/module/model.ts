@@ -1,7 +1,7 @@
 /** A file as an array: elements and slices by their indices, decoded when they are asked for. */
 
 import { axisPlaces, decodeRows, sourceValue } from "../decode/element";
-import type { Axis, FileKind, LevelQuality } from "../reader/metadata";
+import { type Axis, type FileKind, type LevelQuality, levelEnds } from "../reader/metadata";
 import type { Reading } from "../reader/read";
 import { OnGpu } from "./onGpu";
 import { shown } from "./shown";
@@ -59,14 +59,14 @@ export class Model {
     return { shape, values: this.decode(ranges, level) };
   }
 
-  /** The numbers on a GPU, and the WGSL that decodes them there. */
+  /** The numbers of the levels that have arrived on a GPU, and the WGSL that decodes them there. */
   onGpu(device: GPUDevice): OnGpu {
-    return new OnGpu(device, this.reading, () => this.arrived);
+    return new OnGpu(device, this.reading);
   }
 
   /** Elements of some ranges, the last axis fastest. */
   private decode(ranges: [from: number, to: number][], level: number): Float32Array<ArrayBuffer> {
-    const levels = this.checkedLevel(level);
+    const stages = levelEnds(this.reading.metadata)[this.checkedLevel(level) - 1]!;
     const shape = ranges.map(([from, to]) => to - from);
     const values = new Float32Array(shape.reduce((count, size) => count * size, 1));
     const rows = new Array<number>(this.reading.metadata.modeSizes.length).fill(0);
@@ -78,7 +78,7 @@ export class Model {
         rows[mode]! += (ranges[axis]![0] + flat % shape[axis]!) * stride;
         flat = Math.floor(flat / shape[axis]!);
       }
-      values[at] = sourceValue(decodeRows(this.reading.levels, rows, levels), transform);
+      values[at] = sourceValue(decodeRows(this.reading.stages, rows, stages), transform);
     }
     return values;
   }

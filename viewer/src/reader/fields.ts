@@ -62,10 +62,12 @@ export function asMap(value: Json | undefined, where: string): JsonObject {
   return value;
 }
 
-/** The values of an object with exactly these keys. */
-export function asObject<Key extends string>(value: Json, where: string, keys: readonly Key[]): Record<Key, Json> {
+/** The values of an object with exactly these keys, and of those that are `optional` what is there. */
+export function asObject<Key extends string, Optional extends string = never>(
+  value: Json, where: string, keys: readonly Key[], optional: readonly Optional[] = [],
+): Record<Key, Json> & Partial<Record<Optional, Json>> {
   const found = asMap(value, where);
-  const result: Partial<Record<Key, Json>> = {};
+  const result: Partial<Record<Key | Optional, Json>> = {};
   for (const key of keys) {
     const item = found.get(key);
     if (item === undefined) {
@@ -73,12 +75,14 @@ export function asObject<Key extends string>(value: Json, where: string, keys: r
     }
     result[key] = item;
   }
-  for (const key of found.keys()) {
-    if (!(keys as readonly string[]).includes(key)) {
-      throw fault("field-unknown", `${where}.${key}`, key, keys.join(", "));
+  for (const [key, item] of found) {
+    const known = [...keys, ...optional].find((each) => each === key);
+    if (known === undefined) {
+      throw fault("field-unknown", `${where}.${key}`, key, [...keys, ...optional].join(", "));
     }
+    result[known] = item;
   }
-  return result as Record<Key, Json>;
+  return result as Record<Key, Json> & Partial<Record<Optional, Json>>;
 }
 
 /** A list, of the given length if one is given. */

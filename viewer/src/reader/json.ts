@@ -1,5 +1,5 @@
 /**
- * JSON read strictly: no key twice, no NaN or infinity, no whole number beyond 2^53 - 1.
+ * JSON read strictly: no white space outside strings, no key twice, no NaN or infinity, no whole number beyond 2^53 - 1.
  *
  * `JSON.parse` keeps the last of two equal keys and makes 1.0 of 1, so it cannot tell.
  */
@@ -17,7 +17,6 @@ export type JsonObject = Map<string, Json>;
 /** Beyond any nesting that makes sense; the exact limit is `checkSizes`' matter. */
 const PARSER_DEPTH = 512;
 
-const SPACE = /[ \t\n\r]*/y;
 const NUMBER = /-?(?:0|[1-9][0-9]*)(\.[0-9]+)?([eE][-+]?[0-9]+)?/y;
 const PLAIN = /[^"\\\u0000-\u001f]*/y;
 const LITERALS: [string, Json][] = [["null", null], ["true", true], ["false", false]];
@@ -38,7 +37,6 @@ class Parser {
 
   document(): Json {
     const value = this.value(0);
-    this.skip(SPACE);
     if (this.at < this.text.length) {
       throw this.syntax("extra data");
     }
@@ -67,7 +65,6 @@ class Parser {
     if (depth > PARSER_DEPTH) {
       throw fault("json-depth", this.where, `more than ${PARSER_DEPTH}`, "a lower nesting");
     }
-    this.skip(SPACE);
     switch (this.text[this.at]) {
       case "{": return this.object(depth);
       case "[": return this.list(depth);
@@ -106,13 +103,11 @@ class Parser {
   private list(depth: number): Json[] {
     const items: Json[] = [];
     this.at += 1;
-    this.skip(SPACE);
     if (this.take("]")) {
       return items;
     }
     for (;;) {
       items.push(this.value(depth + 1));
-      this.skip(SPACE);
       if (this.take("]")) {
         return items;
       }
@@ -126,23 +121,19 @@ class Parser {
     const items: JsonObject = new Map();
     let twice: string | undefined;
     this.at += 1;
-    this.skip(SPACE);
     if (this.take("}")) {
       return items;
     }
     for (;;) {
-      this.skip(SPACE);
       if (this.text[this.at] !== '"') {
         throw this.syntax("no key");
       }
       const key = this.string();
-      this.skip(SPACE);
       if (!this.take(":")) {
         throw this.syntax("no colon");
       }
       twice ??= items.has(key) ? key : undefined;
       items.set(key, this.value(depth + 1));
-      this.skip(SPACE);
       if (this.take("}")) {
         break;
       }

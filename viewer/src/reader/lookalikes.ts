@@ -1,6 +1,5 @@
 /** What a file that is no `.hmk` file looks like: the twin of `hmkcta.hmkfile.lookalikes`. */
 
-import type { Limits } from "./limits";
 import { HmkError } from "./reasons";
 
 const COMPRESS = "hmkcta compress it, or give the .hmk file that was made of it";
@@ -26,24 +25,16 @@ const STARTS: [start: string, what: string, advice: string][] = [
 ];
 /** Bytes that tell all of them. */
 export const START = 64;
-const JSON_AT = 8; // where the JSON of a header begins
 
 /** A file that does not begin as an `.hmk` file does: the sentence says as what. */
 export class ForeignFile extends HmkError {}
 
-/** Refuse a file of `size` bytes that begins as no `.hmk` file does; `start` are its first `START` bytes, or all. */
-export function checkStart(start: Uint8Array, size: number, limits: Limits): void {
+/** The error of a file that does not begin as an `.hmk` file does; `start` are its first `START` bytes, or all. */
+export function foreign(start: Uint8Array): ForeignFile {
   const text = String.fromCharCode(...start.subarray(0, START));
-  if (text[JSON_AT] === "{") {
-    return;
-  }
   const begins = text.replace(/^[ \t\n\r\v\f]+</, "<").replace(/[A-Z]/g, (letter) => letter.toLowerCase());
-  // Up to eight bytes might be those of a length.
-  const known = size > JSON_AT ? STARTS.find(([first]) => begins.startsWith(first)) : undefined;
-  const length = [...start.subarray(0, JSON_AT)].reduceRight((sum, byte) => sum * 256 + byte, 0);
-  const isLength = length <= limits.json_bytes && (size <= JSON_AT || (length > 0 && length <= size - JSON_AT));
-  if (known !== undefined || !isLength) {
-    const [, what, advice] = known ?? ["", "no .hmk file", "check that it is an .hmk file"];
-    throw new ForeignFile("Io", "foreign-file", "header", `what begins like ${what}`, "an .hmk file", advice);
-  }
+  // Of safetensors there is a JSON object behind its length.
+  const other = text[8] === "{" ? "safetensors" : "no .hmk file";
+  const [, what, advice] = STARTS.find(([first]) => begins.startsWith(first)) ?? ["", other, "check that it is an .hmk file"];
+  return new ForeignFile("Io", "foreign-file", "header", `what begins like ${what}`, "an .hmk file", advice);
 }

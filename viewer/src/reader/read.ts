@@ -1,143 +1,141 @@
 /**
  * Read a file: nothing is believed before it is checked, and no damage goes unnoticed.
  *
- * `Reading` takes the file in the order of its bytes, so that level 1 can be shown while the rest is on its way:
- * header, tables, then core and basis numbers level by level. `loads` does the same with a whole file at hand, in the
- * order of checks that `docs/format.md`, section 8, fixes for all readers.
+ * `Reading` takes the file section by section in the order of its bytes, so that level 1 can be shown while the rest is on
+ * its way; `loads` does so with a whole file at hand.
  */
 
-import { checkReach, checkTables, largestFinite, levelReach } from "./check";
-import { crc32 } from "./digests";
-import { type Header, LENGTH_BYTES, headerLength, parseHeader } from "./header";
+import { checkLargest, checkReach, largestFinite, levelReach } from "./check";
+import { type Section, headerEnd, headerText, layOut, payload } from "./container";
 import { parseJson } from "./json";
 import { DEFAULT_LIMITS, type Limits } from "./limits";
-import { START, checkStart } from "./lookalikes";
-import { type Coords, type Metadata, type Parsed, isShort, parseMetadata } from "./metadata";
+import { type CoordSection, type Metadata, type Parsed, levelEnds, parseMetadata } from "./metadata";
 import type { PackedLevel } from "./packed";
-import { fault } from "./reasons";
-import {
-  type Find, checkOrder, checkRecords, checkSchema, isNumbers, levelOf, viewOf, widenLevel,
-} from "./schema";
-import { completed } from "./short";
-import type { Geometry } from "./tables";
+import { RunReader } from "./run";
+import { Arrays } from "./stage";
+import { type Stage, storedBytes } from "./stages";
+import { Extents, type Nodes, rootOf } from "./tree";
 
 export interface Model {
   metadata: Metadata;
-  levels: PackedLevel[];
+  stages: PackedLevel[];
 }
 
-/** Read a whole file that is in memory; its arrays become views of `bytes`, but for numbers that are widened. */
+/** Read a whole file that is in memory. */
 export function loads(bytes: Uint8Array<ArrayBuffer>, limits: Limits = DEFAULT_LIMITS): Model {
-  checkStart(bytes.subarray(0, START), bytes.length, limits);
-  const length = headerLength(bytes, bytes.length, limits);
-  const reading = new Reading(bytes.subarray(LENGTH_BYTES, LENGTH_BYTES + length), bytes.length, limits);
-  const aligned = bytes.byteOffset % 8 === 0 ? bytes : bytes.slice();
-  reading.verify(aligned, [...reading.header.entries.keys()]);
-  reading.readTables(aligned, true);
-  for (let level = 1; level <= reading.metadata.levels.length; level += 1) {
-    reading.readLevel(level, aligned, false);
+  const reading = new Reading(bytes, bytes.length, limits);
+  while (reading.nextEnd !== null) {
+    reading.readNext(bytes);
   }
-  return { metadata: reading.metadata, levels: reading.levels };
+  return reading;
 }
 
-/** A file on its way: its header is there and checked, its arrays come later. */
+/** A file on its way: its header is there and checked, its sections come later. */
 export class Reading {
-  readonly header: Header;
   readonly metadata: Metadata;
-  levels: PackedLevel[] = [];
+  /** The stages that are read. */
+  readonly stages: PackedLevel[] = [];
   private readonly parsed: Parsed;
-  private geometries: Geometry[] = [];
+  private readonly sections: Section[];
+  private readonly ends: number[]; // stages of each level, with those before
+  private read = 0; // sections
+  private readonly extents = new Extents();
+  private runs: RunReader | null = null; // while there are any
+  private nodes: Nodes; // of the stage at hand
+  private arrays: Arrays | null = null;
+  private run = 0; // of the stage at hand
   private reach = 0;
 
-  constructor(raw: Uint8Array, readonly size: number, limits: Limits = DEFAULT_LIMITS) {
-    this.header = parseHeader(raw, size, limits);
-    this.parsed = parseMetadata(parseJson(this.header.text, "hmkcta"), limits);
-    this.metadata = this.parsed.metadata;
-    checkRecords(this.parsed.records, this.header.entries);
-    checkSchema(this.parsed, this.header.entries, limits);
-    checkOrder(this.header.entries);
+  /** `file`: its memory, filled up to `headerEnd` at least. */
+  constructor(file: Uint8Array, readonly size: number, private readonly limits: Limits = DEFAULT_LIMITS) {
+    const end = headerEnd(file, size, limits);
+    this.parsed = parseMetadata(parseJson(headerText(file, end), "header"), size, limits);
+    const { metadata, stages, coords } = this.parsed;
+    this.metadata = metadata;
+    this.sections = layOut(end, [...coords.map(coordLength), ...stages.flatMap(runLengths)], size);
+    this.ends = levelEnds(metadata);
+    const axisSizes = new Map(metadata.axes.map((axis) => [axis.name, axis.size]));
+    this.nodes = rootOf(metadata.organisation.map((mode) => mode.map((name) => axisSizes.get(name)!)), this.extents);
   }
 
-  /** Bytes from the start of the file after which all tables are there. */
-  get tablesEnd(): number {
-    return this.endOf((name) => !isNumbers(name));
+  /** Levels that are read. */
+  get arrived(): number {
+    return this.ends.filter((end) => end <= this.stages.length).length;
+  }
+
+  /** Bytes from the start of the file after which the next section is there; null once all are read. */
+  get nextEnd(): number | null {
+    return this.sections[this.read]?.end ?? null;
   }
 
   /** Bytes from the start of the file after which a level and all before it are there. */
   levelEnd(level: number): number {
-    return this.endOf((name) => !isNumbers(name) || Number(name.split("/")[1]) <= level);
+    const runs = this.parsed.stages.slice(0, this.ends[level - 1]).reduce((sum, stage) => sum + stage.runs.length, 0);
+    return this.sections[this.parsed.coords.length + runs - 1]!.end;
   }
 
-  private endOf(wanted: (name: string) => boolean): number {
-    let end = 0;
-    for (const [name, entry] of this.header.entries) {
-      end = wanted(name) ? Math.max(end, entry.end) : end;
-    }
-    return this.header.dataStart + end;
-  }
-
-  /** Compare the checksums of some arrays. */
-  verify(file: Uint8Array<ArrayBuffer>, names: string[]): void {
-    for (const name of names) {
-      const entry = this.header.entries.get(name);
-      const record = this.parsed.records.get(name);
-      if (entry === undefined || record === undefined) {
-        continue;
-      }
-      const start = this.header.dataStart;
-      const found = crc32(file.subarray(start + entry.begin, start + entry.end));
-      if (found !== record.crc32) {
-        throw fault("array-crc", name, `stored bytes whose checksum (CRC-32) is ${hexadecimal(found)}`,
-          `${hexadecimal(record.crc32)}, as the metadata say`, "fetch the file again");
-      }
+  /** Read the next section, whose bytes must be there. */
+  readNext(file: Uint8Array<ArrayBuffer>): void {
+    const section = this.sections[this.read]!;
+    const bytes = payload(file, section);
+    const coords = this.parsed.coords[this.read];
+    this.read += 1;
+    if (coords !== undefined) {
+      this.readCoordinates(coords, bytes, section.name);
+    } else {
+      this.readRun(bytes, section.name);
     }
   }
 
-  /**
-   * Check all tables; `file` is the memory of the whole file, filled at least up to `tablesEnd`.
-   *
-   * Where all of it is `there`, and compared with its checksums, the codes of packed levels are checked with them, as
-   * the order of checks has it; else not before `readLevel`.
-   */
-  readTables(file: Uint8Array<ArrayBuffer>, there = false): void {
-    if (!there) {
-      this.verify(file, this.names((name) => !isNumbers(name)));
-    }
-    const array = this.arraysIn(file);
-    for (const [n, name] of this.parsed.coords) {
-      const values = array(name) as Coords["values"];
-      largestFinite(values, name);
-      this.metadata.axes[n]!.coords = { values, width: this.header.entries.get(name)?.shape[1] ?? 0 };
-    }
-    const order = this.metadata.modeSizes.length;
-    const whole = isShort(this.parsed.version) ? completed(array, this.metadata, there) : array;
-    this.levels = this.metadata.levels.map((_, l) => levelOf(whole, l + 1, order));
-    this.geometries = checkTables(this.metadata, this.levels);
+  private readCoordinates({ axis, dtype, width }: CoordSection, bytes: Uint8Array, where: string): void {
+    const { buffer } = bytes.slice(); // at a place where numbers may begin
+    const values = dtype === "F32" ? new Float32Array(buffer) : new Float64Array(buffer);
+    largestFinite(values, where);
+    this.metadata.axes[axis]!.coords = { values, width };
   }
 
-  /** Check the core and basis numbers of a level, in order from level 1; its bytes must be there. */
-  readLevel(level: number, file: Uint8Array<ArrayBuffer>, verify = true): void {
-    if (verify) {
-      this.verify(file, this.names((name) => isNumbers(name) && name.startsWith(`level/${level}/`)));
+  private readRun(bytes: Uint8Array, where: string): void {
+    this.arrays ??= this.begin();
+    const { stage } = this.arrays;
+    const run = stage.runs[this.run]!;
+    this.arrays.begin(run, where);
+    this.runs ??= new RunReader(this.metadata.modeSizes.length, this.extents, this.limits);
+    this.runs.read(this.arrays, bytes.subarray(0, run.bytes), run.nodes, where);
+    this.arrays.end();
+    if (stage.isHalf) {
+      this.arrays.fill(bytes.subarray(run.bytes), run);
     }
-    const geometry = this.geometries[level - 1]!;
-    widenLevel(geometry, this.arraysIn(file));
-    this.reach += levelReach(geometry);
-    checkReach(this.reach, geometry);
+    this.run += 1;
+    while (this.arrays !== null && this.run === this.arrays.stage.runs.length) {
+      this.finish(this.arrays);
+      const next = this.parsed.stages[this.stages.length];
+      this.arrays = next?.runs.length === 0 ? this.begin() : null; // a stage without nodes has no sections
+      this.runs = next === undefined ? null : this.runs;
+    }
   }
 
-  private arraysIn(file: Uint8Array<ArrayBuffer>): Find {
-    return (name) => {
-      const entry = this.header.entries.get(name);
-      return entry === undefined ? null : viewOf(file, this.header.dataStart, entry);
-    };
+  /** Begin with the next stage. */
+  private begin(): Arrays {
+    const t = this.stages.length;
+    const { stages } = this.parsed;
+    this.run = 0;
+    return new Arrays(stages[t]!, this.nodes, stages[t + 1] ?? null, `stages[${t}]`);
   }
 
-  private names(wanted: (name: string) => boolean): string[] {
-    return [...this.header.entries.keys()].filter(wanted);
+  private finish(arrays: Arrays): void {
+    const { level, stage, where } = arrays;
+    this.nodes = arrays.finish() ?? this.nodes;
+    checkLargest(level, stage, where);
+    this.reach += levelReach(level, where);
+    checkReach(this.reach, where);
+    this.stages.push(level);
   }
 }
 
-function hexadecimal(crc: number): string {
-  return `0x${crc.toString(16).padStart(8, "0")}`;
+function coordLength({ axis, dtype, numbers }: CoordSection): [string, number] {
+  return [`axes[${axis}].coordinates`, numbers * (dtype === "F32" ? 4 : 8)];
+}
+
+function runLengths(stage: Stage, t: number): [string, number][] {
+  return stage.runs.map((run, i) => [`stages[${t}].runs[${i}]`, run.bytes + storedBytes(stage, run)]);
 }

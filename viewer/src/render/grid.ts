@@ -6,7 +6,7 @@
 import { FrameContraction, type Still, contractedModes } from "../gpu/frameContraction";
 import type { Decoder } from "../gpu/decoder";
 import { Pass } from "../gpu/pass";
-import { prelude } from "../gpu/prelude";
+import { pickedPrelude } from "../gpu/picked";
 import { pickedFiles } from "../gpu/shaders";
 import { timeSteps } from "./layout";
 import type { Span } from "./part";
@@ -37,9 +37,9 @@ async function gridShader(device: GPUDevice, decoder: Decoder, moving: (number |
   const { metadata } = decoder;
   const picks = metadata.axes.map((axis) => (axis.role === "time" ? 2 : 1));
   const still = metadata.axes.flatMap((_, axis) => (moving.includes(axis) ? [] : [axis]));
-  const options = { picks, contracted: contractedModes(decoder, still), uniform: decoder.uniform };
+  const options = { picks, contracted: contractedModes(decoder, still) };
   const frame = new FrameContraction(device, decoder, options);
-  const head = prelude(metadata, decoder.pages, options);
+  const head = pickedPrelude(decoder.tree, decoder.pages, options);
   const [pass] = await Promise.all([
     Pass.make(device, {
       entry: "decode_grid", struct: "GridFrame", decoder: frame.layout, head, shaders: pickedFiles(head, "grid"),

@@ -4,9 +4,11 @@ import { FrameContraction, type Still } from "../gpu/frameContraction";
 import type { Decoder } from "../gpu/decoder";
 import { payingModes } from "../gpu/payingModes";
 import { Pass } from "../gpu/pass";
-import { type Options, picksFit, prelude } from "../gpu/prelude";
+import { pickedPrelude } from "../gpu/picked";
+import { type Options, picksFit } from "../gpu/prelude";
 import { pickedFiles } from "../gpu/shaders";
-import type { LevelBounds, Metadata } from "../reader/metadata";
+import { firstStages } from "../gpu/tree";
+import { type Metadata, levelEnds } from "../reader/metadata";
 import type { Layout } from "./layout";
 
 const FLAG_NEAREST = 4;
@@ -61,9 +63,9 @@ export class Shading {
     this.general = contraction(general);
     this.fixed = fixed.join() === general.join() ? null : contraction(fixed);
     const one = metadata.levels.length === 1;
-    this.all = new Later(async () => (one ? this.first! : this.compile(metadata.levels, this.general, false)));
+    this.all = new Later(async () => (one ? this.first! : this.compile(metadata.stages.length, this.general, false)));
     this.lit = new Later(async () => {
-      const [pass] = await Promise.all([this.compile(metadata.levels, this.fixed!, true), this.fixed!.compile()]);
+      const [pass] = await Promise.all([this.compile(metadata.stages.length, this.fixed!, true), this.fixed!.compile()]);
       return pass;
     });
   }
@@ -72,7 +74,7 @@ export class Shading {
   static async make(device: GPUDevice, decoder: Decoder, directed: Directed): Promise<Shading> {
     const made = new Shading(device, decoder, directed);
     [made.first] = await Promise.all([
-      made.compile(decoder.metadata.levels.slice(0, 1), made.general, false), made.general.compile(),
+      made.compile(levelEnds(decoder.metadata)[0]!, made.general, false), made.general.compile(),
     ]);
     return made;
   }
@@ -103,14 +105,15 @@ export class Shading {
   }
 
   private options(contracted: number[]): Options {
-    return { picks: this.picks, channels: this.channels, contracted, uniform: this.decoder.uniform };
+    return { picks: this.picks, channels: this.channels, contracted };
   }
 
-  private compile(levels: LevelBounds[], frame: FrameContraction, fixed: boolean): Promise<Pass> {
-    const { metadata, pages, uniform } = this.decoder;
-    const options = { ...this.options(frame.contracted), uniform: uniform.filter((l) => l < levels.length) };
+  /** Compile what adds up the first stages. */
+  private compile(stages: number, frame: FrameContraction, fixed: boolean): Promise<Pass> {
+    const { tree, pages } = this.decoder;
+    const options = this.options(frame.contracted);
     const gridded = this.directed.axes.some((axes) => axes.length > 1);
-    const head = `${prelude({ ...metadata, levels }, pages, options)}const ANGLES = ${gridded};\nconst FIXED_LIGHT = ${fixed};\n`;
+    const head = `${pickedPrelude(firstStages(tree, stages), pages, options)}const ANGLES = ${gridded};\nconst FIXED_LIGHT = ${fixed};\n`;
     return Pass.make(this.device, {
       entry: "shade_svbrdf", struct: "SvbrdfFrame", decoder: frame.layout, head, shaders: pickedFiles(head, "svbrdf"),
       bindings: ["storage", "texture-2d", "texture-2d", "texture-2d", "store-2d"],

@@ -24,7 +24,7 @@ export function readout(app: App, place: [number, number], canvas: HTMLCanvasEle
   const index = state.position.map((at, n) => (n === x ? column : n === y ? row : at));
   const channel = colourAxis(metadata, state);
   const shown = channel === null ? [index] : shownChannels(metadata.axes[channel]!.size).map((c) => index.map((at, n) => (n === channel ? c : at)));
-  const values = shown.map((at) => plain(decodeElement(metadata, app.reading.levels, at, state.level), 4));
+  const values = shown.map((at) => plain(decodeElement(metadata, app.reading.stages, at, state.level), 4));
   const where = metadata.axes.map((axis, n) => (n === channel ? "" : `${axis.name} ${index[n]}`)).filter((part) => part !== "");
   return `${where.join(", ")}: ${values.join(" ")}`;
 }

@@ -1,0 +1,360 @@
+"""The search: layouts judged by J on samples of blocks at one step D, the best of them coded, each with a D of its own.
+
+Everything that is chosen (organisation, grid, undecomposed modes, ranks) minimises J = error / D^2 + lambda * bits; the
+goal is met by D alone. `docs/design-notes.md` says what is measured, and what was tried.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from math import exp, inf, isinf, log, log2, prod, sqrt
+from time import monotonic
+from typing import Any, Protocol, TypeAlias, TypeVar
+
+from ..metrics import snr_db as decibels
+from ..support.executors import in_order
+from .coded import CodedBlocks, LayoutCoder
+from .judging import Judge, Sample, Verdict
+from .layout import Layout, Modes, first_layouts, neighbours, read_layout
+from .rate_model import MODEL
+from .roots import OVERSHOT, USED, meet
+from .values import Values
+
+T = TypeVar("T")
+#: A layout, the step at which it was judged, and the elements of the sample.
+Judged: TypeAlias = "tuple[Layout, float, int]"
+
+#: SNR in dB beyond which float64 is needed to tell what is stored: float32 Gram matrices end at some 65 dB.
+PRECISE_SNR = 50.0
+#: D begins at this share of the root mean square, and is never less than that: it leaves some 110 dB, more than float32
+#: arithmetic and float16 bases keep, and numbers of any block within 32 bits.
+FIRST_STEP, LEAST_STEP = 0.1, 1e-5
+#: Organisations whose J was this many times that of another on each grid where both were judged are not tried again.
+HOPELESS_MODES = 1.5
+#: Layouts that are judged before the best of them becomes the bar of the next ones, whatever the threads.
+AT_ONCE = 8
+
+
+class Settled(Protocol):
+    """What `read` makes of the JSON value that was chosen before under a name, else of what `choose` makes."""
+
+    def __call__(self, name: str, choose: Callable[[], Any], read: Callable[[Any], T], /) -> T: ...
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How long a search looks.
+
+    Attributes:
+        elements: of a first sample of each layout (2^17 suffice), and of the one that ranks finalists.
+        rounds: how often the best are varied.
+        varied: how many of the best are varied in a round.
+        finalists: how many are judged on the larger sample.
+        coded: how many are coded.
+    """
+
+    elements: tuple[int, int]
+    rounds: int
+    varied: int
+    finalists: int
+    coded: int
+
+
+EFFORTS = {
+    "fast": Effort((1 << 15, 1 << 17), 2, 1, 6, 1),
+    "medium": Effort((1 << 17, 1 << 19), 6, 3, 12, 4),
+    "thorough": Effort((1 << 18, 1 << 21), 10, 6, 24, 8),
+}
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What a file is to be: `size` most bytes, or `snr` least dB; one of them."""
+
+    size: int | None = None
+    snr: float | None = None
+
+
+@dataclass(frozen=True, order=True)
+class Score:
+    """How good a file is for a goal; the least is best.
+
+    Attributes:
+        missed: by how much, as a logarithm, the goal is missed; 0: it is met.
+        first: -dB of a file for a size, bytes of one for an SNR.
+        then: the other one.
+    """
+
+    missed: float
+    first: float
+    then: float
+
+    @classmethod
+    def of(cls, goal: Goal, nbytes: int, snr: float) -> Score:
+        """The score of a file of so many bytes and dB.
+
+        >>> Score.of(Goal(size=1000), 990, 30.0) < Score.of(Goal(size=1000), 900, 29.0)
+        True
+        >>> Score.of(Goal(snr=30), 990, 30.0) < Score.of(Goal(snr=30), 900, 29.0)
+        True
+        """
+        if goal.size is not None:
+            return cls(max(0.0, log(nbytes / goal.size)), -snr, nbytes)
+        assert goal.snr is not None, "a goal has one of the two"
+        return cls(0.0 if snr >= goal.snr else goal.snr - snr, nbytes, -snr)
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A layout with its code.
+
+    Attributes:
+        layout: modes and grid.
+        coder: codes the same at other steps.
+        coded: the blocks at the step that meets the goal.
+        nbytes: of the code, with `overhead`.
+        snr: in dB, of the values as decoded.
+        above: levels whose residual is coded, the first of them of the values.
+    """
+
+    layout: Layout
+    coder: LayoutCoder
+    coded: CodedBlocks
+    nbytes: int
+    snr: float
+    above: tuple[CodedBlocks, ...] = ()
+
+    @property
+    def levels(self) -> tuple[CodedBlocks, ...]:
+        """The blocks of every level."""
+        return *self.above, self.coded
+
+
+@dataclass(eq=False)
+class Search:
+    """A search for the layout that is best for a goal.
+
+    Args:
+        values: the array.
+        goal: bytes or dB.
+        decode_cost: bound on the multiply-adds of one element.
+        effort: how long to look.
+        modes: the axes that are merged; None: what is best.
+        overhead: bytes of a file besides its code: header and metadata.
+        threads: layouts that are judged at a time; the result does not depend on it.
+        on_progress: called with a stage's name and the fraction of it that is done.
+        settled: the JSON value that an interrupted search chose under a name, else what the function given chooses.
+        deadline: of `time.monotonic`, after which no further layout is looked at.
+    """
+
+    values: Values
+    goal: Goal
+    decode_cost: int = 4096
+    effort: Effort = EFFORTS["medium"]
+    modes: Modes | None = None
+    overhead: int = 600
+    threads: int = 1
+    on_progress: Callable[[str, float], None] = lambda _stage, _fraction: None
+    settled: Settled = lambda _name, choose, read: read(choose())
+    deadline: float = inf
+    judged: dict[Judged, Verdict] = field(init=False, default_factory=dict["Judged", Verdict])
+
+    def __post_init__(self) -> None:
+        precise = (self.goal.snr or 0.0) > PRECISE_SNR
+        self.energy = self.values.energy
+        self.rms = sqrt(self.energy / self.values.size) or 1.0
+        # Steps beyond which more digits are kept than float32 has, and from which on nothing is.
+        self.steps = LEAST_STEP * self.rms, 4 * self.rms * sqrt(self.values.size)
+        self.judge = Judge(self.values, self.decode_cost, threads=self.threads, precise=precise)
+
+    def run(self) -> Found:
+        """The best layout found, coded so that it meets the goal; the closest to it where none does."""
+        step, finalists = self.explore()
+        coded: list[tuple[Score, int, float]] = []  # with the place of the layout, and its step
+        made: dict[int, Found] = {}
+        finalists = self._apart(finalists)
+        for place, layout in enumerate(finalists):
+            self.on_progress("code", place / self.effort.coded)
+            score, step = self._score(layout, step, place, made)
+            coded.append((score, place, step))
+            if min(coded)[1] != place:  # only the best is held
+                made.pop(place, None)
+            if monotonic() > self.deadline:
+                break
+        _, place, step = min(coded)
+        return made.get(place) or self.code(finalists[place], step)
+
+    def _apart(self, finalists: Sequence[Layout]) -> list[Layout]:
+        """The finalists to code: the best, and the best of other octaves of the number of blocks."""
+        best = list(finalists[: max(1, 3 * self.effort.coded // 4)])
+        octaves = {self._octave(layout) for layout in best}
+        for layout in finalists:
+            if len(best) < self.effort.coded and self._octave(layout) not in octaves:
+                octaves.add(self._octave(layout))
+                best.append(layout)
+        return best
+
+    def _octave(self, layout: Layout) -> int:
+        return round(log2(prod(layout.blocks(self.values.shape))))
+
+    def explore(self) -> tuple[float, list[Layout]]:
+        """The step at which the best layouts meet the goal, and the finalists, best first."""
+        def chosen() -> Any:
+            step, ranked = self._explore(FIRST_STEP * self.rms)
+            finalists = self._ranked(ranked[: self.effort.finalists], step, self.effort.elements[1])
+            return [step, [[layout.modes, layout.edges] for layout in finalists]]
+
+        return self.settled("explored", chosen, self._read_explored)
+
+    def _read_explored(self, value: Any) -> tuple[float, list[Layout]]:
+        """Step and layouts that `explore` wrote down.
+
+        Raises:
+            TypeError, ValueError: it did not.
+        """
+        step, finalists = value
+        return self._read_step(step), [read_layout(self.values.shape, *layout) for layout in finalists]
+
+    def _read_step(self, step: Any) -> float:
+        if not isinstance(step, float) or not self.steps[0] / 2 <= step <= self.steps[1] * 2:
+            raise ValueError("no step")
+        return step
+
+    def estimated(self, layout: Layout, step: float) -> tuple[float, float]:
+        """Bytes of the file of a layout and its SNR in dB, by its J on the larger sample about a step."""
+        bits, error = self._bits_and_error(self.judge.kept(layout, self.effort.elements[1]), step)
+        return bits / 8 + self.overhead, decibels(self.energy, error) if self.energy > 0 else inf
+
+    def _score(self, layout: Layout, step: float, place: int, made: dict[int, Found]) -> tuple[Score, float]:
+        """The score of a finalist coded for the goal, and its step; `made` has it where it had to be coded now."""
+        def chosen() -> Any:
+            found = made[place] = self.meet(layout, step)
+            return [found.nbytes, None if isinf(found.snr) else found.snr, found.coded.step]
+
+        def read(value: Any) -> tuple[Score, float]:
+            nbytes, snr, own = value
+            return Score.of(self.goal, int(nbytes), inf if snr is None else float(snr)), self._read_step(own)
+
+        return self.settled(f"coded-{place}", chosen, read)
+
+    def again(self, found: Found, goal: Goal) -> Found:
+        """The same layout for another goal."""
+        self.goal = goal
+        return self.meet(found.layout, found.coded.step, found.coder)
+
+    def _explore(self, step: float) -> tuple[float, list[Layout]]:
+        """The step at which the best layouts meet the goal, and all layouts judged at it, best first."""
+        layouts = self._held(first_layouts(self.values.shape, self.modes))
+        ranked: list[Layout] = []
+        for turn in range(self.effort.rounds):
+            self.on_progress("search", turn / self.effort.rounds)
+            ranked = self._ranked(layouts, step, self.effort.elements[0])
+            near = self._step_for(ranked[0], step)
+            if abs(log(near / step)) > 0.1 and turn + 1 < self.effort.rounds:
+                # Many layouts need not be judged again at another step: those far behind stay there.
+                step, ranked = near, ranked[: self.effort.finalists]
+                ranked = self._ranked(ranked, step, self.effort.elements[0])
+            behind = self._behind()
+            varied = [other for place, layout in enumerate(ranked[: self.effort.varied])
+                      for other in neighbours(layout, self.values.shape, organise=not place and self.modes is None)
+                      if behind.get(other.modes, 0.0) < HOPELESS_MODES]
+            layouts = list(dict.fromkeys([*ranked[: self.effort.finalists], *self._held(varied)]))
+            judged = all((layout, step, self.effort.elements[0]) in self.judged for layout in layouts)
+            if judged or monotonic() > self.deadline:
+                break
+        return step, self._ranked(layouts, step, self.effort.elements[0])
+
+    def _behind(self) -> dict[Modes, float]:
+        """How many times the least J on a grid each organisation had so far, on the grid that suits it best."""
+        least: dict[object, float] = {}
+        for (layout, step, elements), verdict in self.judged.items():
+            grid = layout.edges, step, elements
+            least[grid] = min(verdict.cost, least.get(grid, inf))
+        found: dict[Modes, float] = {}
+        for (layout, step, elements), verdict in self.judged.items():
+            least_here = least[layout.edges, step, elements]
+            ratio = verdict.cost / least_here if least_here > 0 else 1.0
+            found[layout.modes] = min(ratio, found.get(layout.modes, inf))
+        return found
+
+    def _held(self, layouts: Iterable[Layout]) -> list[Layout]:
+        """The layouts whose blocks memory suffices for."""
+        return [layout for layout in layouts if self.values.holds(layout.block(self.values.shape))]
+
+    def _ranked(self, layouts: Iterable[Layout], step: float, elements: int) -> list[Layout]:
+        """Layouts by J at a step, the least first."""
+        todo = [layout for layout in dict.fromkeys(layouts) if (layout, step, elements) not in self.judged]
+        known = [found.cost for (_, at, of), found in self.judged.items() if (at, of) == (step, elements)]
+        bar = min(known, default=inf)
+        for first in range(0, len(todo), AT_ONCE):  # after each few the bar is higher
+            own = todo[first : first + AT_ONCE]
+            if bar < inf and monotonic() > self.deadline:  # these are not looked at
+                self.judged.update({(layout, step, elements): Verdict(inf, ((),)) for layout in own})
+                continue
+            largest = max(prod(layout.block(self.values.shape)) for layout in own)
+            workers = min(self.threads, max(1, self.values.together // largest))
+            judge = partial(self.judge.verdict, step=step, elements=elements, bar=bar)
+            for layout, found in zip(own, in_order(judge, own, workers), strict=True):
+                self.judged[layout, step, elements] = found
+                bar = min(bar, found.cost)
+        return sorted(dict.fromkeys(layouts), key=lambda layout: (self.judged[layout, step, elements].cost, layout))
+
+    def _step_for(self, layout: Layout, step: float) -> float:
+        """The step at which a layout meets the goal, by its J on a sample.
+
+        J is least in everything but D, so its derivative by log D is -2 error / D^2, and J says bits and errors both.
+        """
+        sample = self.judge.kept(layout, self.effort.elements[0])
+
+        def attempt(step: float) -> tuple[float, None]:
+            bits, error = self._bits_and_error(sample, step)
+            return self._excess(bits / 8 + self.overhead, error), None
+
+        slope = -1.0 if self.goal.size is not None else 1.3
+        return meet(attempt, step, 0.05, slope, bounds=self.steps, tries=6).step
+
+    def _bits_and_error(self, sample: Sample, step: float) -> tuple[float, float]:
+        """Bits of the code of a layout and its squared error: J(D) is least in everything else (envelope theorem)."""
+        low, high = (sample.verdict(step * exp(by)).cost for by in (-0.05, 0.05))
+        error = max((low - high) / 0.2, 1e-9)  # in units of D^2
+        return max(((low + high) / 2 - error) / MODEL.trade, 8.0), error * step * step
+
+    def _excess(self, nbytes: float, error: float) -> float:
+        """How far above the goal, as a logarithm, so many bytes or such a squared error are."""
+        if self.goal.size is not None:
+            return log(max(nbytes - self.overhead, 1.0) / max(self.goal.size - self.overhead, 1))
+        assert self.goal.snr is not None, "a goal has one of the two"
+        # Without any error no step is needed that is smaller.
+        return log(error / self.energy) + self.goal.snr * log(10) / 10 if error > 0 and self.energy > 0 else 0.0
+
+    def _coder(self, layout: Layout, step: float) -> LayoutCoder:
+        known = self.judged.get((layout, step, self.effort.elements[1]))
+        sets = (known or self.judge.verdict(layout, step, self.effort.elements[1])).sets
+        return LayoutCoder(self.values, layout, sets, self.decode_cost, threads=self.threads,
+                           precise=self.judge.precise)
+
+    def code(self, layout: Layout, step: float, coder: LayoutCoder | None = None) -> Found:
+        """A layout coded at a step."""
+        coder = coder or self._coder(layout, step)
+        coded = coder.code(step)
+        return Found(layout, coder, coded, coder.bytes_of(coded) + self.overhead, decibels(self.energy, coded.error))
+
+    def meet(self, layout: Layout, step: float, coder: LayoutCoder | None = None) -> Found:
+        """A layout coded at the step that meets the goal, or comes closest to it."""
+        coder = coder or self._coder(layout, step)
+        best: list[tuple[Score, float, Found]] = []
+
+        def attempt(step: float) -> tuple[float, Found]:
+            found = self.code(layout, step, coder)
+            best.append((Score.of(self.goal, found.nbytes, found.snr), step, found))
+            best[:] = [min(best, key=lambda one: one[:2])]
+            return self._excess(found.nbytes, found.coded.error), found
+
+        by_size = self.goal.size is not None
+        tolerance = -log(USED) if by_size else OVERSHOT * log(10) / 10
+        slope = -1.0 if by_size else 1.3
+        meet(attempt, max(step, self.steps[0]), tolerance, slope, bounds=self.steps)
+        # Not the closest: where the decode cost bounds a layout, ever smaller steps end in numbers that are clipped.
+        return best[0][2]
