@@ -223,7 +223,7 @@ def test_an_snr_next_to_nothing_stores_next_to_nothing() -> None:
 def test_constant_data_meets_every_goal(value: float, goal: dict[str, Any]) -> None:
     model = compress(np.full((6, 7, 8), value, np.float32), threads=1, **goal)
     assert model.snr >= goal.get("snr", 50.0)
-    assert model.nbytes < 1000
+    assert model.nbytes < 1200
     assert np.allclose(np.asarray(model), value, rtol=4e-2, atol=1e-6)
 
 
