@@ -130,13 +130,8 @@ def _values(source: Source, memory: int | None) -> Values:
     """The values in memory, or read from the source where memory does not hold them with their HOSVDs."""
     budget = memory_budget(memory) - PROCESS
     if HELD * 4 * source.array.size <= budget:
-        return Values.of_array(source.values(slice_all(source.shape)))
+        return Values.of_array(source.values())
     return Values(source.shape, source.values, budget)
-
-
-def slice_all(shape: tuple[int, ...]) -> tuple[slice, ...]:
-    """The whole of an array as slices."""
-    return tuple(slice(0, size) for size in shape)
 
 
 def modes_of(source: Source, organisation: Organisation) -> Modes:

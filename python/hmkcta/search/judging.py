@@ -88,7 +88,7 @@ class Sample:
         every = max(1, len(blocks) // SCOUTS)
         self.scouts, self.others = blocks[::every], [block for n, block in enumerate(blocks) if n % every]
         self.keeps = keeps and (judge.values.in_memory or len(blocks) * size <= judge.values.together // SCOUTS)
-        self._kept: dict[int, list[BlockBatch]] = {}
+        self._kept: dict[bool, list[BlockBatch]] = {}
 
     def verdict(self, step: float, bar: float = inf) -> Verdict:
         """J of the whole array at a step D.
@@ -97,22 +97,23 @@ class Sample:
         promise a J of more than `HOPELESS` times `bar` is looked at no further.
         """
         seen = _Seen(self.judge.values.size)
-        for batch in self._batches(self.scouts):
+        for batch in self._batches(scouts=True):
             sets = tuple(batch.undecomposed_sets())
             seen.add(batch, choose(batch, sets, step, self.judge.decode_cost))
         if seen.cost <= HOPELESS * bar:
-            for batch in self._batches(self.others):
+            for batch in self._batches(scouts=False):
                 sets = seen.best(MOST_SETS, tuple(batch.undecomposed_sets()))
                 seen.add(batch, choose(batch, sets, step, self.judge.decode_cost))
         best = [tuple(sorted(self.order[n] for n in undecomposed)) for undecomposed in seen.best(MOST_SETS)]
         return Verdict(seen.cost, tuple(sorted(best)))
 
-    def _batches(self, blocks: list[Slices]) -> Iterable[BlockBatch]:
+    def _batches(self, *, scouts: bool) -> Iterable[BlockBatch]:
+        blocks = self.scouts if scouts else self.others
         if not self.keeps:
             return self._decomposed(blocks)
-        if id(blocks) not in self._kept:
-            self._kept[id(blocks)] = list(self._decomposed(blocks))
-        return self._kept[id(blocks)]
+        if scouts not in self._kept:
+            self._kept[scouts] = list(self._decomposed(blocks))
+        return self._kept[scouts]
 
     def _decomposed(self, blocks: Sequence[Slices]) -> Iterator[BlockBatch]:
         """Blocks of one shape with their HOSVDs, as many at a time as memory is shared out for."""
