@@ -300,7 +300,7 @@ def test_what_is_said_beside_a_plan_counts() -> None:
     assert len(coarse.quality) < len(fine.quality)
     for plan in (own, replace(own, snr=30), replace(own, size=fine.nbytes)):
         assert compress(noise, plan, snr=8, organisation="axis0, axis1").snr == coarse.snr
-    assert raised(lambda: compress(noise, parse_plan("R=9", MODES), size=800)).reason == "size-too-small"
+    assert raised(lambda: compress(noise, parse_plan("R=9", MODES), size=300)).reason == "size-too-small"
     assert raised(lambda: compress(noise, own, snr=8, organisation="axis0+axis1")).where == "organisation"
     clusters = parse_plan("R=1 C=2 / R=1", MODES)
     for scheme in ("least", "uniform"):

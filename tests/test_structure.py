@@ -61,7 +61,7 @@ WITHIN = {
         ("judging",),
         ("coded",),
         ("engine", "stages"),
-        ("second_level",),
+        ("second_level", "written"),
         ("find",),
     ),
     "streaming": (

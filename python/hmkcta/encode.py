@@ -29,6 +29,7 @@ from .offset import lost_beside_offset
 from .plan import AUTO, SCHEMES, Plan
 from .search.engine import Goal
 from .search.find import Estimate, estimate_model, find_model
+from .search.written import coded_for
 from .streaming.budget import check_least_memory
 from .streaming.source import Source, prepare
 from .support.cut_short import whole_map
@@ -146,6 +147,8 @@ def compress(
                                    run=run, seconds=time)
             else:
                 model = fit_plan(FitRequest(source, plan, kind or source.kind, run, wanted.max_memory))
+                if plan.snr is not None or plan.size is not None:
+                    model = coded_for(model, source, Goal(plan.size, plan.snr), run)
                 model.made_by = plan
         _check_steady(source)
     _warn_of(model, source, plan.snr if plan else wanted.snr)

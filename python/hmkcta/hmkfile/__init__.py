@@ -1,5 +1,6 @@
 """The `.hmk` file: reading, writing, limits and reason codes (`docs/format.md`)."""
 
+from .coding import root_places as root_places
 from .coding import stage_arrays as stage_arrays
 from .container import VERSION as VERSION
 from .limits import DEFAULT_LIMITS as DEFAULT_LIMITS

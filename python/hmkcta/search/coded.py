@@ -15,7 +15,7 @@ from ..arrays import F32
 from ..support.executors import in_order
 from ..support.extension import native
 from ..support.memory import give_back_freed_memory
-from .blocks import Region, as_tensor, by_shape, cut, regions
+from .blocks import Region, Slices, as_tensor, by_shape, cut, grid_block, regions, sample
 from .hosvd import BlockBatch, Undecomposed
 from .judging import Choice, choose
 from .kernels import I32, U8, U32, code_blocks
@@ -106,6 +106,27 @@ class LayoutCoder:
         """Bytes of the code in the file, tables included, header not."""
         stages = self.stages(coded)
         return sum(native.count_stage(stage, places) for stage, places in stages)
+
+    def sampled(self, step: float, elements: int) -> tuple[float, float]:
+        """Bits of the code of the whole array and its squared error, by about so many elements of it."""
+        shape, size = self.values.shape, max(1, self.values.size // self.count)
+        picked = sample(self.count, size, elements, self.values.detail_of(self.layout))
+        blocks = [grid_block(shape, self.layout, number) for number in picked.tolist()]
+        coded = _joined([piece for batch in self._some(blocks) for piece in self._code_batch(*batch, step)],
+                        len(blocks), len(self.layout.modes), step)
+        places = _places(blocks, self.layout)
+        stage = _cells(coded, places["rows"].reshape(len(blocks), -1), last=True)
+        share = sum(prod(_lengths_of(block)) for block in blocks) / self.values.size
+        return 8 * native.count_stage(stage, places) / share, coded.error / share
+
+    def _some(self, blocks: Sequence[Slices]) -> Iterator[Batch]:
+        """Blocks of one shape with their HOSVDs, as many at a time as memory is shared out for."""
+        for places in by_shape(blocks).values():
+            together = max(1, self.values.together // self.threads // prod(_lengths_of(blocks[places[0]])))
+            for first in range(0, len(places), together):
+                own = places[first : first + together]
+                tensors = as_tensor(np.stack([self.values[blocks[b]] for b in own]), self.layout.modes)
+                yield own, BlockBatch(tensors, precise=self.precise, keeps=True)
 
     def stages(self, *levels: CodedBlocks) -> list[tuple[dict[str, Any], dict[str, Any]]]:
         """What the native coder takes of each stage: a grid where there are several blocks, and levels of blocks."""
@@ -205,6 +226,19 @@ def _reordered(arrays: Sequence[NDArray[Any]], numbers: NDArray[np.intp], length
         found[done:end] = flat[np.repeat(shifts, wanted[own]) + np.arange(done, end)]
         first = last
     return found
+
+
+def _lengths_of(block: Slices) -> list[int]:
+    return [part.stop - part.start for part in block]
+
+
+def _places(blocks: Sequence[Slices], layout: Layout) -> dict[str, Any]:
+    """Rows and extents of blocks that are nodes of a stage."""
+    extents = [[[block[axis].stop - block[axis].start for axis in mode] for mode in layout.modes] for block in blocks]
+    flat = [own for block in extents for own in block]
+    return {"rows": np.array([prod(own) for own in flat], np.uint32),
+            "extents": np.array([size for own in flat for size in own], np.uint32),
+            "ends": np.array([0, *accumulate(map(len, flat))], np.uint32)}
 
 
 def _root(shape: Sequence[int], layout: Layout) -> dict[str, Any]:

@@ -38,7 +38,7 @@ def meet(
         attempt: excess of a step and its result; the excess is monotone in D.
         step: D to begin with.
         tolerance: results that meet the goal and lie at most this far below it end the search.
-        slope: what the excess changes by with log D, about (negative: more D, fewer bytes).
+        slope: what the excess changes by with log D, about, to begin with (negative: more D, fewer bytes).
         bounds: the least and the largest step that are tried.
         tries: most attempts.
 
@@ -51,15 +51,23 @@ def meet(
     """
     met: Tried[T] | None = None
     above: Tried[T] | None = None  # the closest that misses the goal
+    last: tuple[float, float] | None = None  # log D and excess
+    sides: list[bool] = []
     for _ in range(tries):
         excess, result = attempt(step)
+        if last is not None and step != exp(last[0]):
+            slope = _between((excess - last[1]) / (log(step) - last[0]), slope)
+        last = log(step), excess
         if excess <= 0:
             met = Tried(step, excess, result) if met is None or excess >= met.excess else met
             if excess >= -tolerance:
                 break
         elif above is None or excess <= above.excess:
             above = Tried(step, excess, result)
-        before, step = step, min(max(_next(step, excess, met, above, tolerance, slope), bounds[0]), bounds[1])
+        sides.append(excess <= 0)
+        twice = len(sides) > 1 and sides[-1] == sides[-2]
+        aim = _next(step, excess, met, above, tolerance, slope, twice)
+        before, step = step, min(max(aim, bounds[0]), bounds[1])
         if step == before:
             break
     found = met or above
@@ -67,11 +75,21 @@ def meet(
     return found
 
 
-def _next(step: float, excess: float, met: Tried[T] | None, above: Tried[T] | None, tolerance: float, slope: float
-          ) -> float:
+def _between(found: float, slope: float) -> float:
+    """The slope as found, but by no more than a factor of 4 from the one before: bytes of coarse steps are noisy."""
+    ratio = min(max(found / slope, 0.25), 4.0)
+    return slope * ratio
+
+
+def _next(step: float, excess: float, met: Tried[T] | None, above: Tried[T] | None, tolerance: float, slope: float,
+          twice: bool) -> float:
+    """Of a bracket the secant; where one end moved `twice`, half as much of the other (Illinois method)."""
     if met is not None and above is not None:
         aimed = -0.4 * tolerance
-        share = (above.excess - aimed) / (above.excess - met.excess)
+        low, high = met.excess - aimed, above.excess - aimed
+        if twice:
+            low, high = (low, high / 2) if excess <= 0 else (low / 2, high)
+        share = high / (high - low) if high > low else 0.5
         share = min(max(share, 0.03), 0.97)
         return exp(log(above.step) + share * log(met.step / above.step))
     # No bracket yet: as far as the slope says, and a little beyond.

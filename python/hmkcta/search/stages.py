@@ -25,12 +25,13 @@ def stages_of(coder: LayoutCoder, levels: Sequence[CodedBlocks], scale: float = 
     coders = coder.stages(*levels)
     steps = [*[None] * (len(coders) - len(levels)), *(float(np.float32(level.step * scale)) for level in levels)]
     for (stage, places), after, step in zip(coders, [*(at for _, at in coders[1:]), None], steps, strict=True):
-        stages.append(_widened(stage, places, after, step))
+        stages.append(widened(stage, places, after, step))
     return tuple(stages)
 
 
-def _widened(stage: dict[str, Any], places: dict[str, Any], after: dict[str, Any] | None, step: float | None
-             ) -> PackedLevel:
+def widened(stage: dict[str, Any], places: dict[str, Any], after: dict[str, Any] | None, step: float | None
+            ) -> PackedLevel:
+    """A stage as a reader widens it from the file; its step is None where it has no numbers."""
     order = len(stage["cluster"])
     runs = [(np.frombuffer(data, np.uint8), counts) for data, counts in native.encode_stage(stage, places)]
     shape = stage["shape"].reshape(-1, 3, order)
