@@ -57,18 +57,24 @@ class LayoutCoder:
 
     def __init__(
         self, values: Values, layout: Layout, sets: Sequence[Undecomposed], decode_cost: float, *, threads: int = 1,
-        precise: bool = False, filled: bool = False
+        filled: bool = False
     ) -> None:
         """Nothing is coded yet; `filled`: every block stores something, as only such blocks have a level below."""
         self.values, self.layout, self.sets, self.decode_cost = values, layout, tuple(sets), decode_cost
-        self.precise, self.threads, self.filled = precise, threads, filled
+        self.precise, self.threads, self.filled = False, threads, filled
         self.count = prod(layout.blocks(values.shape))
         self._held: list[list[Batch]] | None = None
 
     def code(self, step: float) -> CodedBlocks:
         """All blocks at a step D."""
         step = float(np.float32(step))
+        self._prepare(step)
         return _joined(list(self._coded(step)), self.count, len(self.layout.modes), step)
+
+    def _prepare(self, step: float) -> None:
+        """Let go of HOSVDs that are not precise enough for a step."""
+        if not self.precise and self.values.precise(step):
+            self.precise, self._held = True, None
 
     def _coded(self, step: float) -> Iterator[_Piece]:
         def pieces(batches: Sequence[Batch]) -> list[_Piece]:
@@ -109,8 +115,9 @@ class LayoutCoder:
 
     def sampled(self, step: float, elements: int) -> tuple[float, float]:
         """Bits of the code of the whole array and its squared error, by about so many elements of it."""
+        self._prepare(step)
         shape, size = self.values.shape, max(1, self.values.size // self.count)
-        picked = sample(self.count, size, elements, self.values.detail_of(self.layout))
+        picked = sample(self.count, size, elements, self.values.detail_of(self.layout, step))
         blocks = [grid_block(shape, self.layout, number) for number in picked.tolist()]
         coded = _joined([piece for batch in self._some(blocks) for piece in self._code_batch(*batch, step)],
                         len(blocks), len(self.layout.modes), step)

@@ -10,11 +10,11 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from math import exp, inf, isinf, log, log2, prod, sqrt
-from time import monotonic
 from typing import Any, Protocol, TypeAlias, TypeVar
 
 from ..metrics import snr_db as decibels
 from ..support.executors import in_order
+from ..support.progress import nobody
 from .coded import CodedBlocks, LayoutCoder
 from .judging import Judge, Sample, Verdict
 from .layout import Layout, Modes, first_layouts, neighbours, read_layout
@@ -26,13 +26,15 @@ T = TypeVar("T")
 #: A layout, the step at which it was judged, and the elements of the sample.
 Judged: TypeAlias = "tuple[Layout, float, int]"
 
-#: SNR in dB beyond which float64 is needed to tell what is stored: float32 Gram matrices end at some 65 dB.
-PRECISE_SNR = 50.0
 #: D begins at this share of the root mean square, and is never less than that: it leaves some 110 dB, more than float32
 #: arithmetic and float16 bases keep, and numbers of any block within 32 bits.
 FIRST_STEP, LEAST_STEP = 0.1, 1e-5
 #: Organisations whose J was this many times that of another on each grid where both were judged are not tried again.
 HOPELESS_MODES = 1.5
+#: The share of a search's time that goes by before finalists are coded (0.6 to 0.8 on four sets).
+EXPLORING = 0.7
+#: Layouts are all judged again where the step changed by more than this, as log D.
+FAR_STEP = 1.0
 #: Layouts that are judged before the best of them becomes the bar of the next ones, whatever the threads.
 AT_ONCE = 8
 
@@ -145,8 +147,9 @@ class Search:
         overhead: bytes of a file besides its code: header and metadata.
         threads: layouts that are judged at a time; the result does not depend on it.
         on_progress: called with a stage's name and the fraction of it that is done.
+        on_best: called with the bytes and the SNR in dB of the best file so far.
         settled: the JSON value that an interrupted search chose under a name, else what the function given chooses.
-        deadline: of `time.monotonic`, after which no further layout is looked at.
+        enough: asked between layouts; True: no further one is looked at.
     """
 
     values: Values
@@ -156,18 +159,18 @@ class Search:
     modes: Modes | None = None
     overhead: int = 600
     threads: int = 1
-    on_progress: Callable[[str, float], None] = lambda _stage, _fraction: None
+    on_progress: Callable[[str, float], None] = nobody
+    on_best: Callable[[int, float], None] = nobody
     settled: Settled = lambda _name, choose, read: read(choose())
-    deadline: float = inf
+    enough: Callable[[], bool] = lambda: False
     judged: dict[Judged, Verdict] = field(init=False, default_factory=dict["Judged", Verdict])
+    done: float = field(init=False, default=0.0)
 
     def __post_init__(self) -> None:
-        precise = (self.goal.snr or 0.0) > PRECISE_SNR
-        self.energy = self.values.energy
-        self.rms = sqrt(self.energy / self.values.size) or 1.0
+        self.energy, self.rms = self.values.energy, self.values.rms
         # Steps beyond which more digits are kept than float32 has, and from which on nothing is.
         self.steps = LEAST_STEP * self.rms, 4 * self.rms * sqrt(self.values.size)
-        self.judge = Judge(self.values, self.decode_cost, threads=self.threads, precise=precise)
+        self.judge = Judge(self.values, self.decode_cost, threads=self.threads)
 
     def run(self) -> Found:
         """The best layout found, coded so that it meets the goal; the closest to it where none does."""
@@ -176,15 +179,22 @@ class Search:
         made: dict[int, Found] = {}
         finalists = self._apart(finalists)
         for place, layout in enumerate(finalists):
-            self.on_progress("code", place / self.effort.coded)
+            self._tell(EXPLORING + (1 - EXPLORING) * place / len(finalists))
             score, step = self._score(layout, step, place, made)
             coded.append((score, place, step))
             if min(coded)[1] != place:  # only the best is held
                 made.pop(place, None)
-            if monotonic() > self.deadline:
+            elif place in made:
+                self.on_best(made[place].nbytes, made[place].snr)
+            if self.enough():
                 break
         _, place, step = min(coded)
         return made.get(place) or self.code(finalists[place], step)
+
+    def _tell(self, done: float) -> None:
+        """Tell what fraction of the search is done; it never goes back."""
+        self.done = max(self.done, done)
+        self.on_progress("search", self.done)
 
     def _apart(self, finalists: Sequence[Layout]) -> list[Layout]:
         """The finalists to code: the best, and the best of other octaves of the number of blocks."""
@@ -203,7 +213,7 @@ class Search:
         """The step at which the best layouts meet the goal, and the finalists, best first."""
         def chosen() -> Any:
             step, ranked = self._explore(FIRST_STEP * self.rms)
-            finalists = self._ranked_by_code(ranked[: self.effort.finalists], step)
+            finalists = ranked[:1] if self.enough() else self._ranked_by_code(ranked[: self.effort.finalists], step)
             return [step, [[layout.modes, layout.edges] for layout in finalists]]
 
         return self.settled("explored", chosen, self._read_explored)
@@ -249,12 +259,12 @@ class Search:
         layouts = self._held(first_layouts(self.values.shape, self.modes))
         ranked: list[Layout] = []
         for turn in range(self.effort.rounds):
-            self.on_progress("search", turn / self.effort.rounds)
-            ranked = self._ranked(layouts, step, self.effort.elements[0])
+            ranked = self._ranked(layouts, step, self.effort.elements[0], (turn, turn + 1))
             near = self._step_for(ranked[0], step)
             if abs(log(near / step)) > 0.1 and turn + 1 < self.effort.rounds:
-                # Many layouts need not be judged again at another step: those far behind stay there.
-                step, ranked = near, ranked[: self.effort.finalists]
+                # Many layouts need not be judged again at a step nearby: those far behind stay there.
+                ranked = ranked if abs(log(near / step)) > FAR_STEP else ranked[: self.effort.finalists]
+                step = near
                 ranked = self._ranked(ranked, step, self.effort.elements[0])
             behind = self._behind()
             varied = [other for place, layout in enumerate(ranked[: self.effort.varied])
@@ -262,7 +272,7 @@ class Search:
                       if behind.get(other.modes, 0.0) < HOPELESS_MODES]
             layouts = list(dict.fromkeys([*ranked[: self.effort.finalists], *self._held(varied)]))
             judged = all((layout, step, self.effort.elements[0]) in self.judged for layout in layouts)
-            if judged or monotonic() > self.deadline:
+            if judged or self.enough():
                 break
         return step, self._ranked(layouts, step, self.effort.elements[0])
 
@@ -283,14 +293,17 @@ class Search:
         """The layouts whose blocks memory suffices for."""
         return [layout for layout in layouts if self.values.holds(layout.block(self.values.shape))]
 
-    def _ranked(self, layouts: Iterable[Layout], step: float, elements: int) -> list[Layout]:
-        """Layouts by J at a step, the least first."""
+    def _ranked(self, layouts: Iterable[Layout], step: float, elements: int, turns: tuple[int, int] = (0, 0)
+                ) -> list[Layout]:
+        """Layouts by J at a step, the least first; `turns`: how many rounds are over before and afterwards."""
         todo = [layout for layout in dict.fromkeys(layouts) if (layout, step, elements) not in self.judged]
         known = [found.cost for (_, at, of), found in self.judged.items() if (at, of) == (step, elements)]
         bar = min(known, default=inf)
         for first in range(0, len(todo), AT_ONCE):  # after each few the bar is higher
             own = todo[first : first + AT_ONCE]
-            if bar < inf and monotonic() > self.deadline:  # these are not looked at
+            turn = turns[0] + (turns[1] - turns[0]) * first / len(todo)
+            self._tell(EXPLORING * turn / self.effort.rounds)
+            if bar < inf and self.enough():  # these are not looked at
                 self.judged.update({(layout, step, elements): Verdict(inf, ((),)) for layout in own})
                 continue
             largest = max(prod(layout.block(self.values.shape)) for layout in own)
@@ -306,7 +319,7 @@ class Search:
 
         J is least in everything but D, so its derivative by log D is -2 error / D^2, and J says bits and errors both.
         """
-        sample = self.judge.kept(layout, self.effort.elements[0])
+        sample = self.judge.kept(layout, self.effort.elements[0], step)
 
         def attempt(step: float) -> tuple[float, None]:
             bits, error = self._bits_and_error(sample, step)
@@ -332,8 +345,7 @@ class Search:
     def _coder(self, layout: Layout, step: float) -> LayoutCoder:
         known = self.judged.get((layout, step, self.effort.elements[0]))
         sets = (known or self.judge.verdict(layout, step, self.effort.elements[0])).sets
-        return LayoutCoder(self.values, layout, sets, self.decode_cost, threads=self.threads,
-                           precise=self.judge.precise)
+        return LayoutCoder(self.values, layout, sets, self.decode_cost, threads=self.threads)
 
     def _ranked_by_code(self, layouts: Sequence[Layout], step: float) -> list[Layout]:
         """Layouts by what their code takes and leaves of the larger sample; J of a model of it is 6 to 15 % off."""

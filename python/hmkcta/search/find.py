@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import exp, inf, log, log10
+from math import exp, log, log10
 from time import monotonic, perf_counter
 
 from ..axes import Organisation
@@ -69,7 +69,7 @@ def find_model(
     """
     begun = monotonic()
     search = _search(source, wanted, goal, quality, run)
-    search.deadline = inf if seconds is None else begun + seconds
+    search.enough = lambda: run.enough() or (seconds is not None and monotonic() > begun + seconds)
     found = search.run()
     if wanted.ceiling is not None and found.snr > wanted.ceiling:
         goal = Goal(snr=wanted.ceiling)
@@ -123,7 +123,7 @@ def _search(source: Source, wanted: Wanted, goal: Goal, quality: str, run: Run) 
     modes = None if wanted.organisation is None else modes_of(source, source.organisation(wanted.organisation))
     values = _values(source, wanted.max_memory)
     return Search(values, goal, wanted.decode_cost, EFFORTS[quality], modes, HEADER_BYTES, run.threads, run.progress,
-                  run.journal.settled)
+                  run.best, run.journal.settled)
 
 
 def _values(source: Source, memory: int | None) -> Values:
