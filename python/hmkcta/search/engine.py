@@ -33,6 +33,8 @@ FIRST_STEP, LEAST_STEP = 0.1, 1e-5
 HOPELESS_MODES = 1.5
 #: The share of a search's time that goes by before finalists are coded (0.6 to 0.8 on four sets).
 EXPLORING = 0.7
+#: Layouts are judged at no step below this share of the root mean square: it leaves some 75 dB, where float16 ends.
+EXPLORED_STEP = 3e-4
 #: Layouts are all judged again where the step changed by more than this, as log D.
 FAR_STEP = 1.0
 #: Layouts that are judged before the best of them becomes the bar of the next ones, whatever the threads.
@@ -326,7 +328,7 @@ class Search:
             return self._excess(bits / 8 + self.overhead, error), None
 
         slope = -1.0 if self.goal.size is not None else 1.3
-        return meet(attempt, step, 0.05, slope, bounds=self.steps, tries=6).step
+        return meet(attempt, step, 0.05, slope, bounds=(EXPLORED_STEP * self.rms, self.steps[1]), tries=6).step
 
     def _bits_and_error(self, sample: Sample, step: float) -> tuple[float, float]:
         """Bits of the code of a layout and its squared error: J(D) is least in everything else (envelope theorem)."""
