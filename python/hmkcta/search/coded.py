@@ -15,7 +15,7 @@ from ..arrays import F32
 from ..support.executors import in_order
 from ..support.extension import native
 from ..support.memory import give_back_freed_memory
-from .blocks import Region, Slices, as_tensor, by_shape, cut, grid_block, regions, sample
+from .blocks import Region, Slices, as_tensor, by_shape, grid_block, regions, sample
 from .hosvd import BlockBatch, Undecomposed
 from .judging import Choice, choose
 from .kernels import I32, U8, U32, code_blocks
@@ -273,10 +273,10 @@ def grid_parts(shape: Sequence[int], layout: Layout, mode: int) -> NDArray[np.ui
     part = np.zeros(1, np.int64)
     for axis in layout.modes[mode]:
         own = np.zeros(shape[axis], np.int64)
-        slices: list[slice] = cut(shape[axis], layout.edges[axis])
-        for number, block in enumerate(slices):
+        spans = layout.spans(shape, axis)
+        for number, block in enumerate(spans):
             own[block] = number
-        part = (part[:, None] * len(slices) + own).reshape(-1)
+        part = (part[:, None] * len(spans) + own).reshape(-1)
     return part.astype(np.uint16)
 
 

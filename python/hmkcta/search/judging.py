@@ -81,7 +81,7 @@ class Sample:
         self.precise = judge.values.precise(step)
         # The longest mode last, where sums along it are fastest; J is the same in any order.
         self.order = sorted(range(len(layout.modes)), key=layout.sizes(layout.block(shape)).__getitem__)
-        self.layout = Layout(tuple(layout.modes[n] for n in self.order), layout.edges)
+        self.layout = Layout(tuple(layout.modes[n] for n in self.order), layout.edges, layout.ends)
         self.largest, count = prod(layout.block(shape)), prod(layout.blocks(shape))
         size = max(1, judge.values.size // count)
         picked = sample(count, size, elements, judge.values.detail_of(self.layout, step))

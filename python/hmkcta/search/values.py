@@ -13,7 +13,7 @@ from typing import TypeAlias
 import numpy as np
 
 from ..arrays import F32, F64
-from .blocks import DETAIL_CELL, Slices, axis_order, cut
+from .blocks import DETAIL_CELL, Slices, axis_order
 from .layout import Layout
 
 #: Values of a part of the array given by slices, float32, in the array's axes.
@@ -130,8 +130,8 @@ class Values:
             ends = np.minimum(np.arange(1, self.detail.shape[axis] + 1) * _cell(size), size)
             elements *= np.expand_dims(np.diff(ends, prepend=0), [a for a in range(len(self.shape)) if a != axis])
         sums = elements * np.log2(1 + DETAIL_SCALE * self.detail / (elements * step * step))
-        for axis, (size, edge) in enumerate(zip(self.shape, layout.edges, strict=True)):
-            starts = np.array([part.start // _cell(size) for part in cut(size, edge)])
+        for axis, size in enumerate(self.shape):
+            starts = np.array([part.start // _cell(size) for part in layout.spans(self.shape, axis)])
             sums = np.add.reduceat(sums, starts, axis=axis)
         return sums.transpose(axis_order(layout.modes)).reshape(-1)
 
