@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bz2
 import gzip
+import shutil
 import time
 import warnings
 import zipfile
@@ -198,6 +199,54 @@ def test_hdf5_in_one_piece_is_within_its_file(tmp_path: Path) -> None:
     (tmp_path / "a.h5").write_bytes(whole[:-8])
     with warnings.catch_warnings():
         assert refusal(tmp_path / "a.h5").kind is Kind.IO
+
+
+@pytest.mark.parametrize("filters", [{}, {"compression": "gzip"}, {"compression": "gzip", "shuffle": True},
+                                     {"compression": "gzip", "fletcher32": True}])
+def test_chunks_of_hdf5_are_as_long_as_their_dataset_says(filters: dict[str, Any], tmp_path: Path) -> None:
+    """What is missing HDF5 leaves as it finds memory."""
+    h5py: Any = needed("h5py")
+
+    def stored(rows: int) -> tuple[int, bytes]:
+        """A chunk of so many rows, as the filters make it."""
+        with h5py.File(tmp_path / "chunk.h5", "w") as file:
+            dataset = file.create_dataset("a", (rows, 30), chunks=(rows, 30), dtype="i4", **filters)
+            dataset[...] = np.arange(rows * 30).reshape(rows, 30)
+            file.flush()
+            return dataset.id.read_direct_chunk((0, 0))
+
+    for rows, reason in ((20, ""), (10, "source-truncated"), (30, "source-too-long")):
+        with h5py.File(tmp_path / "a.h5", "w") as file:
+            dataset = file.create_dataset("a", (40, 30), chunks=(20, 30), dtype="i4", **filters)
+            dataset[:20] = np.arange(600).reshape(20, 30)
+            mask, data = stored(rows)
+            dataset.id.write_direct_chunk((20, 0), data, mask)
+        if reason:
+            error = refusal(tmp_path / "a.h5")
+            assert error.reason == reason
+            assert "chunk at 20, 0" in str(error)
+        else:
+            same(tmp_path / "a.h5", np.tile(np.arange(600).reshape(20, 30), (2, 1)), "i4")
+
+
+def test_what_is_stored_of_an_array_is_not_widened_without_bounds(tmp_path: Path) -> None:
+    h5py, zarr = needed("h5py"), needed("zarr")
+    shape, zeros = (50, 1024, 1024), np.zeros((50, 1024, 1024), np.uint16)
+    with h5py.File(tmp_path / "few.h5", "w") as file:
+        file.create_dataset("a", shape, "u2", chunks=(1, 256, 256), compression="gzip")[0, 0, 0] = 0
+    with h5py.File(tmp_path / "none.h5", "w") as file:
+        file.create_dataset("a", shape, "u2")
+    layout = h5py.VirtualLayout(shape, "u2")
+    layout[0, :4, :4] = h5py.VirtualSource("few.h5", "a", shape)[0, :4, :4]
+    with h5py.File(tmp_path / "virtual.h5", "w") as file:
+        file.create_virtual_dataset("a", layout)
+    zarr.create_array(str(tmp_path / "a.zarr"), shape=shape, dtype="u2", chunks=(1, 256, 256))
+    shutil.make_archive(str(tmp_path / "a"), "zip", tmp_path / "a.zarr")
+    for name in ("few.h5", "none.h5", "virtual.h5", "a.zarr", "a.zip"):
+        error = refusal(tmp_path / name)
+        assert error.reason == "source-too-large", name
+        assert "--max-memory 100MiB" in str(error)
+        assert np.array_equal(open_array(tmp_path / name, max_memory="300MiB"), zeros)
 
 
 @pytest.mark.parametrize("encoding", PACKED)
