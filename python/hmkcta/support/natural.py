@@ -45,7 +45,7 @@ def in_order(names: Iterable[Name]) -> list[Name]:
     """
     listed = list(names)
     texts = [str(name) for name in listed]
-    start = os.path.commonprefix(texts).rfind(os.sep) + 1
-    fractions = [digits for text in texts for digits in _DECIMAL.findall(text[start:])]
+    folder = os.path.commonpath([os.path.dirname(text) for text in texts]) if texts else ""
+    fractions = [digits for text in texts for digits in _DECIMAL.findall(text[len(folder):])]
     decimals = not any(len(digits) > 1 and digits.endswith("0") for digits in fractions)
     return sorted(listed, key=lambda name: natural(name, decimals=decimals))
