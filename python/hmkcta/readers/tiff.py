@@ -6,6 +6,7 @@ Axes are those of tifffile's series, but for the samples of planes, which come l
 from __future__ import annotations
 
 import logging
+import warnings
 from collections.abc import Generator
 from contextlib import contextmanager
 from math import prod
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from ..errors import HmkctaError, invalid
 from ..labels import named
 from ..support.optional import library
-from .source import Layout, choose, guarded, io_error, map_part
+from .source import Layout, choose, guarded, io_error, map_part, reading
 from .tiff_scaling import as_meant
 from .unpacked import BLOCK, Part, Unpacker, block_parts
 
@@ -45,15 +46,26 @@ def open_tiff(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any
         chosen = series[choose(str(path), shapes, member)]
         _check_samples(chosen.keyframe, path)
         layout = Layout(tuple(chosen.shape), np.dtype(chosen.dtype))
+        holders = _holders(chosen)
         if _has_palette(chosen.keyframe):
             array = _looked_up(chosen, layout, str(path), unpacker)
-        elif chosen.dataoffset is not None:
-            ordered = layout.dtype.newbyteorder(file.byteorder)
-            array = map_part(path, Layout(layout.shape, ordered), int(chosen.dataoffset), str(path))
+        elif len(holders) == 1 and chosen.dataoffset is not None:
+            (holder, order), = holders.items()
+            ordered = layout.dtype.newbyteorder(order)
+            array = map_part(holder, Layout(layout.shape, ordered), int(chosen.dataoffset), str(path))
         else:
             array = _pages(chosen, layout, str(path), unpacker)
         array = as_meant(array, chosen.keyframe, file.imagej_metadata, str(path), unpacker)
         return _with_axes(array, chosen)
+
+
+def _holders(series: Any) -> dict[Path, str]:
+    """The files in which the pages of a series lie, of OME-TIFF perhaps others than the one named; and byte orders."""
+    pages = [page for page in series.pages if page is not None] if series.is_multifile else [series.keyframe]
+    files = {Path(page.parent.filehandle.path): str(page.parent.byteorder) for page in pages}
+    for path in files:
+        reading(path)
+    return files
 
 
 def tiff_depth(path: Path) -> str:
@@ -109,7 +121,10 @@ def _looked_up(series: Any, layout: Layout, where: str, unpacker: Unpacker) -> N
 
 @contextmanager
 def _strictly() -> Generator[None]:
-    """Make errors of what the library only logs: pages that are not there, of which it would leave out the rest."""
+    """Make errors of what the library only logs: pages that are not there, of which it would leave out the rest.
+
+    Its warnings are of what it does all the same, such as reading pages of a file that it opens anew.
+    """
     said: list[str] = []
     handler = logging.Handler(logging.ERROR)
     handler.emit = lambda record: said.append(record.getMessage())
@@ -117,7 +132,9 @@ def _strictly() -> Generator[None]:
     logger.addHandler(handler)
     logger.propagate, propagated = False, logger.propagate
     try:
-        yield
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
     finally:
         logger.removeHandler(handler)
         logger.propagate = propagated
@@ -135,7 +152,7 @@ def _pages(series: Any, layout: Layout, where: str, unpacker: Unpacker) -> NDArr
         raise io_error("source-incomplete", where, found, said,
                        "fetch it again, or write the pages that are there as a file of their own")
     paged = layout.shape[len(lead):] == page and prod(lead) == len(pages)
-    unpacker.check_widened(Path(where), layout.nbytes)
+    unpacker.check_widened(where, layout.nbytes, sum(each.stat().st_size for each in _holders(series)))
     once = Layout(page, layout.dtype) if paged else layout
     unpacker.check_memory(once, f"a page of {where}", "write it uncompressed: that is mapped")
 
