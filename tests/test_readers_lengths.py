@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import bz2
 import gzip
+import os
 import shutil
 import time
+import tracemalloc
 import warnings
 import zipfile
 from collections.abc import Callable
@@ -247,6 +249,37 @@ def test_what_is_stored_of_an_array_is_not_widened_without_bounds(tmp_path: Path
         assert error.reason == "source-too-large", name
         assert "--max-memory 100MiB" in str(error)
         assert np.array_equal(open_array(tmp_path / name, max_memory="300MiB"), zeros)
+
+
+def test_headers_are_read_no_further_than_one_takes(tmp_path: Path) -> None:
+    """Their lengths are what the file says, and a packed one may go on for long."""
+    begins = b"\x93NUMPY\2\0" + (1 << 27).to_bytes(4, "little")
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a.npy", begins + bytes(1 << 27))
+    (tmp_path / "a.npy").write_bytes(begins)
+    os.truncate(tmp_path / "a.npy", 1 << 27)
+    (tmp_path / "a.pgm").write_bytes(b"P5" + b"#\n" * (1 << 20) + b"1 1 255\n0")
+    (tmp_path / "a.pam").write_bytes(b"P7\n" + b"# \n" * (1 << 20) + b"WIDTH 1\nHEIGHT 1\nDEPTH 1\nMAXVAL 9\nENDHDR\n0")
+    tracemalloc.start()
+    try:
+        for name in ("a.npz", "a.npy", "a.pgm", "a.pam"):
+            tracemalloc.reset_peak()
+            before = tracemalloc.get_traced_memory()[0]
+            assert refusal(tmp_path / name).reason == "source-damaged"
+            assert tracemalloc.get_traced_memory()[1] - before < 16 << 20, name
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("sizes", ['SizeZ="1000000000" SizeC="1" SizeT="1"', 'SizeT="99999" SizeC="9999" SizeZ="9999"'])
+def test_planes_of_tiff_are_no_more_than_a_file_can_have(tmp_path: Path, sizes: str) -> None:
+    said = ('<?xml version="1.0"?><OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06"><Image ID="Image:0">'
+            f'<Pixels ID="Pixels:0" DimensionOrder="XYZCT" Type="uint16" SizeX="9" SizeY="8" {sizes}><TiffData/>'
+            "</Pixels></Image></OME>")
+    needed("tifffile").imwrite(tmp_path / "a.ome.tif", np.zeros((8, 9), "u2"), description=said, metadata=None)
+    error = refusal(tmp_path / "a.ome.tif")
+    assert error.reason == "source-damaged"
+    assert "planes, by its header" in str(error)
 
 
 @pytest.mark.parametrize("encoding", PACKED)

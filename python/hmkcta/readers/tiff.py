@@ -6,6 +6,7 @@ Axes are those of tifffile's series, but for the samples of planes, which come l
 from __future__ import annotations
 
 import logging
+import re
 import warnings
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -27,6 +28,8 @@ from .unpacked import BLOCK, Part, Unpacker, block_parts
 _NAMES = {"X": "x", "Y": "y", "Z": "z", "T": "t", "C": "channel", "I": "page"}
 #: Values of PhotometricInterpretation, and of Compression.
 _RGB, _PALETTE, _YCC, _JPEG = 2, 3, 6, 7
+#: Planes that OME-TIFF may say to have; a file of as many would have directories of 100 MiB.
+MOST_PLANES = 1 << 20
 MAGICS = ((0, b"II*\0"), (0, b"MM\0*"), (0, b"II+\0"), (0, b"MM\0+"))
 
 
@@ -41,6 +44,7 @@ def open_tiff(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any
     """
     tifffile = library("tifffile", "tifffile", "tiff", "TIFF")
     with guarded(path, "TIFF file"), _strictly(), tifffile.TiffFile(str(path)) as file:
+        _check_planes(file, path)
         series = {str(number): each for number, each in enumerate(file.series)}
         shapes = {number: str(Layout(tuple(each.shape), np.dtype(each.dtype))) for number, each in series.items()}
         chosen = series[choose(str(path), shapes, member)]
@@ -57,6 +61,16 @@ def open_tiff(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any
             array = _pages(chosen, layout, str(path), unpacker)
         array = as_meant(array, chosen.keyframe, file.imagej_metadata, str(path), unpacker)
         return _with_axes(array, chosen)
+
+
+def _check_planes(file: Any, path: Path) -> None:
+    """Refuse OME-TIFF that says to have more planes than anything holds: the library sets room aside for each."""
+    pixels = re.findall(r"<(?:\w+:)?Pixels\s[^>]*>", file.ome_metadata or "")
+    planes = sum(prod(int(size) for size in re.findall(r"\bSize[ZCT]\s*=\s*[\"'](\d{1,18})[\"']", each))
+                 for each in pixels)
+    if planes > MOST_PLANES:
+        raise io_error("source-damaged", str(path), f"{planes} planes, by its header", f"up to {MOST_PLANES}",
+                       "correct its OME-XML")
 
 
 def _holders(series: Any) -> dict[Path, str]:
