@@ -16,6 +16,7 @@ import pytest
 import hmkcta
 from hmkcta.errors import HmkctaError, Kind
 from hmkcta.readers import open_array
+from hmkcta.readers.source import watched_by
 from hmkcta.readers.watched import WatchedSource
 from hmkcta.streaming.steady import fingerprint_of
 from reader_tools import VALUES, needed, refusal, same, survives_damage
@@ -277,6 +278,10 @@ def test_pages_of_two_tiff_files_that_seem_to_follow_one_another(tmp_path: Path)
 
 def test_every_tiff_file_is_watched(tmp_path: Path) -> None:
     two_files(tmp_path, image(0, [("a.ome.tif", 0), ("b.ome.tif", 0)]))
+    noted: list[Path] = []
+    with watched_by(noted.append):
+        open_array(tmp_path / "a.ome.tif")
+    assert set(noted) == {tmp_path / name for name in UUIDS}
     source = WatchedSource(str(tmp_path / "a.ome.tif"))
     data = (tmp_path / "b.ome.tif").read_bytes()
     (tmp_path / "b.ome.tif").write_bytes(data.replace(b"\0\xc9", b"\0\xca"))

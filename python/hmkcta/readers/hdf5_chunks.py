@@ -36,7 +36,10 @@ class WholeChunks:
         self._filters = [int(made.get_filter(number)[0]) for number in range(made.get_nfilters())]
         self._nbytes = prod(dataset.chunks) * int(dataset.id.get_type().get_size())
         self._lengths: dict[tuple[int, ...], int] = {}
-        dataset.id.chunk_iter(lambda chunk: self._lengths.update({tuple(chunk.chunk_offset): int(chunk.size)}))
+        dataset.id.chunk_iter(self._note)
+
+    def _note(self, chunk: Any) -> None:
+        self._lengths[tuple(chunk.chunk_offset)] = int(chunk.size)
 
     def __getitem__(self, part: Part) -> NDArray[Any]:
         """The numbers of a part.

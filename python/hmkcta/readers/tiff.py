@@ -50,13 +50,12 @@ def open_tiff(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any
         chosen = series[choose(str(path), shapes, member)]
         _check_samples(chosen.keyframe, path)
         layout = Layout(tuple(chosen.shape), np.dtype(chosen.dtype))
-        holders = _holders(chosen)
+        holders = _holders(chosen, path)
         if _has_palette(chosen.keyframe):
             array = _looked_up(chosen, layout, str(path), unpacker)
         elif len(holders) == 1 and chosen.dataoffset is not None:
-            (holder, order), = holders.items()
-            ordered = layout.dtype.newbyteorder(order)
-            array = map_part(holder, Layout(layout.shape, ordered), int(chosen.dataoffset), str(path))
+            ordered = layout.dtype.newbyteorder(chosen.keyframe.parent.byteorder)
+            array = map_part(holders.pop(), Layout(layout.shape, ordered), int(chosen.dataoffset), str(path))
         else:
             array = _pages(chosen, layout, str(path), unpacker)
         array = as_meant(array, chosen.keyframe, file.imagej_metadata, str(path), unpacker)
@@ -73,10 +72,11 @@ def _check_planes(file: Any, path: Path) -> None:
                        "correct its OME-XML")
 
 
-def _holders(series: Any) -> dict[Path, str]:
-    """The files in which the pages of a series lie, of OME-TIFF perhaps others than the one named; and byte orders."""
+def _holders(series: Any, named: Path) -> set[Path]:
+    """The files in which the pages of a series lie, of OME-TIFF perhaps others than the one named."""
     pages = [page for page in series.pages if page is not None] if series.is_multifile else [series.keyframe]
-    files = {Path(page.parent.filehandle.path): str(page.parent.byteorder) for page in pages}
+    found = {Path(page.parent.filehandle.path) for page in pages}
+    files = {named if path == named.absolute() else path for path in found}
     for path in files:
         reading(path)
     return files
@@ -166,7 +166,7 @@ def _pages(series: Any, layout: Layout, where: str, unpacker: Unpacker) -> NDArr
         raise io_error("source-incomplete", where, found, said,
                        "fetch it again, or write the pages that are there as a file of their own")
     paged = layout.shape[len(lead):] == page and prod(lead) == len(pages)
-    unpacker.check_widened(where, layout.nbytes, sum(each.stat().st_size for each in _holders(series)))
+    unpacker.check_widened(where, layout.nbytes, sum(each.stat().st_size for each in _holders(series, Path(where))))
     once = Layout(page, layout.dtype) if paged else layout
     unpacker.check_memory(once, f"a page of {where}", "write it uncompressed: that is mapped")
 
