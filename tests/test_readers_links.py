@@ -202,6 +202,17 @@ def test_detached_headers_name_files_beside_themselves(tmp_path: Path, monkeypat
     same("a.nhdr", VALUES, mapped=True)
 
 
+def test_pairs_of_nifti_are_looked_for_where_a_link_leads(tmp_path: Path) -> None:
+    nibabel = needed("nibabel")
+    (tmp_path / "sub").mkdir()
+    nibabel.save(nibabel.Nifti1Pair(VALUES, np.eye(4)), tmp_path / "sub" / "a.hdr")
+    for ending in ("hdr", "img"):
+        (tmp_path / f"{ending}.{ending}").symlink_to(tmp_path / "sub" / f"a.{ending}")
+        same(tmp_path / f"{ending}.{ending}", VALUES, mapped=True)
+    (tmp_path / "sub" / "a.img").unlink()
+    assert refusal(tmp_path / "hdr.hdr").reason == "unreadable"
+
+
 def test_links_in_zarr_folders_are_listed_like_others(tmp_path: Path) -> None:
     zarr = needed("zarr")
     zarr.create_array(tmp_path / "b.zarr", data=VALUES)

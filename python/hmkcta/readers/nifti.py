@@ -41,6 +41,9 @@ def open_nifti(path: Path, unpacker: Unpacker) -> NDArray[Any]:
         if not isinstance(image, nibabel.Nifti1Pair | nibabel.Nifti2Pair | nibabel.Cifti2Image):
             raise ANALYZE.refusal(path)
         numbers = Path(image.file_map["image"].filename)  # another file than the header's for .hdr with .img
+        real = path.resolve()
+        if not numbers.exists() and real != path.absolute():  # the header is a link to where both lie
+            return open_nifti(real, unpacker)
         proxy = image.dataobj
         stored, where = Layout(tuple(map(int, proxy.shape)), np.dtype(proxy.dtype), fortran=True), str(path)
         plain = (float(proxy.slope), float(proxy.inter)) == (1.0, 0.0)
@@ -76,7 +79,8 @@ def open_pair(path: Path, unpacker: Unpacker) -> NDArray[Any]:
     Raises:
         HmkctaError: it is Analyze, or something else; or what `open_nifti` raises.
     """
-    header = next((each for each in (path.with_suffix(".hdr"), path.with_suffix(".HDR")) if each.exists()), path)
+    beside = [each.with_suffix(ending) for each in (path, path.resolve()) for ending in (".hdr", ".HDR")]
+    header = next((each for each in beside if each.exists()), path)
     with opened(header) as file:
         start = file.read(HEADER)
     if any(start.startswith(magic, at) for at, magic in MAGICS):
