@@ -6,6 +6,7 @@ import bz2
 import gzip
 import os
 import shutil
+import struct
 import time
 import tracemalloc
 import warnings
@@ -269,6 +270,27 @@ def test_headers_are_read_no_further_than_one_takes(tmp_path: Path) -> None:
             assert tracemalloc.get_traced_memory()[1] - before < 16 << 20, name
     finally:
         tracemalloc.stop()
+
+
+@pytest.mark.parametrize("kind", ["Nifti1Image", "Nifti2Image"])
+@pytest.mark.parametrize("order", "<>")
+def test_extensions_of_nifti_are_within_its_header(tmp_path: Path, kind: str, order: str) -> None:
+    nibabel = needed("nibabel")
+    made = getattr(nibabel, kind)
+    image = made(VALUES, np.eye(4), made.header_class(endianness=order))
+    for length in (24, 100):
+        image.header.extensions.append(nibabel.nifti1.Nifti1Extension("comment", b"x" * length))
+    nibabel.save(image, tmp_path / "a.nii")
+    same(tmp_path / "a.nii", VALUES, f"{order}f4", mapped=True)
+    whole, begin = (tmp_path / "a.nii").read_bytes(), 352 if kind == "Nifti1Image" else 544
+    place, form = (108, "f") if kind == "Nifti1Image" else (168, "q")
+    for at, number in ((begin, 1 << 30), (begin + 32, 1 << 30), (begin + 32, 0), (begin + 32, -16), (place, 1 << 30)):
+        data = bytearray(whole)
+        struct.pack_into(order + (form if at == place else "i"), data, at, number)
+        (tmp_path / "a.nii.gz").write_bytes(gzip.compress(bytes(data)))
+        error = refusal(tmp_path / "a.nii.gz")
+        assert error.reason == "source-damaged"
+        assert "an extension of" in str(error) or "numbers that begin at" in str(error)
 
 
 @pytest.mark.parametrize("sizes", ['SizeZ="1000000000" SizeC="1" SizeT="1"', 'SizeT="99999" SizeC="9999" SizeZ="9999"'])
