@@ -15,7 +15,7 @@ from ..errors import invalid
 from ..labels import Labels, labelled, labels_of
 from ..support.cut_short import whole_map
 from ..support.memory import drop_pages
-from ..support.natural import natural
+from ..support.natural import in_order
 from .source import Layout, io_error, reading
 from .unpacked import Part, Unpacker, block_parts
 
@@ -41,7 +41,7 @@ def pictures_of(folder: Path, endings: Sequence[str]) -> list[Path]:
     if len(found) > 1:
         raise invalid("series-mixed", str(folder), f"files of {', '.join(found)}", "one format",
                       f"choose by a pattern, '{folder}/*{found[0]}'")
-    return sorted(files, key=natural)
+    return in_order(files)
 
 
 def open_series(
