@@ -58,7 +58,7 @@ WITHIN = {
         ("hosvd", "layout", "rate_model", "roots"),
         ("block_code", "blocks", "kernels", "rank_boxes"),
         ("values",),
-        ("judging",),
+        ("clusters", "judging"),
         ("coded",),
         ("engine", "stages"),
         ("second_level", "written"),

@@ -7,7 +7,7 @@ goal is met by D alone. `docs/design-notes.md` says what is measured, and what w
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from math import exp, inf, isinf, log, log2, prod, sqrt
 from typing import Any, Protocol, TypeAlias, TypeVar
@@ -15,6 +15,7 @@ from typing import Any, Protocol, TypeAlias, TypeVar
 from ..metrics import snr_db as decibels
 from ..support.executors import in_order
 from ..support.progress import nobody
+from .clusters import Labels, Parting, clusters_of, parted
 from .coded import CodedBlocks, LayoutCoder
 from .judging import Judge, Sample, Verdict
 from .layout import Layout, Modes, first_layouts, neighbours, read_layout
@@ -35,6 +36,8 @@ HOPELESS_MODES = 1.5
 EXPLORING = 0.7
 #: Layouts are judged at no step below this share of the root mean square: it leaves some 75 dB, where float16 ends.
 EXPLORED_STEP = 3e-4
+#: Rows of a cluster on the mean, at least.
+ROWS_EACH = 4
 #: Layouts are all judged again where the step changed by more than this, as log D.
 FAR_STEP = 1.0
 #: Layouts that are judged before the best of them becomes the bar of the next ones, whatever the threads.
@@ -57,6 +60,7 @@ class Effort:
         varied: how many of the best are varied in a round.
         finalists: how many are judged on the larger sample.
         coded: how many are coded.
+        clusters: numbers of clusters that rows of a mode are parted into, for trial.
     """
 
     elements: tuple[int, int]
@@ -64,12 +68,13 @@ class Effort:
     varied: int
     finalists: int
     coded: int
+    clusters: tuple[int, ...] = ()
 
 
 EFFORTS = {
     "fast": Effort((1 << 15, 1 << 17), 2, 1, 6, 1),
-    "medium": Effort((1 << 17, 1 << 19), 6, 3, 12, 4),
-    "thorough": Effort((1 << 18, 1 << 21), 10, 6, 24, 8),
+    "medium": Effort((1 << 17, 1 << 19), 6, 3, 12, 4, (8, 32, 128)),
+    "thorough": Effort((1 << 18, 1 << 21), 10, 6, 24, 8, (4, 8, 16, 32, 64, 128, 256)),
 }
 
 
@@ -131,6 +136,11 @@ class Found:
     above: tuple[CodedBlocks, ...] = ()
 
     @property
+    def modes(self) -> Modes:
+        """The axes of the array by mode."""
+        return self.layout.modes if self.coder.parting is None else self.coder.parting.modes
+
+    @property
     def levels(self) -> tuple[CodedBlocks, ...]:
         """The blocks of every level."""
         return *self.above, self.coded
@@ -152,6 +162,7 @@ class Search:
         on_best: called with the bytes and the SNR in dB of the best file so far.
         settled: the JSON value that an interrupted search chose under a name, else what the function given chooses.
         enough: asked between layouts; True: no further one is looked at.
+        parting: whose `values` these are, where rows are in the order of clusters.
     """
 
     values: Values
@@ -165,6 +176,7 @@ class Search:
     on_best: Callable[[int, float], None] = nobody
     settled: Settled = lambda _name, choose, read: read(choose())
     enough: Callable[[], bool] = lambda: False
+    parting: Parting | None = None
     judged: dict[Judged, Verdict] = field(init=False, default_factory=dict["Judged", Verdict])
     done: float = field(init=False, default=0.0)
 
@@ -179,10 +191,10 @@ class Search:
         step, finalists = self.explore()
         coded: list[tuple[Score, int, float]] = []  # with the place of the layout, and its step
         made: dict[int, Found] = {}
-        finalists = self._apart(finalists)
-        for place, layout in enumerate(finalists):
+        finalists = [*self._clustered(finalists[0], step), *((self, layout) for layout in self._apart(finalists))]
+        for place, (search, layout) in enumerate(finalists):
             self._tell(EXPLORING + (1 - EXPLORING) * place / len(finalists))
-            score, step = self._score(layout, step, place, made)
+            score, step = search.score(layout, step, place, made)
             coded.append((score, place, step))
             if min(coded)[1] != place:  # only the best is held
                 made.pop(place, None)
@@ -191,7 +203,46 @@ class Search:
             if self.enough():
                 break
         _, place, step = min(coded)
-        return made.get(place) or self.code(finalists[place], step)
+        search, layout = finalists[place]
+        return made.get(place) or search.code(layout, step)
+
+    def _clustered(self, best: Layout, step: float) -> list[tuple[Search, Layout]]:
+        """Clusters of rows in place of blocks along some modes, with the search of them, where their J is less.
+
+        One mode after another is parted, as long as that lowers J.
+        """
+        if not self.values.in_memory or self.enough():
+            return []
+        least, labels = self.judge.verdict(best, step, self.effort.elements[0]).cost, dict[int, Labels]()
+        found: tuple[Search, Layout] | None = None
+        for _ in best.modes:
+            trials = self._partings(best, step, labels, least)
+            if not trials or min(trials)[0] >= least:
+                break
+            least, _, search, layout = min(trials, key=lambda trial: trial[:2])
+            assert search.parting is not None
+            found, labels = (search, layout), search.parting.labels
+        if found is None or found[0].coded_cost(found[1], step) >= self.coded_cost(best, step):
+            return []
+        return [found]
+
+    def _partings(self, best: Layout, step: float, labels: dict[int, Labels], bar: float
+                  ) -> list[tuple[float, int, Search, Layout]]:
+        """J of one mode more parted into clusters, the place of the trial, its search and its layout."""
+        whole = self.values.read(tuple(slice(0, size) for size in self.values.shape))
+        trials: list[tuple[float, int, Search, Layout]] = []
+        for n, mode in enumerate(best.modes):
+            rows = prod(self.values.shape[axis] for axis in mode)
+            for count in self.effort.clusters:
+                if n in labels or rows < ROWS_EACH * count or self.enough():
+                    continue
+                parting = parted(whole, best.modes, {**labels, n: clusters_of(whole, mode, count)})
+                search = replace(self, values=parting.values, modes=parting.inner, parting=parting)
+                for edges in dict.fromkeys((self.values.shape, best.edges)):
+                    layout = parting.layout(edges)
+                    cost = search.judge.verdict(layout, step, self.effort.elements[0], bar).cost
+                    trials.append((cost + MODEL.trade * parting.label_bits, len(trials), search, layout))
+        return trials
 
     def _tell(self, done: float) -> None:
         """Tell what fraction of the search is done; it never goes back."""
@@ -239,7 +290,7 @@ class Search:
         bits, error = self._coder(layout, step).sampled(step, self.effort.elements[1])
         return bits / 8 + self.overhead, decibels(self.energy, error) if self.energy > 0 else inf
 
-    def _score(self, layout: Layout, step: float, place: int, made: dict[int, Found]) -> tuple[Score, float]:
+    def score(self, layout: Layout, step: float, place: int, made: dict[int, Found]) -> tuple[Score, float]:
         """The score of a finalist coded for the goal, and its step; `made` has it where it had to be coded now."""
         def chosen() -> Any:
             found = made[place] = self.meet(layout, step)
@@ -347,15 +398,16 @@ class Search:
     def _coder(self, layout: Layout, step: float) -> LayoutCoder:
         known = self.judged.get((layout, step, self.effort.elements[0]))
         sets = (known or self.judge.verdict(layout, step, self.effort.elements[0])).sets
-        return LayoutCoder(self.values, layout, sets, self.decode_cost, threads=self.threads)
+        return LayoutCoder(self.values, layout, sets, self.decode_cost, threads=self.threads, parting=self.parting)
+
+    def coded_cost(self, layout: Layout, step: float) -> float:
+        """J of what the code takes and leaves of the larger sample; that of a model of the code is 6 to 15 % off."""
+        bits, error = self._coder(layout, step).sampled(step, self.effort.elements[1])
+        return error / step**2 + MODEL.trade * bits
 
     def _ranked_by_code(self, layouts: Sequence[Layout], step: float) -> list[Layout]:
-        """Layouts by what their code takes and leaves of the larger sample; J of a model of it is 6 to 15 % off."""
-        def cost(layout: Layout) -> float:
-            bits, error = self._coder(layout, step).sampled(step, self.effort.elements[1])
-            return error / step**2 + MODEL.trade * bits
-
-        costs = {layout: cost(layout) for layout in layouts}
+        """Layouts by `coded_cost`."""
+        costs = {layout: self.coded_cost(layout, step) for layout in layouts}
         return sorted(layouts, key=lambda layout: (costs[layout], layout))
 
     def code(self, layout: Layout, step: float, coder: LayoutCoder | None = None) -> Found:
