@@ -29,7 +29,7 @@ def grid_block(shape: Sequence[int], layout: Layout, number: int) -> Slices:
     places = np.unravel_index(number, [counts[axis] for axis in order])
     found: dict[int, Span] = {}
     for axis, place in zip(order, places, strict=True):
-        found[axis] = layout.spans(shape, axis)[int(place)]
+        found[axis] = layout.span(shape[axis], axis, int(place))
     return tuple(found[axis] for axis in range(len(shape)))
 
 

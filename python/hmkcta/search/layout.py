@@ -21,17 +21,6 @@ Modes = tuple[tuple[int, ...], ...]
 Span: TypeAlias = "slice[int, int, None]"
 
 
-def cut(size: int, edge: int) -> list[Span]:
-    """Blocks of an axis: as many as an edge asks for, p of m indices from floor(m p / g) on (docs/format.md).
-
-    >>> cut(10, 4)
-    [slice(0, 3, None), slice(3, 6, None), slice(6, 10, None)]
-    """
-    count = -(-size // edge)
-    ends = [size * part // count for part in range(count + 1)]
-    return [slice(first, last) for first, last in pairwise(ends)]
-
-
 @dataclass(frozen=True, order=True)
 class Layout:
     """One way to cut an array into blocks and to order their axes.
@@ -50,10 +39,20 @@ class Layout:
     edges: tuple[int, ...]
     ends: tuple[tuple[int, ...], ...] = ()
 
+    def span(self, size: int, axis: int, place: int) -> Span:
+        """One block along an axis of this size: p of g goes from floor(size p / g) on (docs/format.md)."""
+        if self.ends and self.ends[axis]:
+            return slice(*self.ends[axis][place : place + 2])
+        count = -(-size // self.edges[axis])
+        return slice(size * place // count, size * (place + 1) // count)
+
     def spans(self, shape: Sequence[int], axis: int) -> list[Span]:
-        """The blocks along an axis of an array of this shape."""
-        ends = self.ends[axis] if self.ends else ()
-        return [slice(first, last) for first, last in pairwise(ends)] if ends else cut(shape[axis], self.edges[axis])
+        """The blocks along an axis of an array of this shape.
+
+        >>> Layout(((0,),), (4,)).spans((10,), 0)
+        [slice(0, 3, None), slice(3, 6, None), slice(6, 10, None)]
+        """
+        return [self.span(shape[axis], axis, place) for place in range(self.blocks(shape)[axis])]
 
     def blocks(self, shape: Sequence[int]) -> tuple[int, ...]:
         """Number of blocks along each axis of an array of this shape."""
