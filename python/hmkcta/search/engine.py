@@ -146,6 +146,16 @@ class Found:
         return *self.above, self.coded
 
 
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """Rows of some modes in clusters: J with the labels, the search of the parted array, its layout, the labels."""
+
+    cost: float
+    search: Search
+    layout: Layout
+    labels: dict[int, Labels]
+
+
 @dataclass(eq=False)
 class Search:
     """A search for the layout that is best for a goal.
@@ -209,28 +219,30 @@ class Search:
     def _clustered(self, best: Layout, step: float) -> list[tuple[Search, Layout]]:
         """Clusters of rows in place of blocks along some modes, with the search of them, where their J is less.
 
-        One mode after another is parted, as long as that lowers J.
+        One mode after another is parted, as long as that lowers J; the best are ranked by their code, as finalists are.
         """
         if not self.values.in_memory or self.enough():
             return []
-        least, labels = self.judge.verdict(best, step, self.effort.elements[0]).cost, dict[int, Labels]()
-        found: tuple[Search, Layout] | None = None
+        bar, labels = self.judge.verdict(best, step, self.effort.elements[0]).cost, dict[int, Labels]()
+        least, tried = bar, list[Trial]()
         for _ in best.modes:
-            trials = self._partings(best, step, labels, least)
-            if not trials or min(trials)[0] >= least:
+            trials = sorted(self._partings(best, step, labels, least), key=lambda trial: trial.cost)
+            tried += trials[: self.effort.coded]
+            if not trials or trials[0].cost >= least:
                 break
-            least, _, search, layout = min(trials, key=lambda trial: trial[:2])
-            assert search.parting is not None
-            found, labels = (search, layout), search.parting.labels
-        if found is None or found[0].coded_cost(found[1], step) >= self.coded_cost(best, step):
+            least, labels = trials[0].cost, trials[0].labels
+        tried = sorted((trial for trial in tried if trial.cost < bar), key=lambda trial: trial.cost)
+        by_code = [(trial.search.coded_cost(trial.layout, step), place)
+                   for place, trial in enumerate(tried[: self.effort.coded])]
+        if not by_code or min(by_code)[0] >= self.coded_cost(best, step):
             return []
-        return [found]
+        found = tried[min(by_code)[1]]
+        return [(found.search, found.layout)]
 
-    def _partings(self, best: Layout, step: float, labels: dict[int, Labels], bar: float
-                  ) -> list[tuple[float, int, Search, Layout]]:
-        """J of one mode more parted into clusters, the place of the trial, its search and its layout."""
+    def _partings(self, best: Layout, step: float, labels: dict[int, Labels], bar: float) -> list[Trial]:
+        """One mode more parted into clusters, on the grid of a layout or on none."""
         whole = self.values.read(tuple(slice(0, size) for size in self.values.shape))
-        trials: list[tuple[float, int, Search, Layout]] = []
+        trials: list[Trial] = []
         for n, mode in enumerate(best.modes):
             rows = prod(self.values.shape[axis] for axis in mode)
             for count in self.effort.clusters:
@@ -241,7 +253,7 @@ class Search:
                 for edges in dict.fromkeys((self.values.shape, best.edges)):
                     layout = parting.layout(edges)
                     cost = search.judge.verdict(layout, step, self.effort.elements[0], bar).cost
-                    trials.append((cost + MODEL.trade * parting.label_bits, len(trials), search, layout))
+                    trials.append(Trial(cost + MODEL.trade * parting.label_bits, search, layout, parting.labels))
         return trials
 
     def _tell(self, done: float) -> None:
