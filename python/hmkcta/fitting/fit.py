@@ -21,6 +21,7 @@ from ..cells import Cells, empty_cells
 from ..metrics import squared_norm
 from ..plan import LevelSpec
 from .memberships import start_candidates, strided_sample
+from .reassign import assign_rows, search_memberships, with_all_rows
 from .search import OVER_RELAXED, extend, sweep
 from .tucker import st_hosvd
 
@@ -33,6 +34,7 @@ class Effort:
         candidates: disjoint starts that are compared where K_n = 1 in all modes, or the search is fast.
         starts: the same where some K_n > 1; a single one is taken as it is.
         sweeps: over all modes, where some K_n > 1; those of joint rows, which come first, search for cluster subsets.
+        rounds: of the search for disjoint memberships, over all modes, from the best start; it may end sooner.
         hooi: HOOI rounds where K_n = 1 (0: plain HOSVD), or where the search is ``fast``.
         backfits: rounds in which every level is refitted to what the others leave.
     """
@@ -40,6 +42,7 @@ class Effort:
     candidates: int
     starts: int
     sweeps: int
+    rounds: int
     hooi: int
     backfits: int
 
@@ -53,13 +56,15 @@ class Effort:
 
 
 EFFORTS = {
-    "fast": Effort(candidates=2, starts=1, sweeps=2, hooi=2, backfits=0),
-    "medium": Effort(candidates=3, starts=3, sweeps=5, hooi=4, backfits=1),
-    "thorough": Effort(candidates=13, starts=13, sweeps=12, hooi=8, backfits=4),
+    "fast": Effort(candidates=2, starts=1, sweeps=2, rounds=3, hooi=2, backfits=0),
+    "medium": Effort(candidates=3, starts=3, sweeps=5, rounds=8, hooi=4, backfits=1),
+    "thorough": Effort(candidates=13, starts=13, sweeps=12, rounds=20, hooi=8, backfits=4),
 }
 
-#: Elements that starts are judged on by what disjoint blocks capture.
-SAMPLE = 2_000_000
+#: Elements that disjoint memberships are searched on; the other rows then follow.
+SEARCHED = 1 << 20
+#: Rounds over all modes after which searches from several starts are compared.
+JUDGING = 2
 #: Elements that starts are judged on by a joint sweep.
 JUDGED = 1 << 19
 #: What a joint sweep costs for each number of H, in visits of a Gauss-Seidel sweep to an element of a cell.
@@ -117,7 +122,7 @@ def _sequential(
     residual: F32, spec: LevelSpec, effort: Effort, labels: Labels | None, rng: np.random.Generator
 ) -> Cells:
     """Cell after cell: K = 1, or so many clusters that even H does not fit."""
-    cells = _disjoint(residual, spec, labels or _best_labels(residual, spec, effort, rng), rng)
+    cells = _disjoint(residual, spec, labels or _searched_labels(residual, spec, effort, rng), rng)
     while cells.spec.mixture != spec.mixture:
         for n in range(spec.order):
             if cells.spec.mixture[n] < spec.mixture[n]:
@@ -175,17 +180,27 @@ def _hooi(tensor: F32, spec: LevelSpec, effort: Effort, rng: np.random.Generator
     return cells
 
 
-def _best_labels(tensor: F32, spec: LevelSpec, effort: Effort, rng: np.random.Generator) -> Labels:
-    """The best of several disjoint memberships, judged on a sample by the energy their blocks capture."""
-    sample = strided_sample(tensor, spec.clusters, SAMPLE)
+def _searched_labels(tensor: F32, spec: LevelSpec, effort: Effort, rng: np.random.Generator) -> Labels:
+    """Disjoint memberships: the best of several starts after a search from each, on a sample, and then of all rows."""
+    sample = strided_sample(tensor, spec.clusters, SEARCHED)
     seed = int(rng.integers(2**63))
 
-    def error(labels: Labels) -> float:
-        residual = sample.tensor.copy()
-        _disjoint(residual, spec, sample.labels(labels), np.random.default_rng(seed))
-        return float(np.vdot(residual, residual))
+    def searched(labels: Labels) -> Cells:
+        cells = _disjoint(sample.tensor.copy(), spec, sample.labels(labels), np.random.default_rng(seed))
+        search_memberships(cells, sample.tensor, JUDGING)
+        return cells
 
-    return min(start_candidates(tensor, spec, effort.candidates, np.random.default_rng(seed)), key=error)
+    starts = start_candidates(tensor, spec, effort.candidates, np.random.default_rng(seed))
+    cells = max(map(searched, starts), key=lambda cells: squared_norm(cells.cores))  # which is what they explain
+    search_memberships(cells, sample.tensor, effort.rounds)
+    for n, step in enumerate(sample.steps):
+        if step > 1 and not cells.undecomposed[n]:
+            cells = with_all_rows(cells, n, tensor.shape[n], step)
+            seen = [1 if own == size else step for own, size, step in zip(cells.sizes, tensor.shape, sample.steps,
+                                                                          strict=True)]
+            assign_rows(cells, tensor[tuple(slice(None, None, step) for step in seen)], n)
+    return [members[:, 0].astype(np.intp) if len(members) == size else np.zeros(size, np.intp)
+            for members, size in zip(cells.members, tensor.shape, strict=True)]
 
 
 def _start(tensor: F32, spec: LevelSpec, effort: Effort, labels: Labels | None, rng: np.random.Generator) -> Cells:
