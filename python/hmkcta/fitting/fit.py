@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from math import prod
 
 import numpy as np
@@ -37,6 +38,7 @@ class Effort:
         rounds: of the search for disjoint memberships, over all modes, from the best start; it may end sooner.
         hooi: HOOI rounds where K_n = 1 (0: plain HOSVD), or where the search is ``fast``.
         backfits: rounds in which every level is refitted to what the others leave.
+        searched: whether disjoint memberships that were searched for are one more start where some K_n > 1.
     """
 
     candidates: int
@@ -45,15 +47,24 @@ class Effort:
     rounds: int
     hooi: int
     backfits: int
+    searched: bool = True
 
-    def at(self, level: int, levels: int) -> Effort:
-        """For a level (from 1) of so many.
+    def at(self, level: int, levels: int, elements: int, nodes: int) -> Effort:
+        """For a level (from 1) of so many, of a tensor of so many elements, that has so many nodes.
 
-        Those that others follow are swept twice as often: their nodes are few, and what they leave those below have to
-        make up for.
+        Levels that others follow are swept twice as often: their nodes are few, and what they leave those below have to
+        make up for. Small tensors are swept up to `MOST` times as often, in no more time than one of `SMALL` elements
+        takes. Memberships are searched for before clusters overlap only in a single last node: in levels that others
+        follow clusters of nearly equal size end as high, and take less time.
         """
-        return self if level == levels else replace(self, sweeps=2 * self.sweeps)
+        least = 1 if level == levels else 2
+        times = max(least, min(MOST, SMALL // elements))
+        return replace(self, sweeps=self.sweeps * times, searched=level == levels and nodes == 1)
 
+
+#: Elements of tensors that are swept more often, and how many times as often at the most: on 2,000 to 6,000 elements
+#: five times gain 1 to 14 dB.
+SMALL, MOST = 1 << 20, 5
 
 EFFORTS = {
     "fast": Effort(candidates=2, starts=1, sweeps=2, rounds=3, hooi=2, backfits=0),
@@ -182,6 +193,7 @@ def _hooi(tensor: F32, spec: LevelSpec, effort: Effort, rng: np.random.Generator
 
 def _searched_labels(tensor: F32, spec: LevelSpec, effort: Effort, rng: np.random.Generator) -> Labels:
     """Disjoint memberships: the best of several starts after a search from each, on a sample, and then of all rows."""
+    spec = replace(spec, mixture=(1,) * spec.order)
     sample = strided_sample(tensor, spec.clusters, SEARCHED)
     seed = int(rng.integers(2**63))
 
@@ -220,7 +232,8 @@ def _start(tensor: F32, spec: LevelSpec, effort: Effort, labels: Labels | None, 
         labels = next(start_candidates(tensor, spec, 1, rng, overlap=True))
     if labels is None:
         sample, starts = strided_sample(tensor, spec.clusters, JUDGED), np.random.default_rng(seed)
-        candidates = start_candidates(tensor, spec, effort.starts, starts, overlap=True)
+        searched = (_searched_labels(tensor, spec, effort, starts) for _ in range(effort.searched))
+        candidates = chain(start_candidates(tensor, spec, effort.starts, starts, overlap=True), searched)
         tried = ((swept(sample.tensor, sample.labels(candidate)), candidate) for candidate in candidates)
         best, labels = min(tried, key=lambda start: squared_norm(left_by(start[0], sample.tensor)))
         if best.sizes == tensor.shape:

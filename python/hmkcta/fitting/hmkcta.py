@@ -72,8 +72,8 @@ def fit_plan(request: FitRequest) -> Model:
                 break
         labels = grid_labels(spec, source.axes, plan.organisation)
         deepest = number == len(plan.levels) - 1
-        own = replace(run, effort=run.effort.at(number + 1, len(plan.levels)))
-        fit_nodes(tree, [spec] * len(tree.levels[-1]), own, labels, last=deepest and rounds == 0)
+        effort = run.effort.at(number + 1, len(plan.levels), prod(source.shape), len(tree.levels[-1]))
+        fit_nodes(tree, [spec] * len(tree.levels[-1]), replace(run, effort=effort), labels, last=deepest and rounds == 0)
         met = plan.snr is not None and _snr(request, tree, energy) >= plan.snr
         if met:
             break
