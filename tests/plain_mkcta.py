@@ -12,6 +12,7 @@ from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits  # pyright: ignore[reportMissingTypeStubs] (it has none)
 
 F64 = NDArray[np.float64]
 
@@ -64,6 +65,12 @@ class Plain:
         length = np.sqrt(np.square(basis).sum(axis=1, keepdims=True))
         self.bases[n] = basis / np.where(length > 0, length, 1)
 
+    def sweep(self) -> float:
+        """Rows of one mode after another, then cores; the squared error that is left."""
+        for n in range(self.tensor.ndim):
+            self.solve_rows(n)
+        return self.solve_cores()
+
     def solve_cores(self) -> float:
         """All cores together; the squared error that is left."""
         order = self.tensor.ndim
@@ -89,9 +96,6 @@ def plain_snr(
     least = np.inf
     for start in range(starts):
         model = Plain(wide, *([each] * wide.ndim for each in (rank, clusters, mixture)), seed=starts * seed + start)
-        for _ in range(sweeps):
-            for n in range(wide.ndim):
-                model.solve_rows(n)
-            left = model.solve_cores()
-        least = min(least, left)
+        with threadpool_limits(1):  # matrices are so small that threads would wait for each other
+            least = min(least, [model.sweep() for _ in range(sweeps)][-1])
     return float(10 * np.log10(np.square(wide).sum() / least))
