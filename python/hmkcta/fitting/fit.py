@@ -22,8 +22,10 @@ from ..cells import Cells, empty_cells
 from ..metrics import squared_norm
 from ..plan import LevelSpec
 from .memberships import start_candidates, strided_sample
+from .matrix_free import joint_sweep, sets_pay
 from .reassign import assign_rows, search_memberships, with_all_rows
-from .search import OVER_RELAXED, extend, sweep
+from .search import OVER_RELAXED, sweep
+from .swaps import exchange, extend
 from .tucker import st_hosvd
 
 
@@ -132,21 +134,35 @@ def fit_level(
 def _sequential(
     residual: F32, spec: LevelSpec, effort: Effort, labels: Labels | None, rng: np.random.Generator
 ) -> Cells:
-    """Cell after cell: K = 1, or so many clusters that even H does not fit."""
+    """Cell after cell: K = 1, or so many clusters that even H does not fit; then sets change by exchange."""
     cells = _disjoint(residual, spec, labels or _searched_labels(residual, spec, effort, rng), rng)
     while cells.spec.mixture != spec.mixture:
         for n in range(spec.order):
             if cells.spec.mixture[n] < spec.mixture[n]:
                 extend(cells, residual, n)
                 kernels.fit_cells(cells, residual, 1, WARM)
+    for _ in range(effort.sweeps if max(spec.mixture) > 1 else 0):
+        exchange(cells, residual)
+        _sweep_by_residual(cells, residual)
     kernels.fit_cells(cells, residual, effort.hooi, WARM)
     return cells
 
 
+def _sweep_by_residual(cells: Cells, residual: F32) -> None:
+    """A sweep over cells whose H is too large: of joint rows, set by set, if that pays, or of Gauss-Seidel."""
+    if sets_pay(cells):
+        joint_sweep(cells, residual, OVER_RELAXED)
+    else:
+        kernels.fit_cells(cells, residual, 1, WARM)
+
+
 def refit_level(cells: Cells, residual: F32) -> None:
     """Sweeps over fitted cells with the memberships they have; they and the residual they leave change in place."""
-    if max(cells.spec.mixture) == 1 or cells.spec.search == "fast":
+    if max(cells.spec.mixture) == 1:
         kernels.fit_cells(cells, residual, 1, WARM)
+        return
+    if cells.spec.search == "fast":
+        _sweep_by_residual(cells, residual)
         return
     if not _joint_pays(cells):
         kernels.fit_cells(cells, residual, IN_PLACE, WARM)

@@ -17,7 +17,7 @@ from ..model import Model
 from ..packed import LevelQuality, Metadata, PackedLevel, bounds_of
 from ..plan import AUTO, SCHEMES, LevelSpec, Plan
 from ..plan_checks import check_plan
-from ..streaming.budget import is_streamed, memory_limit, room_beside
+from ..streaming.budget import is_streamed, memory_limit, room_beside, with_searches
 from ..streaming.source import Source
 from ..streaming.streamed import Streamed
 from ..support.memory import give_back_freed_memory, memory_budget
@@ -60,7 +60,10 @@ def fit_plan(request: FitRequest) -> Model:
     plan, source = request.plan, request.source
     run = replace(request.run, room=room_beside(prod(source.shape), request.memory))
     request = replace(request, run=run)
-    check_plan(plan, mode_sizes(source.axes, plan.organisation))
+    sizes = mode_sizes(source.axes, plan.organisation)
+    check_plan(plan, sizes)
+    plan = with_searches(plan, sizes, run.journal.settled("room", lambda: run.room or 0, int))
+    request = replace(request, plan=plan)
     tree = _begun(request)
     energy = tree.error if plan.snr is not None else 0.0
     rounds, met = run.effort.backfits if len(plan.levels) > 1 else 0, False
