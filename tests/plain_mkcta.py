@@ -8,7 +8,6 @@ all cores are solved for together.
 from __future__ import annotations
 
 from itertools import combinations
-from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,7 +60,8 @@ class Plain:
             better = error < best
             best[better], basis[:, better] = error[better], 0
             rows = x.reshape(len(numbers), rank, -1).transpose(0, 2, 1)
-            basis[np.ix_(numbers, np.flatnonzero(better))] = rows[:, better]
+            for number, own in zip(numbers, rows, strict=True):
+                basis[number][better] = own[better]
         length = np.sqrt(np.square(basis).sum(axis=1, keepdims=True))
         self.bases[n] = basis / np.where(length > 0, length, 1)
 
@@ -82,9 +82,10 @@ class Plain:
 
 def _least_squares(matrix: F64, values: F64) -> F64:
     """x of least |matrix x - values|, with a ridge that is rounding."""
-    gram = matrix.T @ matrix
+    gram: F64 = matrix.T @ matrix
     ridge = 1e-12 * np.trace(gram) / len(gram) + 1e-300
-    return np.linalg.solve(gram + ridge * np.eye(len(gram)), matrix.T @ values)
+    whole: F64 = gram + ridge * np.eye(len(gram))
+    return np.linalg.solve(whole, matrix.T @ values)
 
 
 def plain_snr(

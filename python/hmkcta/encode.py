@@ -149,7 +149,6 @@ def compress(
                                    run=run, seconds=time)
             else:
                 model = fit_plan(FitRequest(source, plan, kind or source.kind, run, wanted.max_memory))
-                model.made_by = plan
         _check_steady(source)
     _warn_of(model, source, plan.snr if plan else wanted.snr)
     return model

@@ -74,8 +74,9 @@ def given_plan(text: str, source: Source, goal: Goal) -> Plan:
     plan = read_plan(text, source, wanted, settings["scheme"], settings["search"])
     sizes = mode_sizes(source.axes, plan.organisation)
     check_plan(plan, sizes)
+    plan = with_searches(plan, sizes, room_beside(prod(sizes), settings["max_memory"]), settings["max_memory"])
     memory_limit(plan, sizes, settings["max_memory"])
-    return with_searches(plan, sizes, room_beside(prod(sizes), settings["max_memory"]))
+    return plan
 
 
 def _shared(source: Source, organisation: Organisation, snr: float | None, size: int | None) -> dict[str, Any]:

@@ -21,8 +21,8 @@ from ..arrays import F32
 from ..cells import Cells, empty_cells
 from ..metrics import squared_norm
 from ..plan import LevelSpec
-from .memberships import start_candidates, strided_sample
 from .matrix_free import joint_sweep, sets_pay
+from .memberships import start_candidates, strided_sample
 from .reassign import assign_rows, search_memberships, with_all_rows
 from .search import OVER_RELAXED, sweep
 from .swaps import exchange, extend
@@ -227,8 +227,8 @@ def _searched_labels(tensor: F32, spec: LevelSpec, effort: Effort, rng: np.rando
             seen = [1 if own == size else step for own, size, step in zip(cells.sizes, tensor.shape, sample.steps,
                                                                           strict=True)]
             assign_rows(cells, tensor[tuple(slice(None, None, step) for step in seen)], n)
-    return [members[:, 0].astype(np.intp) if len(members) == size else np.zeros(size, np.intp)
-            for members, size in zip(cells.members, tensor.shape, strict=True)]
+    whole = zip(cells.members, tensor.shape, strict=True)  # an undecomposed mode, of one cluster, may still be thinned
+    return [np.resize(members[:, 0], size).astype(np.intp) for members, size in whole]
 
 
 def _start(tensor: F32, spec: LevelSpec, effort: Effort, labels: Labels | None, rng: np.random.Generator) -> Cells:

@@ -62,7 +62,7 @@ def fit_plan(request: FitRequest) -> Model:
     request = replace(request, run=run)
     sizes = mode_sizes(source.axes, plan.organisation)
     check_plan(plan, sizes)
-    plan = with_searches(plan, sizes, run.journal.settled("room", lambda: run.room or 0, int))
+    plan = with_searches(plan, sizes, run.journal.settled("room", lambda: run.room or 0, int), request.memory)
     request = replace(request, plan=plan)
     tree = _begun(request)
     energy = tree.error if plan.snr is not None else 0.0
@@ -75,8 +75,9 @@ def fit_plan(request: FitRequest) -> Model:
                 break
         labels = grid_labels(spec, source.axes, plan.organisation)
         deepest = number == len(plan.levels) - 1
-        effort = run.effort.at(number + 1, len(plan.levels), prod(source.shape), len(tree.levels[-1]))
-        fit_nodes(tree, [spec] * len(tree.levels[-1]), replace(run, effort=effort), labels, last=deepest and rounds == 0)
+        nodes = len(tree.levels[-1])
+        own = replace(run, effort=run.effort.at(number + 1, len(plan.levels), prod(source.shape), nodes))
+        fit_nodes(tree, [spec] * nodes, own, labels, last=deepest and rounds == 0)
         met = plan.snr is not None and _snr(request, tree, energy) >= plan.snr
         if met:
             break
@@ -85,7 +86,9 @@ def fit_plan(request: FitRequest) -> Model:
     if rounds and len(tree.levels) > 1 and not kept:
         for number in range(rounds):
             backfit(tree, run, last=number == rounds - 1)
-    return _measured(request, tree)
+    model = _measured(request, tree)
+    model.made_by = plan
+    return model
 
 
 def _begun(request: FitRequest) -> Hierarchy:

@@ -219,7 +219,7 @@ def strided_sample(tensor: NDArray[Any], clusters: Sequence[int], most: int) -> 
 def start_candidates(
     tensor: NDArray[Any], spec: LevelSpec, count: int, rng: np.random.Generator, *, overlap: bool = False
 ) -> Iterator[list[NDArray[np.intp]]]:
-    """Disjoint memberships to choose among: uniform blocks, then normalised rows under size caps, then K-subspaces.
+    """Disjoint memberships to choose among: uniform blocks, slices, normalised rows under size caps, then K-subspaces.
 
     Where they are to overlap later (K > 1), clusters of nearly equal size come first: up to 5 dB better than others. A
     single one is of them, as uniform blocks know nothing of rows without order.
@@ -228,7 +228,8 @@ def start_candidates(
     if count > 1:
         yield [uniform_blocks(i, c) for i, c in zip(tensor.shape, clusters, strict=True)]
     if count > 1 and not overlap:
-        yield _parted([slice_features(tensor, n) if c > 1 else None for n, c in enumerate(clusters)], tensor, spec, None, rng)
+        slices = [slice_features(tensor, n) if c > 1 else None for n, c in enumerate(clusters)]
+        yield _parted(slices, tensor, spec, None, rng)
         count -= 1
     features = [row_features(tensor, n) if c > 1 else None for n, c in enumerate(clusters)]
     order = sorted(CANDIDATES, key=lambda each: each[1] or np.inf) if overlap else CANDIDATES

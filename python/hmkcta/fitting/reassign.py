@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import backends as kernels
-from ..arrays import F32
+from ..arrays import F32, F64
 from ..cells import Cells
 
 Labels = NDArray[np.intp]
@@ -52,7 +52,7 @@ def search_memberships(cells: Cells, tensor: F32, rounds: int) -> None:
 
 
 def assign_rows(cells: Cells, tensor: F32, n: int) -> None:
-    """Give every row of mode n to the cluster that explains most of it, with its best rows of the bases, all else given.
+    """Give every row of mode n to the cluster that explains most of it, with its best rows of the bases.
 
     What the cells leave does not rise; the tensor is looked at some rows at a time, and bases end orthonormal.
     """
@@ -158,7 +158,7 @@ class _Rows:
     def _wanted(self) -> tuple[Labels, Labels]:
         """The cluster that explains most of each row without it, and the rows that would move, by what they gain."""
         gains = self.gains.sum(axis=1)  # [C_n, I_n]
-        at = np.arange(gains.shape[1])
+        at: Labels = np.arange(len(self.labels))
         gains[self.labels, at] = self._left_out()
         wanted = gains.argmax(axis=0)
         more = gains[wanted, at] - gains[self.labels, at]
@@ -173,12 +173,12 @@ class _Rows:
         """
         p, norms = self._own(self.p).astype(np.float64), self._own(self.norms)
         own = (self.p * self._mask(self.labels)).astype(np.float64)
-        gram = own.transpose(0, 1, 3, 2) @ own
+        gram: F64 = own.transpose(0, 1, 3, 2) @ own
         ridge = RIDGE * np.einsum("kcrr->kc", gram) / gram.shape[3] + np.finfo(np.float32).tiny
         gram += ridge[..., None, None] * np.eye(gram.shape[3])
         z = np.einsum("icrs,ics->icr", np.linalg.inv(gram)[self.labels], p)
         leverage = np.minimum(np.einsum("icr,icr->ic", z, p), 1.0)
-        error = np.maximum(norms - self._own(self.gains), 0.0)
+        error: F32 = np.maximum(norms - self._own(self.gains), 0.0)
         within = (1 - leverage) ** 2 + error * np.einsum("icr,icr->ic", z, z)
         left = np.minimum(np.divide(error, within, out=norms.astype(np.float64), where=within > 0), norms)
         return (norms - left).sum(axis=1).astype(np.float32)
@@ -196,9 +196,9 @@ def _squares(values: F32) -> F32:
     return np.einsum("...r,...r->...", values, values)
 
 
-def _orthonormal(columns: F32) -> F32:
-    """Orthonormal columns `[.., Q, min(Q, R)]` that span what the given ones span, and more where they are dependent."""
-    return np.linalg.qr(columns)[0]
+def _orthonormal(columns: NDArray[np.floating]) -> F32:
+    """Orthonormal columns `[.., Q, min(Q, R)]` that span what the given ones do, and more where these are dependent."""
+    return np.linalg.qr(columns.astype(np.float32, copy=False))[0]
 
 
 def _by_cluster(cells: Cells, values: F32, n: int) -> F32:

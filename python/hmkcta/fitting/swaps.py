@@ -27,7 +27,7 @@ def exchange(cells: Cells, residual: F32) -> None:
     for n, skip in enumerate(cells.undecomposed):
         if not skip:
             for slot in range(cells.spec.mixture[n]):
-                _fill(cells, residual, n, slot)
+                fill_slot(cells, residual, n, slot)
             kernels.orthonormalise(cells, n)
 
 
@@ -40,10 +40,10 @@ def extend(cells: Cells, residual: F32, n: int) -> None:
     cells.bases[n] = np.concatenate([cells.bases[n], np.zeros_like(cells.bases[n][:, :1])], axis=1)
     mixture = [k + (m == n) for m, k in enumerate(cells.spec.mixture)]
     cells.spec = replace(cells.spec, mixture=tuple(mixture))
-    _fill(cells, residual, n, mixture[n] - 1)
+    fill_slot(cells, residual, n, mixture[n] - 1)
 
 
-def _fill(cells: Cells, residual: F32, n: int, slot: int) -> None:
+def fill_slot(cells: Cells, residual: F32, n: int, slot: int) -> None:
     """The best cluster in one slot of every row of mode n, and its rows of the bases."""
     alone = _with_slot(cells, n, slot)
     kernels.accumulate(alone, residual, 1.0)

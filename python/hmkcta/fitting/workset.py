@@ -9,7 +9,6 @@ share no element (K = 1) their cores are the whole tensor's projections on their
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from functools import partial
 from itertools import count
 from math import gcd, prod

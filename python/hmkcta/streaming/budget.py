@@ -160,14 +160,22 @@ def clusters_alone(spec: LevelSpec, n: int) -> LevelSpec:
     return replace(spec, clusters=clusters, grid=())
 
 
-def with_searches(plan: Plan, sizes: Sequence[int], room: int) -> Plan:
-    """The plan with joint searches in those levels, too, whose H and inner products have room in so many bytes."""
+def with_searches(plan: Plan, sizes: Sequence[int], room: int, memory: int | None) -> Plan:
+    """The plan with joint searches in those levels, too, whose H and inner products have room in so many bytes.
+
+    Raises:
+        HmkctaError: a level is asked to be searched jointly, and the memory given, or what is free, has no room for it.
+    """
     levels = list[LevelSpec]()
-    for level, (spec, _, parts) in zip(plan.levels, nodes_of(plan, sizes), strict=True):
-        own = spec.clamped(parts)
-        fits = PRODUCTS * own.products_bytes + GRAMS * 8 * own.columns**2 <= room
-        widened = level.asked == AUTO and own.search == "fast" and fits
-        levels.append(replace(level, asked=own.joint_search) if widened else level)
+    for number, (level, (own, _, _)) in enumerate(zip(plan.levels, nodes_of(plan, sizes), strict=True), start=1):
+        needed = PRODUCTS * own.products_bytes + GRAMS * 8 * own.columns**2 if max(own.mixture) > 1 else 0
+        if level.asked in (AUTO, "fast"):
+            widened = level.asked == AUTO and own.search == "fast" and needed <= room
+            levels.append(replace(level, asked=own.joint_search) if widened else level)
+        else:
+            what = f"the {level.asked} search of level {number} ({level})"
+            check_memory(PROCESS + needed, what, "raise --max-memory, or leave --search out", memory)
+            levels.append(level)
     return replace(plan, levels=tuple(levels))
 
 
