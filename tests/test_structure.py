@@ -44,9 +44,11 @@ WITHIN = {
     "decode": (("scattered",), ("cells",), ("dense",)),
     "fitting": (
         ("tucker",),
-        ("projection", "subspaces"),
+        ("projection", "reassign", "subspaces"),
         ("memberships",),
         ("search",),
+        ("matrix_free",),
+        ("swaps",),
         ("fit", "subdivision"),
         ("run", "workset"),
         ("disjoint",),

@@ -26,7 +26,7 @@ from .hmkfile import KINDS
 from .journal import Journal, decisive
 from .model import Model
 from .offset import lost_beside_offset
-from .plan import AUTO, SCHEMES, Plan
+from .plan import AUTO, SCHEMES, SEARCHES, Plan
 from .search.engine import Goal
 from .search.find import Estimate, estimate_model, find_model
 from .search.written import coded_for
@@ -59,6 +59,7 @@ def compress(
     enough: Callable[[], bool] | None = None,
     organisation: str | Sequence[Sequence[str]] | None = None,
     scheme: str | None = None,
+    search: str | None = None,
     transform: str | None = None,
     nan: float | None = None,
     kind: str | None = None,
@@ -90,6 +91,8 @@ def compress(
             `Plan.organisation` has them; None: the `Plan`'s, chosen, or a mode for each axis.
         scheme: ``most``, ``least``, ``uniform`` or ``auto`` (the best of the three) subdivision of written levels;
             None: as a `Plan` says, ``auto`` of a text.
+        search: for the K clusters of a row in written levels: ``optimal``, ``greedy``, ``fast``, or ``auto`` (the most
+            thorough that a level and `max_memory` allow); None: as a `Plan` says, ``auto`` of a text.
         transform: value transform for high dynamic range, e.g. ``log1p``; None: identity.
         nan: value to put for NaN and infinity; None: refuse them.
         kind: ``svbrdf``, ``lightfield``, ``volume`` or ``generic``, whose roles the axes must have; None: what their
@@ -133,14 +136,14 @@ def compress(
     _check_types(array, transform, nan)
     expect("plan", plan, Plan | str | None, "text such as R=4,4,6,6, or a Plan")
     expect("journal", journal, Journal | None, "a Journal")
-    _check_names(scheme, kind)
+    _check_names(scheme, search, kind)
     wanted = wanted_of(snr, size, decode_cost, organisation, max_memory)
     with _threads(run.threads), whole_map(array), bar.shown(progress) as listener:
         run = replace(run, progress=listener, best=getattr(listener, "best", nobody))
         source, run = _prepared(prepare(array, axes, transform, nan, run.threads), run)
         check_kind(source.axes, kind or source.kind)
         if plan is not None:
-            plan = read_plan(plan, source, wanted, scheme)
+            plan = read_plan(plan, source, wanted, scheme, search)
             if time is not None:
                 raise invalid("time", "time", "a time beside a plan", "no time", "a written plan takes what it takes")
         # Before anything is kept of a run that cannot be.
@@ -158,7 +161,6 @@ def compress(
                 model = fit_plan(FitRequest(source, plan, kind or source.kind, run, wanted.max_memory))
                 if plan.snr is not None or plan.size is not None:
                     model = coded_for(model, source, Goal(plan.size, plan.snr), run)
-                model.made_by = plan
         _check_steady(source)
     _warn_of(model, source, plan.snr if plan else wanted.snr)
     return model
@@ -311,9 +313,11 @@ def _run(quality: str, decode_cost: int, seed: int, threads: int | None, progres
     return Run(EFFORTS[quality], int(seed), thread_count(threads), progress or nobody)
 
 
-def _check_names(scheme: str | None, kind: str | None) -> None:
+def _check_names(scheme: str | None, search: str | None, kind: str | None) -> None:
     if scheme not in (None, *SCHEMES, AUTO):
         raise invalid("unknown-scheme", "scheme", scheme, ", ".join((*SCHEMES, AUTO)))
+    if search not in (None, *SEARCHES, AUTO):
+        raise invalid("unknown-search", "search", search, ", ".join((*SEARCHES, AUTO)))
     if kind is not None and kind not in KINDS:
         raise invalid("unknown-kind", "kind", kind, ", ".join(KINDS))
 

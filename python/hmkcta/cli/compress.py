@@ -171,7 +171,9 @@ def plan_of(model: Model) -> dict[str, Any]:
 def _made_by(model: Model, report: dict[str, Any]) -> list[str]:
     """The words that fit the same plan again; of a model that a goal chose, which none does, what it is."""
     if report["plan"] is not None:
-        return [f"plan: {shlex.join(['--organisation', report['organisation'], '--plan', report['plan']])}"]
+        searches = [] if model.made_by is None else [
+            f"level {number}: {level.search_said}" for number, level in enumerate(model.made_by.levels, start=1)]
+        return [f"plan: {shlex.join(['--organisation', report['organisation'], '--plan', report['plan']])}", *searches]
     return [f"organisation: {report['organisation']}", *(f"layout: {line}" for line in layout_lines(model))]
 
 

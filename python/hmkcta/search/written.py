@@ -226,7 +226,9 @@ def _with_quality(model: Model, stages: tuple[PackedLevel, ...], source: Source,
 
     def made(*quality: Any) -> Model:
         own = metadata_of(source, metadata.organisation, metadata.stages, metadata.kind, metadata.seed, *quality)
-        return Model(replace(own, writer=metadata.writer), stages)
+        found = Model(replace(own, writer=metadata.writer), stages)
+        found.made_by = model.made_by
+        return found
 
     coded = made()
     return coded if run is None else made(*measure_both(coded, source.array, nan=source.nan, progress=run.progress))
