@@ -85,7 +85,7 @@ def _least_squares(matrix: F64, values: F64) -> F64:
     gram: F64 = matrix.T @ matrix
     ridge = 1e-12 * np.trace(gram) / len(gram) + 1e-300
     whole: F64 = gram + ridge * np.eye(len(gram))
-    return np.linalg.solve(whole, matrix.T @ values)
+    return np.asarray(np.linalg.solve(whole, matrix.T @ values), np.float64)
 
 
 def plain_snr(

@@ -223,10 +223,10 @@ def test_an_exchange_finds_the_best_cluster_beside_the_others() -> None:
     cells = fit(tensor, "R=1,2,2 C=4,2,2 K=2")
     kept, left = cells.copy(), left_by(cells, tensor)
     fill_slot(cells, left, 0, 1)
-    blocks, slices = dictionaries(kept, 0), unfold(tensor, 0)
+    blocks, slices = dictionaries(kept, 0), np.asarray(unfold(tensor, 0), np.float64)
     for i, members in enumerate(kept.members[0].astype(int)):
-        first: F64 = slices[i] - blocks[members[0]] @ kept.bases[0][i, 0].reshape(-1)
-        least = min(energy(first - block @ np.linalg.lstsq(block, first)[0])
+        first = np.asarray(slices[i] - blocks[members[0]] @ kept.bases[0][i, 0].reshape(-1), np.float64)
+        least = min(energy(first - block @ np.asarray(np.linalg.lstsq(block, first)[0], np.float64))
                     for k, block in enumerate(blocks) if k != members[0])
         assert energy(left[i]) == pytest.approx(least, rel=1e-3)
 

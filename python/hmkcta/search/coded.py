@@ -142,10 +142,10 @@ class LayoutCoder:
     def _some(self, blocks: Sequence[Slices]) -> Iterator[Batch]:
         """Blocks of one shape with their HOSVDs, as many at a time as memory is shared out for."""
         for places in by_shape(blocks).values():
-            together = max(1, self.values.together // self.threads // prod(_lengths_of(blocks[places[0]])))
+            together = max(1, self.values.together // self.threads // prod(_lengths_of(blocks[int(places[0])])))
             for first in range(0, len(places), together):
                 own = places[first : first + together]
-                tensors = as_tensor(np.stack([self.values[blocks[b]] for b in own]), self.layout.modes)
+                tensors = as_tensor(np.stack([self.values[blocks[b]] for b in own.tolist()]), self.layout.modes)
                 yield own, BlockBatch(tensors, precise=self.precise, keeps=True)
 
     def stages(self, *levels: CodedBlocks) -> list[tuple[dict[str, Any], dict[str, Any]]]:

@@ -128,7 +128,9 @@ class Values:
         elements = np.ones(self.detail.shape)
         for axis, size in enumerate(self.shape):
             ends = np.minimum(np.arange(1, self.detail.shape[axis] + 1) * _cell(size), size)
-            elements *= np.expand_dims(np.diff(ends, prepend=0), [a for a in range(len(self.shape)) if a != axis])
+            along = [1] * len(self.shape)
+            along[axis] = len(ends)
+            elements = elements * np.diff(ends, prepend=0).reshape(along)
         sums = elements * np.log2(1 + DETAIL_SCALE * self.detail / (elements * step * step))
         for axis, size in enumerate(self.shape):
             starts = np.array([part.start // _cell(size) for part in layout.spans(self.shape, axis)])
