@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -11,7 +12,8 @@ import pytest
 
 import hmkcta
 from hmkcta.arrays import F32
-from hmkcta.search import find
+from hmkcta.cli.layout import layout_lines
+from hmkcta.search import engine, find
 from hmkcta.search.engine import EXPLORING
 from hmkcta.search.judging import Judge
 
@@ -229,3 +231,47 @@ def test_a_search_that_is_told_to_end_takes_what_it_has(light_field: F32) -> Non
     short = hmkcta.compress(light_field, size=9000, threads=1, enough=lambda: len(asked) > 2 or bool(asked.append(1)))
     assert 8500 < short.nbytes <= 9000
     assert short.snr > 20
+
+
+def shuffled_rows() -> F32:
+    """Rows of eight subspaces of two dimensions, in any order: neighbours have nothing in common."""
+    rng = np.random.default_rng(3)
+    rows = [rng.standard_normal((50, 2)) @ rng.standard_normal((2, 40)) for _ in range(8)]
+    return np.concatenate(rows)[rng.permutation(400)].astype(np.float32)
+
+
+def test_alike_rows_without_order_are_clustered() -> None:
+    values = shuffled_rows()
+    model = hmkcta.compress(values, size=5000, threads=1)
+    assert model.snr > 30
+    cut = model.stages[0]
+    assert cut.is_cut
+    assert cut.shape[0, 0].max() == 8
+    part = cut.part[int(cut.shape[0, 0].argmax())]
+    assert part is not None
+    assert (np.diff(part.astype(int)) != 0).mean() > 0.5  # no blocks of neighbours
+    assert snr_of(model, values) == pytest.approx(model.snr, abs=0.02)
+    assert layout_lines(model) == ["8 clusters of axis0; undecomposed: axis0"]
+
+
+def test_clusters_are_the_same_whatever_the_threads(tmp_path: Path) -> None:
+    files = [saved(hmkcta.compress(shuffled_rows(), size=5000, threads=threads)) for threads in (1, 2)]
+    assert files[0] == files[1]
+    path = tmp_path / "rows.hmk"
+    path.write_bytes(files[0])
+    opened, model = hmkcta.open(path), hmkcta.compress(shuffled_rows(), size=5000, threads=1)
+    assert np.array_equal(np.asarray(opened), np.asarray(model))
+    assert opened[37, 11] == pytest.approx(np.asarray(model)[37, 11], rel=1e-4)
+
+
+def test_clusters_of_several_modes_beat_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(1)
+    labels = [rng.integers(0, 3, size) for size in (30, 28, 26)]
+    values = np.zeros([len(own) for own in labels], np.float32)
+    for cell in np.ndindex(3, 3, 3):
+        rows = [np.flatnonzero(own == c) for own, c in zip(labels, cell, strict=True)]
+        bases = [rng.standard_normal((len(own), 2)) for own in rows]
+        values[np.ix_(*rows)] = np.einsum("abc,ia,jb,kc->ijk", rng.standard_normal((2, 2, 2)), *bases)
+    clustered = hmkcta.compress(values, size=12000, threads=1).snr
+    monkeypatch.setitem(engine.EFFORTS, "medium", replace(engine.EFFORTS["medium"], clusters=()))
+    assert clustered > hmkcta.compress(values, size=12000, threads=1).snr + 3

@@ -184,6 +184,8 @@ def estimate(
 ) -> Estimate:
     """Estimate by samples what `compress` would make for a goal, and how long it would take.
 
+    Clusters of rows are not looked at: where rows have no order, `compress` may end higher.
+
     Args:
         All of them mean what they mean for `compress`, which describes them; so does the goal where neither `snr` nor
         `size` is given.

@@ -17,22 +17,37 @@ SHOWN = 4
 
 
 def layout_of(model: Model) -> list[dict[str, Any]]:
-    """Of every level how many parts each mode was cut into before it, and how many nodes leave which modes
-    undecomposed.
+    """Of every level how many parts each mode was cut into before it, in which of them rows are clusters that may lie
+    anywhere, and how many nodes leave which modes undecomposed.
 
     >>> from hmkcta._example import example_level, example_metadata
     >>> layout_of(Model(example_metadata(), [example_level()]))
-    [{'blocks': [1, 1], 'undecomposed': [{'modes': [], 'nodes': 1}]}]
+    [{'blocks': [1, 1], 'clustered': [], 'undecomposed': [{'modes': [], 'nodes': 1}]}]
     """
     found: list[dict[str, Any]] = []
-    cuts = np.ones(len(model.metadata.organisation), np.int64)
+    names = _names(model)
+    cuts, clustered = np.ones(len(names), np.int64), list[str]()
     for stage in model.stages:
         if stage.is_cut:
             cuts = cuts * stage.shape[:, 0].max(axis=0)
+            clustered += [name for n, name in enumerate(names) if _is_clustered(model, stage, n)]
             continue
-        found.append({"blocks": cuts.tolist(), "undecomposed": _undecomposed(stage, _names(model))})
-        cuts = np.ones_like(cuts)
+        found.append({"blocks": cuts.tolist(), "clustered": clustered, "undecomposed": _undecomposed(stage, names)})
+        cuts, clustered = np.ones_like(cuts), []
     return found
+
+
+def _is_clustered(model: Model, stage: PackedLevel, n: int) -> bool:
+    """Whether the root cuts a mode into other parts than segments of its axes."""
+    part, sizes = stage.part[n], {axis.name: axis.size for axis in model.metadata.axes}
+    extents = [sizes[name] for name in model.metadata.organisation[n]]
+    if part is None or stage.nodes > 1 or stage.shape[0, 0, n] < 2:
+        return False
+    # The number of a segment is a sum of what each axis adds, and does not fall along any.
+    numbers = part.astype(np.int64).reshape(extents)
+    lines = [numbers[(*(0,) * axis, slice(None), *(0,) * (len(extents) - axis - 1))] for axis in range(len(extents))]
+    sums = sum(line.reshape([-1 if a == axis else 1 for a in range(len(extents))]) for axis, line in enumerate(lines))
+    return not np.array_equal(numbers, sums) or any(bool((np.diff(line) < 0).any()) for line in lines)
 
 
 def _names(model: Model) -> list[str]:
@@ -61,7 +76,11 @@ def layout_lines(model: Model) -> list[str]:
         if prod(blocks) == 1 and not any(found["modes"] for found in sets):
             continue
         of_level = f"level {number}: " if len(layouts) > 1 else ""
-        lines.append(f"{of_level}{blocks_text(blocks, names)}; undecomposed: {_sets_text(sets)}")
+        rows = layout["clustered"]
+        parts = [f"{count} clusters of {name}" for count, name in zip(blocks, names, strict=True) if name in rows]
+        grid = [1 if name in rows else count for count, name in zip(blocks, names, strict=True)]
+        parts += [blocks_text(grid, names)] if prod(grid) > 1 or not rows else []
+        lines.append(f"{of_level}{', '.join(parts)}; undecomposed: {_sets_text(sets)}")
     return lines
 
 

@@ -125,12 +125,13 @@ class Values:
         of these by 0.6 to 0.9, with that of the differences by 0.4 to 0.8 (fMRI, multi-light; samples are 3 % off in
         place of 6).
         """
-        elements = np.ones(self.detail.shape)
+        elements: F64 = np.ones(self.detail.shape)
         for axis, size in enumerate(self.shape):
             ends = np.minimum(np.arange(1, self.detail.shape[axis] + 1) * _cell(size), size)
             along = [1] * len(self.shape)
             along[axis] = len(ends)
-            elements = elements * np.diff(ends, prepend=0).reshape(along)
+            lengths: F64 = np.diff(ends, prepend=0).astype(np.float64)
+            elements = elements * lengths.reshape(along)
         sums = elements * np.log2(1 + DETAIL_SCALE * self.detail / (elements * step * step))
         for axis, size in enumerate(self.shape):
             starts = np.array([part.start // _cell(size) for part in layout.spans(self.shape, axis)])
