@@ -266,12 +266,12 @@ def test_clusters_are_the_same_whatever_the_threads(tmp_path: Path) -> None:
 
 def test_clusters_of_several_modes_beat_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(1)
-    labels = [rng.integers(0, 3, size) for size in (30, 28, 26)]
+    labels = [rng.integers(0, 3, size) for size in (40, 36, 32)]
     values = np.zeros([len(own) for own in labels], np.float32)
     for cell in np.ndindex(3, 3, 3):
         rows = [np.flatnonzero(own == c) for own, c in zip(labels, cell, strict=True)]
         bases = [rng.standard_normal((len(own), 2)) for own in rows]
         values[np.ix_(*rows)] = np.einsum("abc,ia,jb,kc->ijk", rng.standard_normal((2, 2, 2)), *bases)
-    clustered = hmkcta.compress(values, size=12000, threads=1).snr
+    clustered = hmkcta.compress(values, size=20000, threads=1).snr
     monkeypatch.setitem(engine.EFFORTS, "medium", replace(engine.EFFORTS["medium"], clusters=()))
-    assert clustered > hmkcta.compress(values, size=12000, threads=1).snr + 3
+    assert clustered > hmkcta.compress(values, size=20000, threads=1).snr + 6
