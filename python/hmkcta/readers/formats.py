@@ -10,7 +10,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from ..errors import invalid
-from . import exr, hdf5, nifti, npy, nrrd, picture, tiff, zarr_store
+from . import exr, hdf5, nifti, npy, nrrd, picture, reflectance, tensor_file, tiff, zarr_store
 from .not_read import by_ending, by_start
 from .source import WHOLE, io_error, opened
 from .unpacked import Unpacker
@@ -88,6 +88,9 @@ FORMATS = (
             depth=picture.picture_depth),
     _single("pictures", picture.OTHER_ENDINGS, (), picture.open_picture, pages=True,
             depth=picture.picture_depth),
+    Format("tensor file", (".bsdf", ".pbsdf"), ((0, tensor_file.MAGIC),), tensor_file.open_tensor_file),
+    _single("MERL", (".binary",), (), reflectance.open_merl),
+    _single("UTIA", (".bin",), (), _at_once(reflectance.open_utia)),
 )
 #: Endings of the files of which a folder is a stack.
 PAGES = tuple(ending for each in FORMATS if each.pages for ending in each.endings)
