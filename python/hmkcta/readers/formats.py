@@ -10,7 +10,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from ..errors import invalid
-from . import exr, hdf5, nifti, npy, nrrd, picture, reflectance, tensor_file, tiff, zarr_store
+from . import exr, hdf5, metaimage, nifti, npy, nrrd, picture, reflectance, tensor_file, tiff, zarr_store
 from .not_read import by_ending, by_start
 from .source import WHOLE, io_error, opened
 from .unpacked import Unpacker
@@ -82,6 +82,7 @@ FORMATS = (
     _single("NIfTI", (".nii.gz",), ((0, nifti.GZIP),), nifti.open_gzip),
     _single("NIfTI", (".hdr", ".img"), (), nifti.open_pair),
     _single("NRRD", (".nrrd", ".nhdr"), ((0, nrrd.MAGIC),), nrrd.open_nrrd),
+    _single("MetaImage", (".mha", ".mhd"), metaimage.MAGICS, metaimage.open_metaimage),
     Format("TIFF", (".tif", ".tiff"), tiff.MAGICS, tiff.open_tiff, pages=True, depth=tiff.tiff_depth),
     Format("EXR", (".exr",), ((0, exr.MAGIC),), exr.open_exr, pages=True),
     _single("pictures", picture.ENDINGS, picture.MAGICS, picture.open_picture, pages=True,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import product
 from math import prod
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,10 +49,10 @@ def views_given(given: object) -> Views | None:
     """
     if given is None:
         return None
-    text = "x".join(map(str, given)) if isinstance(given, tuple | list) else str(given)
+    text = "x".join(map(str, cast("Sequence[object]", given))) if isinstance(given, tuple | list) else str(given)
     found = re.fullmatch(rf"\s*([1-9][0-9]{{0,5}})\s*[x,]\s*([1-9][0-9]{{0,5}})\s*(:\s*{LENSLETS})?\s*", text)
     if found is None:
-        raise invalid("source-views", "views", shown(given), _VIEWS)
+        raise invalid("source-views", "views", shown(cast(object, given)), _VIEWS)
     return Views((int(found[1]), int(found[2])), found[3] is not None)
 
 
@@ -74,7 +74,8 @@ def arranged(paths: Sequence[Path], where: str, names: str | None, views: Views 
         raise invalid("source-views", f"views of {where}", LENSLETS, "a picture for each view",
                       "leave that word out, or name the one picture")
     if names is None:
-        axes, placed = [Axis("file", len(paths))], {(number,): path for number, path in enumerate(paths)}
+        axes = [Axis("file", len(paths))]
+        placed: dict[tuple[int, ...], Path] = {(number,): path for number, path in enumerate(paths)}
     else:
         axes, placed = _placed(paths, where, names)
     if views is not None and len(axes) == 1:

@@ -61,8 +61,6 @@ NOT_READ = (
     NotRead("Philips PAR/REC", "convert it: parrec2nii IN.PAR", endings=(".par", ".rec"), allowed="NIfTI"),
     NotRead("a GIFTI surface", "nibabel reads it; save an array of it by numpy.save", endings=(".gii", ".gii.gz")),
     NotRead("ECAT", _NIBABEL, _at(b"MATRIX7"), allowed="NIfTI"),
-    NotRead("a MetaImage", "convert it by ITK: SimpleITK.WriteImage(SimpleITK.ReadImage(IN), OUT.nrrd)",
-            _at(b"ObjectType", b"NDims"), (".mha", ".mhd"), allowed="NRRD"),
     NotRead("VTK", "pyvista or ParaView read it; save an array of it by numpy.save",
             _at(b"# vtk DataFile", b"<VTKFile", b'<?xml version="1.0"?>\n<VTKFile')),
     NotRead("FITS", "astropy.io.fits reads it; save an array of it by numpy.save", _at(b"SIMPLE  =")),

@@ -76,7 +76,7 @@ def _tensors(file: BinaryIO, path: Path) -> Tensors:
         if name in tensors or not 1 <= kind < len(_TYPES):
             found = f"the array {name!r} twice" if name in tensors else f"number type {kind} of {name!r}"
             raise ValueError(found)
-        tensors[name] = Layout(take(f"{axes}Q"), np.dtype(_TYPES[kind])), offset
+        tensors[name] = Layout(take(f"{axes}Q"), np.dtype(_TYPES[int(kind)])), offset
     return tensors
 
 
@@ -93,6 +93,6 @@ def _axes(path: Path, tensors: Tensors, name: str) -> list[Axis]:
         coords = None
         if beside is not None and tensors[beside][0].shape == (size,):
             layout, offset = tensors[beside]
-            coords = np.array(map_part(path, layout, offset, f"{path}:{beside}"), layout.dtype.newbyteorder("="))
+            coords = map_part(path, layout, offset, f"{path}:{beside}").astype(layout.dtype.newbyteorder("="))
         axes.append(Axis(axis, size, role, coords, "" if coords is None else _UNITS.get(axis, "")))
     return axes
