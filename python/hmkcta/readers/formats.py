@@ -10,7 +10,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from ..errors import invalid
-from . import exr, hdf5, metaimage, nifti, npy, nrrd, picture, reflectance, tensor_file, tiff, zarr_store
+from . import exr, fits, hdf5, metaimage, nifti, npy, nrrd, picture, reflectance, tensor_file, tiff, vtk, zarr_store
 from .not_read import by_ending, by_start
 from .source import WHOLE, io_error, opened
 from .unpacked import Unpacker
@@ -90,6 +90,8 @@ FORMATS = (
     _single("pictures", picture.OTHER_ENDINGS, (), picture.open_picture, pages=True,
             depth=picture.picture_depth),
     Format("tensor file", (".bsdf", ".pbsdf"), ((0, tensor_file.MAGIC),), tensor_file.open_tensor_file),
+    Format("FITS", (".fits", ".fit", ".fts"), ((0, fits.MAGIC),), fits.open_fits),
+    Format("VTK", (".vti", ".vtr"), vtk.MAGICS, vtk.open_vtk),
     _single("MERL", (".binary",), (), reflectance.open_merl),
     _single("UTIA", (".bin",), (), _at_once(reflectance.open_utia)),
 )

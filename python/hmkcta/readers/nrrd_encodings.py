@@ -78,7 +78,7 @@ def encoded(kind: str, file: BinaryIO, layout: Layout, leading: Leading) -> Read
         raise too_short(leading.where, f"{held} bytes of {kind}", layout)
     if kind in ("text", "hex"):
         file.seek(leading.begin + leading.skip)
-        return _Words(file, layout.dtype).read if kind == "text" else _Hex(file).read
+        return Words(file, layout.dtype).read if kind == "text" else _Hex(file).read
     skip = leading.skip
     if skip == -1:
         skip = _length(_unpacker(kind, file, leading.begin), layout, leading.where) - layout.nbytes
@@ -115,7 +115,7 @@ def _length(read: Read, layout: Layout, where: str) -> int:
 
 
 @dataclass
-class _Words:
+class Words:
     """Numbers written as text, parted by white space."""
 
     file: BinaryIO
