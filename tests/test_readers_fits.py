@@ -133,3 +133,11 @@ def test_fits_end_to_end(tmp_path: Path) -> None:
     path = written(tmp_path / "a.fits", CTYPE3="VELO", CDELT3=100.0, CUNIT3="m/s")
     report("compress", path, "-o", tmp_path / "a.hmk", "--plan", "R=2,2,2")
     assert [axis["name"] for axis in report("info", tmp_path / "a.hmk")["axes"]] == ["velo", "y", "x"]
+
+
+def test_tables_are_refused_by_name(tmp_path: Path) -> None:
+    table = fits().BinTableHDU(np.rec.array([(1, 2.0)], names="a,b"))
+    fits().HDUList([fits().PrimaryHDU(), table]).writeto(tmp_path / "a.fits")
+    error = refusal(tmp_path / "a.fits")
+    assert error.reason == "source-format"
+    assert "only tables" in str(error)

@@ -49,7 +49,7 @@ def grid(path: Path, arrays: Sequence[tuple[str, str, NDArray[Any]]], encoding: 
     for place, name, numbers in arrays:
         tuples = f' NumberOfComponents="{numbers.shape[-1]}"' if numbers.ndim == 4 else ""
         tag = f'<DataArray type="{names[numbers.dtype.str[1:]]}" Name="{name}"{tuples} '
-        stored = numbers.astype(numbers.dtype.newbyteorder(order))
+        stored = numbers.astype(numbers.dtype.newbyteorder(">" if order == ">" else "<"))
         text = b" ".join(str(number).encode() for number in numbers.ravel().tolist())
         if encoding in ("ascii", "base64"):
             form = "ascii" if encoding == "ascii" else "binary"

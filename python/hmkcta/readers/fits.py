@@ -16,7 +16,7 @@ from ..axes import Axis
 from ..labels import with_axes
 from ..packing import Meant, Part, scaled_type
 from ..support.optional import library
-from .source import Layout, check_layout, choose, guarded, map_part, opened, too_long, too_short
+from .source import Layout, check_layout, choose, guarded, io_error, map_part, opened, too_long, too_short
 from .unpacked import Unpacker
 
 MAGIC = b"SIMPLE  ="
@@ -42,6 +42,9 @@ def open_fits(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any
             held = file.seek(0, 2)
         units = stack.enter_context(fits.open(path, memmap=True, do_not_scale_image_data=True))
         images = {name: unit for name, unit in _named(units).items() if unit.is_image and unit.shape}
+        if not images:
+            raise io_error("source-format", str(path), "no image, only tables", "an image",
+                           "astropy.table.Table.read reads a table; save a column of it by numpy.save")
         place = units[len(units) - 1].fileinfo()
         end = place["datLoc"] + place["datSpan"]
         name = choose(str(path), {name: str(_layout(unit)) for name, unit in images.items()}, member)

@@ -69,8 +69,6 @@ NOT_READ = (
     NotRead("ND2", _BIOFORMATS, _at(b"\xda\xce\xbe\x0a"), allowed="TIFF"),
     NotRead("an ENVI header", "open the file beside it as raw binary, by --shape, --dtype and --offset of this header",
             _at(b"ENVI\n", b"ENVI\r\n"), allowed="raw binary that is described"),
-    NotRead("Radiance HDR", "convert it to EXR: oiiotool IN.hdr -o OUT.exr", _at(b"#?RADIANCE", b"#?RGBE"),
-            allowed="EXR"),
     NotRead("an IDL save file", _SCIPY.format("readsav"), _at(b"SR\0\4", b"SR\0\6")),
     NotRead("sound", _SCIPY.format("wavfile"), _at(b"WAVE", place=8)),
     NotRead("Parquet or Arrow", "pandas reads it; save its numbers by numpy.save", _at(b"PAR1", b"ARROW1")),

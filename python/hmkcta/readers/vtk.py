@@ -23,8 +23,8 @@ from .vtk_header import CELLS, COORDINATES, POINTS, Stored, VtkHeader, vtk_heade
 MAGICS = ((0, b"<VTKFile"), (0, b'<?xml version="1.0"?>\n<VTKFile'), (0, b'<?xml version="1.0"?>\r\n<VTKFile'))
 #: Bytes that are read at once, and the most that a byte of zlib unpacks to.
 BLOCK, RATIO = 1 << 20, 1032
-_TYPES = {f"{name}{8 * size}": f"{kind}{size}" for name, kind in (("Int", "i"), ("UInt", "u")) for size in (1, 2, 4, 8)}
-_TYPES |= {"Float32": "f4", "Float64": "f8"}
+_TYPES = {"Float32": "f4", "Float64": "f8", **{f"{name}{8 * size}": f"{kind}{size}" for size in (1, 2, 4, 8)
+                                               for name, kind in (("Int", "i"), ("UInt", "u"))}}
 _PART = re.compile(rb"[^=]+={0,2}")
 
 
