@@ -41,10 +41,13 @@ def open_fits(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any
         with opened(path) as file:
             held = file.seek(0, 2)
         units = stack.enter_context(fits.open(path, memmap=True, do_not_scale_image_data=True))
-        images = {name: unit for name, unit in _named(units).items() if unit.is_image and unit.shape}
+        named = _named(units)
+        images = {name: unit for name, unit in named.items() if unit.is_image and unit.shape and all(unit.shape)}
         if not images:
-            raise io_error("source-format", str(path), "no image, only tables", "an image",
+            raise io_error("source-format", str(path), "tables or headers, and no image", "an image",
                            "astropy.table.Table.read reads a table; save a column of it by numpy.save")
+        if member is not None and member not in images and member.isdecimal():
+            member = dict(enumerate(named)).get(int(member), member)
         place = units[len(units) - 1].fileinfo()
         end = place["datLoc"] + place["datSpan"]
         name = choose(str(path), {name: str(_layout(unit)) for name, unit in images.items()}, member)
@@ -142,5 +145,5 @@ def _straight(header: Mapping[str, Any], number: int, size: int, count: int) -> 
     if turned or step is None:
         return None
     step = float(step) * float(header.get(f"PC{number}_{number}", 1))
-    return float(header.get(f"CRVAL{number}", 0)) + step * (np.arange(1, size + 1) - float(
-        header.get(f"CRPIX{number}", 0)))
+    pixels = np.arange(1, size + 1, dtype=np.float64) - float(header.get(f"CRPIX{number}", 0))
+    return step * pixels + float(header.get(f"CRVAL{number}", 0))
