@@ -136,7 +136,7 @@ def _axes(header: Mapping[str, Any], shape: tuple[int, ...]) -> list[Axis]:
     return (axes if unlike else [Axis(f"axis{n}", axis.size) for n, axis in enumerate(axes, start=1)])[::-1]
 
 
-def _straight(header: Mapping[str, Any], number: int, size: int, count: int) -> NDArray[np.float64] | None:
+def _straight(header: Mapping[str, Any], number: int, size: int, count: int) -> NDArray[Any] | None:
     """Coordinates by reference value, step and pixel (FITS standard 4.0, section 8.1); None: it says none."""
     others = [other for other in range(1, count + 1) if other != number]
     turned = any(float(header.get(f"{kind}{row}_{column}", 0)) for kind in ("CD", "PC") for other in others
