@@ -106,6 +106,8 @@ def json_cases() -> Cases:
         case("an upper-case escape", SMALL, [text("µm", "\\u00B5m")], "header-bytes", "header"),
         case("half a pair", SMALL, [text("µm", "\\ud800")], "json-encoding", "header"),
         case("no UTF-8", SMALL, [{"op": "text", "from": "µ".encode().hex(), "hex": "ff"}], "json-encoding", "header"),
+        case("white space behind another fault", SMALL, [text('"dtype":', '"dtype":1e999, "dtype":')], "json-syntax",
+             "header"),
         case("no object", SMALL, [text("{", "{{")], "json-syntax", "header"),
         case("a key twice", SMALL, [text('"dtype":', '"dtype":"int8","dtype":')], "json-duplicate-key", "header"),
         case("NaN", SMALL, [text('"seed":7', '"seed":NaN')], "json-number", "header"),
@@ -122,6 +124,8 @@ ROOT = ("stages", 0)
 BAD_FIELDS: list[tuple[str, dict[str, Any], str, str]] = [
     ("no axes", header("axes"), "field-missing", "header.axes"),
     ("a field too many", header("version", to=1), "field-unknown", "header.version"),
+    ("a size as a text, of an axis whose name is another's",
+     text('"name":"t","size":3', '"name":"höhe","size":"3"'), "field-type", "header.axes[1].size"),
     ("a size as a text", header("axes", 0, "size", to="4"), "field-type", "header.axes[0].size"),
     ("a size of 0", header("axes", 0, "size", to=0), "field-value", "header.axes[0].size"),
     ("a size of 4.0", text('"size":4', '"size":4.0'), "field-type", "header.axes[0].size"),

@@ -173,6 +173,8 @@ e.find_model = slow
 """
     process = start("compress", source, "-o", tmp_path / "a.hmk", *CHOSEN, before=slow)
     await_size(ready, 0)
+    process.send_signal(signal.SIGINT)  # which a search takes as a wish to finish early
+    time.sleep(0.5)
     process.send_signal(signal.SIGINT)
     code, _, err = finish(process)
     assert code == 130
@@ -180,6 +182,33 @@ e.find_model = slow
         "hmkcta: interrupted; nothing is left half written, and nothing kept, as the search keeps only "
         "what it has settled. Next: the same command, which begins anew.")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["ready"]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs signals")
+def test_an_interrupted_search_ends_with_the_best_found_so_far(source: Path, tmp_path: Path) -> None:
+    """The first Ctrl-C comes when the first layouts are judged; without it there would be many more rounds."""
+    ready = tmp_path / "ready"
+    waiting = f"""
+import hmkcta.search.engine as e, time
+ranked, rounds = e.Search._ranked, []
+def wait(self, *a, **k):
+    found = ranked(self, *a, **k)
+    rounds.append(1)
+    open({str(ready)!r}, "w").close()
+    while len(rounds) == 1 and not self.enough():
+        time.sleep(0.01)
+    assert len(rounds) < 4
+    return found
+e.Search._ranked = wait
+"""
+    process = start("compress", source, "-o", tmp_path / "a.hmk", "--size", "3KB", "--json", before=waiting)
+    await_size(ready, 0)
+    process.send_signal(signal.SIGINT)
+    code, out, err = finish(process)
+    assert code == 0, err
+    assert "taking the best that was found so far" in err
+    assert any("ended early" in note for note in json.loads(out)["notes"])
+    assert (tmp_path / "a.hmk").stat().st_size <= 3000
 
 
 def written(path: Path) -> int:

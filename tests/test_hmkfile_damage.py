@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import struct
 import subprocess
 import sys
@@ -12,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import hmkcta
 from hmk_corpus import FIXTURES, MAGIC, Parts
 from hmkcta.errors import HmkctaError, Kind
 from hmkcta.hmkfile import Limits, loads
@@ -167,3 +169,41 @@ def test_whoever_trusts_a_file_raises_the_limit() -> None:
     with pytest.raises(HmkctaError) as caught:
         loads(sound, limits=Limits(widened=2**30))
     assert caught.value.reason in ("code-end", "run-count")
+
+
+CUT = """
+import os, sys
+import hmkcta
+from hmkcta.hmkfile import read
+frame_of = read.frame_of
+
+def then_cut(view, *how):
+    frame = frame_of(view, *how)
+    os.truncate(sys.argv[1], int(sys.argv[2]))
+    return frame
+
+if sys.argv[3] == "opening":
+    read.frame_of = then_cut
+model = hmkcta.open(sys.argv[1])
+os.truncate(sys.argv[1], int(sys.argv[2]))
+print(model[...].tobytes().hex(), model.metadata.axes[0].coords.tolist())
+"""
+
+
+@pytest.mark.parametrize("left", [0, 100, 5000])
+def test_a_file_that_is_cut_short_while_it_is_open(left: int, tmp_path: Path) -> None:
+    """It is an error while it is read, and nobody's business afterwards; never a signal."""
+    path = tmp_path / "cut.hmk"
+    values = np.random.default_rng(0).random((3000, 8), np.float32)
+    model = hmkcta.compress(values, "R=8,8", axes=(hmkcta.Axis("y", 3000, coords=np.sqrt(np.arange(3000.0))), "x"))
+    said: dict[str, subprocess.CompletedProcess[str]] = {}
+    for when in ("opening", "afterwards"):
+        model.save(path, overwrite=True)
+        said[when] = subprocess.run([sys.executable, "-c", CUT, str(path), str(left), when], capture_output=True,
+                                    text=True, env={**os.environ, "PYTHONPATH": str(PYTHON)})
+    assert (said["afterwards"].returncode, said["afterwards"].stderr) == (0, "")
+    numbers, coords = said["afterwards"].stdout.split(maxsplit=1)
+    assert numbers == model[...].tobytes().hex()
+    assert json.loads(coords) == np.sqrt(np.arange(3000.0)).tolist()
+    assert said["opening"].returncode == 1
+    assert "InsufficientData/truncated" in said["opening"].stderr.splitlines()[-1]

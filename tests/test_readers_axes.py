@@ -103,6 +103,22 @@ def test_files_come_as_people_count_and_always_the_same(tmp_path: Path) -> None:
     assert open_array(tmp_path)[:, 0, 0].tolist() == [0, 1, 3, 2]
 
 
+@pytest.mark.parametrize("names", [
+    ["dark0.125", "dark0.25", "dark0.5", "dark1", "dark2", "dark10"],
+    ["at1.25", "at1.5", "at2.0", "at10.75"],
+    ["tile1.2", "tile1.9", "tile1.10", "tile2.1"],
+    ["run1.2.9", "run1.2.10", "run1.10.1"],
+    ["2024.01.31", "2024.02.5", "2024.10.04"],
+])
+def test_points_between_digits_are_decimal_where_they_can_be(names: list[str], tmp_path: Path) -> None:
+    folder = tmp_path / "scans0.10"  # of which nothing follows for the files in it
+    folder.mkdir()
+    for number, name in enumerate(names):
+        np.save(folder / f"{name}.npy", np.full((2, 2), number))
+    for source in (folder, folder / "*.npy"):
+        assert open_array(source)[:, 0, 0].tolist() == [*range(len(names))]
+
+
 @pytest.mark.parametrize(("flag", "said"), [(0x08, "a deep EXR picture"), (0x10, "an EXR file of several parts")])
 def test_deep_and_multi_part_exr_are_refused_by_name(tmp_path: Path, flag: int, said: str) -> None:
     path = channels(tmp_path, ["R", "G", "B"])

@@ -63,6 +63,26 @@ def test_png_of_every_depth(tmp_path: Path, bits: int) -> None:
 
 
 @pytest.mark.parametrize("bits", [1, 2, 4, 8, 16])
+def test_png_has_as_many_rows_as_it_says(tmp_path: Path, bits: int) -> None:
+    needed("imagecodecs")
+    palette = chunk(b"PLTE", bytes(range(255, 255 - 3 * min(1 << bits, 85), -1)))
+    for colours in {1: (0, 3), 2: (0, 3), 4: (0, 3), 8: (0, 2, 3), 16: (0, 2)}[bits]:
+        values = numbers(min(bits, 6) if colours == 3 else bits, (8, 5, 3) if colours == 2 else (8, 5))
+        data = png(values, bits, colours, before=palette if colours == 3 else b"")
+        open_array(put(tmp_path / "a.png", data))
+        for rows in (9, 7, 1):  # of which there are too few, or too many
+            head = struct.pack(">IIBBBBB", 5, rows, bits, colours, 0, 0, 0)
+            said = data[:8] + chunk(b"IHDR", head) + data[33:]
+            assert refusal(put(tmp_path / "a.png", said)).reason == "source-damaged", (colours, rows)
+
+
+def test_a_gray_palette_with_a_clear_number(tmp_path: Path) -> None:
+    values = numbers(8, (30, 20))
+    needed("PIL.Image").fromarray(values).save(tmp_path / "a.gif", optimize=False, transparency=7)
+    same(tmp_path / "a.gif", np.stack([values, np.where(values == 7, 0, 255).astype("u1")], axis=2))
+
+
+@pytest.mark.parametrize("bits", [1, 2, 4, 8, 16])
 def test_a_number_that_is_clear_makes_an_alpha_channel(tmp_path: Path, bits: int) -> None:
     needed("imagecodecs")
     for shape in SHAPES[:3:2] if bits >= 8 else SHAPES[:1]:

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import bz2
 import gzip
+import os
+import shutil
+import struct
 import time
+import tracemalloc
 import warnings
 import zipfile
 from collections.abc import Callable
@@ -198,6 +202,106 @@ def test_hdf5_in_one_piece_is_within_its_file(tmp_path: Path) -> None:
     (tmp_path / "a.h5").write_bytes(whole[:-8])
     with warnings.catch_warnings():
         assert refusal(tmp_path / "a.h5").kind is Kind.IO
+
+
+@pytest.mark.parametrize("filters", [{}, {"compression": "gzip"}, {"compression": "gzip", "shuffle": True},
+                                     {"compression": "gzip", "fletcher32": True}])
+def test_chunks_of_hdf5_are_as_long_as_their_dataset_says(filters: dict[str, Any], tmp_path: Path) -> None:
+    """What is missing HDF5 leaves as it finds memory."""
+    h5py: Any = needed("h5py")
+
+    def stored(rows: int) -> tuple[int, bytes]:
+        """A chunk of so many rows, as the filters make it."""
+        with h5py.File(tmp_path / "chunk.h5", "w") as file:
+            dataset = file.create_dataset("a", (rows, 30), chunks=(rows, 30), dtype="i4", **filters)
+            dataset[...] = np.arange(rows * 30).reshape(rows, 30)
+            file.flush()
+            return dataset.id.read_direct_chunk((0, 0))
+
+    for rows, reason in ((20, ""), (10, "source-truncated"), (30, "source-too-long")):
+        with h5py.File(tmp_path / "a.h5", "w") as file:
+            dataset = file.create_dataset("a", (40, 30), chunks=(20, 30), dtype="i4", **filters)
+            dataset[:20] = np.arange(600).reshape(20, 30)
+            mask, data = stored(rows)
+            dataset.id.write_direct_chunk((20, 0), data, mask)
+        if reason:
+            error = refusal(tmp_path / "a.h5")
+            assert error.reason == reason
+            assert "chunk at 20, 0" in str(error)
+        else:
+            same(tmp_path / "a.h5", np.tile(np.arange(600).reshape(20, 30), (2, 1)), "i4")
+
+
+def test_what_is_stored_of_an_array_is_not_widened_without_bounds(tmp_path: Path) -> None:
+    h5py, zarr = needed("h5py"), needed("zarr")
+    shape, zeros = (50, 1024, 1024), np.zeros((50, 1024, 1024), np.uint16)
+    with h5py.File(tmp_path / "few.h5", "w") as file:
+        file.create_dataset("a", shape, "u2", chunks=(1, 256, 256), compression="gzip")[0, 0, 0] = 0
+    with h5py.File(tmp_path / "none.h5", "w") as file:
+        file.create_dataset("a", shape, "u2")
+    layout = h5py.VirtualLayout(shape, "u2")
+    layout[0, :4, :4] = h5py.VirtualSource("few.h5", "a", shape)[0, :4, :4]
+    with h5py.File(tmp_path / "virtual.h5", "w") as file:
+        file.create_virtual_dataset("a", layout)
+    zarr.create_array(str(tmp_path / "a.zarr"), shape=shape, dtype="u2", chunks=(1, 256, 256))
+    shutil.make_archive(str(tmp_path / "a"), "zip", tmp_path / "a.zarr")
+    for name in ("few.h5", "none.h5", "virtual.h5", "a.zarr", "a.zip"):
+        error = refusal(tmp_path / name)
+        assert error.reason == "source-too-large", name
+        assert "--max-memory 100MiB" in str(error)
+        assert np.array_equal(open_array(tmp_path / name, max_memory="300MiB"), zeros)
+
+
+def test_headers_are_read_no_further_than_one_takes(tmp_path: Path) -> None:
+    """Their lengths are what the file says, and a packed one may go on for long."""
+    begins = b"\x93NUMPY\2\0" + (1 << 27).to_bytes(4, "little")
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a.npy", begins + bytes(1 << 27))
+    (tmp_path / "a.npy").write_bytes(begins)
+    os.truncate(tmp_path / "a.npy", 1 << 27)
+    (tmp_path / "a.pgm").write_bytes(b"P5" + b"#\n" * (1 << 20) + b"1 1 255\n0")
+    (tmp_path / "a.pam").write_bytes(b"P7\n" + b"# \n" * (1 << 20) + b"WIDTH 1\nHEIGHT 1\nDEPTH 1\nMAXVAL 9\nENDHDR\n0")
+    tracemalloc.start()
+    try:
+        for name in ("a.npz", "a.npy", "a.pgm", "a.pam"):
+            tracemalloc.reset_peak()
+            before = tracemalloc.get_traced_memory()[0]
+            assert refusal(tmp_path / name).reason == "source-damaged"
+            assert tracemalloc.get_traced_memory()[1] - before < 16 << 20, name
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("kind", ["Nifti1Image", "Nifti2Image"])
+@pytest.mark.parametrize("order", "<>")
+def test_extensions_of_nifti_are_within_its_header(tmp_path: Path, kind: str, order: str) -> None:
+    nibabel = needed("nibabel")
+    made = getattr(nibabel, kind)
+    image = made(VALUES, np.eye(4), made.header_class(endianness=order))
+    for length in (24, 100):
+        image.header.extensions.append(nibabel.nifti1.Nifti1Extension("comment", b"x" * length))
+    nibabel.save(image, tmp_path / "a.nii")
+    same(tmp_path / "a.nii", VALUES, f"{order}f4", mapped=True)
+    whole, begin = (tmp_path / "a.nii").read_bytes(), 352 if kind == "Nifti1Image" else 544
+    place, form = (108, "f") if kind == "Nifti1Image" else (168, "q")
+    for at, number in ((begin, 1 << 30), (begin + 32, 1 << 30), (begin + 32, 0), (begin + 32, -16), (place, 1 << 30)):
+        data = bytearray(whole)
+        struct.pack_into(order + (form if at == place else "i"), data, at, number)
+        (tmp_path / "a.nii.gz").write_bytes(gzip.compress(bytes(data)))
+        error = refusal(tmp_path / "a.nii.gz")
+        assert error.reason == "source-damaged"
+        assert "an extension of" in str(error) or "numbers that begin at" in str(error)
+
+
+@pytest.mark.parametrize("sizes", ['SizeZ="1000000000" SizeC="1" SizeT="1"', 'SizeT="99999" SizeC="9999" SizeZ="9999"'])
+def test_planes_of_tiff_are_no_more_than_a_file_can_have(tmp_path: Path, sizes: str) -> None:
+    said = ('<?xml version="1.0"?><OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06"><Image ID="Image:0">'
+            f'<Pixels ID="Pixels:0" DimensionOrder="XYZCT" Type="uint16" SizeX="9" SizeY="8" {sizes}><TiffData/>'
+            "</Pixels></Image></OME>")
+    needed("tifffile").imwrite(tmp_path / "a.ome.tif", np.zeros((8, 9), "u2"), description=said, metadata=None)
+    error = refusal(tmp_path / "a.ome.tif")
+    assert error.reason == "source-damaged"
+    assert "planes, by its header" in str(error)
 
 
 @pytest.mark.parametrize("encoding", PACKED)

@@ -1,4 +1,4 @@
-"""Numbers of HDF5 that lie elsewhere: behind links, in raw files beside, in the sources of virtual datasets.
+"""Numbers that lie elsewhere: behind links, in raw files beside, in the sources of virtual datasets, in TIFF files.
 
 Whatever the path that was given, what counts is the file in which a dataset lies.
 """
@@ -14,8 +14,11 @@ import numpy as np
 import pytest
 
 import hmkcta
-from hmkcta.errors import Kind
+from hmkcta.errors import HmkctaError, Kind
 from hmkcta.readers import open_array
+from hmkcta.readers.source import watched_by
+from hmkcta.readers.watched import WatchedSource
+from hmkcta.streaming.steady import fingerprint_of
 from reader_tools import VALUES, needed, refusal, same, survives_damage
 
 
@@ -199,6 +202,17 @@ def test_detached_headers_name_files_beside_themselves(tmp_path: Path, monkeypat
     same("a.nhdr", VALUES, mapped=True)
 
 
+def test_pairs_of_nifti_are_looked_for_where_a_link_leads(tmp_path: Path) -> None:
+    nibabel = needed("nibabel")
+    (tmp_path / "sub").mkdir()
+    nibabel.save(nibabel.Nifti1Pair(VALUES, np.eye(4)), tmp_path / "sub" / "a.hdr")
+    for ending in ("hdr", "img"):
+        (tmp_path / f"{ending}.{ending}").symlink_to(tmp_path / "sub" / f"a.{ending}")
+        same(tmp_path / f"{ending}.{ending}", VALUES, mapped=True)
+    (tmp_path / "sub" / "a.img").unlink()
+    assert refusal(tmp_path / "hdr.hdr").reason == "unreadable"
+
+
 def test_links_in_zarr_folders_are_listed_like_others(tmp_path: Path) -> None:
     zarr = needed("zarr")
     zarr.create_array(tmp_path / "b.zarr", data=VALUES)
@@ -225,3 +239,62 @@ def test_damage_in_either_file_is_refused_or_an_array(h5py: Any, tmp_path: Path)
             assert open_array(tmp_path / "m.h5").size > 0
         except hmkcta.HmkctaError as error:
             assert error.reason  # noqa: PT017 (either outcome is right)
+
+
+#: OME-XML of a file: its name as a number, and its images.
+OME = ('<?xml version="1.0"?>'
+       '<OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06" UUID="urn:uuid:{}">{}</OME>')
+UUIDS = {"a.ome.tif": f"{1:032x}", "b.ome.tif": f"{2:032x}"}
+
+
+def image(number: int, planes: list[tuple[str, int]]) -> str:
+    """An image of OME, of pages of files."""
+    data = "".join(f'<TiffData IFD="{page}" FirstZ="{z}" PlaneCount="1"><UUID FileName="{name}">urn:uuid:{UUIDS[name]}'
+                   "</UUID></TiffData>" for z, (name, page) in enumerate(planes))
+    return (f'<Image ID="Image:{number}"><Pixels ID="Pixels:{number}" DimensionOrder="XYZCT" Type="uint16" SizeX="5" '
+            f'SizeY="4" SizeZ="{len(planes)}" SizeC="1" SizeT="1"><Channel ID="Channel:{number}:0"/>{data}</Pixels>'
+            "</Image>")
+
+
+def two_files(folder: Path, images: str, **how: Any) -> dict[str, Any]:
+    """Two files of OME-TIFF which both tell of all images; what is in each."""
+    values = {"a.ome.tif": VALUES.astype("u2"), "b.ome.tif": VALUES.astype(">u2") + 200}
+    for name, own in values.items():
+        needed("tifffile").imwrite(folder / name, own, description=OME.format(UUIDS[name], images), metadata=None,
+                                   photometric="minisblack", byteorder=own.dtype.byteorder.replace("=", "<"), **how)
+    return values
+
+
+@pytest.mark.parametrize("how", [{}, {"compression": "zlib"}])
+def test_images_of_tiff_are_read_from_the_file_in_which_they_lie(
+    tmp_path: Path, how: dict[str, Any], recwarn: pytest.WarningsRecorder
+) -> None:
+    images = image(0, [("a.ome.tif", n) for n in range(3)]) + image(1, [("b.ome.tif", n) for n in range(3)])
+    first, second = two_files(tmp_path, images, **how).values()
+    for name in UUIDS:
+        for number, values in enumerate((first, second)):
+            assert np.array_equal(open_array(f"{tmp_path / name}:{number}"), values), (name, number)
+    both = image(0, [(name, n) for name in UUIDS for n in range(3)])
+    two_files(tmp_path, both, **how)
+    assert np.array_equal(open_array(tmp_path / "b.ome.tif"), np.concatenate([first, second]))
+    assert not recwarn.list
+
+
+def test_pages_of_two_tiff_files_that_seem_to_follow_one_another(tmp_path: Path) -> None:
+    """Where they lie in the second file is where they would lie in the first."""
+    values = two_files(tmp_path, image(0, [("a.ome.tif", 0), ("b.ome.tif", 1), ("b.ome.tif", 2)]))
+    expected = [values["a.ome.tif"][0], *values["b.ome.tif"][1:]]
+    assert np.array_equal(open_array(tmp_path / "a.ome.tif"), np.stack(expected))
+
+
+def test_every_tiff_file_is_watched(tmp_path: Path) -> None:
+    two_files(tmp_path, image(0, [("a.ome.tif", 0), ("b.ome.tif", 0)]))
+    noted: list[Path] = []
+    with watched_by(noted.append):
+        open_array(tmp_path / "a.ome.tif")
+    assert set(noted) == {tmp_path / name for name in UUIDS}
+    source = WatchedSource(str(tmp_path / "a.ome.tif"))
+    data = (tmp_path / "b.ome.tif").read_bytes()
+    (tmp_path / "b.ome.tif").write_bytes(data.replace(b"\0\xc9", b"\0\xca"))
+    with pytest.raises(HmkctaError, match="source-changed"):
+        source.check(fingerprint_of(source.array))

@@ -116,6 +116,8 @@ def test_what_is_known_is_named_with_what_reads_it(tmp_path: Path) -> None:
     ("a.PAR", b"# === DATA DESCRIPTION", "PAR/REC", "parrec2nii"), ("a.czi", b"ZISRAWFILE", "CZI", "bfconvert"),
     ("a.mrc", bytes(208) + b"MAP ", "MRC", "mrcfile"), ("a.grib", b"GRIB", "GRIB", "cdo"),
     ("a.sav", b"SR\0\4", "IDL", "readsav"), ("a.wav", b"RIFF\0\0\0\0WAVE", "sound", "wavfile"),
+    ("a.tif", b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n", "Git LFS", "git lfs pull"),
+    ("a.npy", b"<!DOCTYPE html><html>", "a web page", "browser"), ("a", b"<html>404", "a web page", "browser"),
 ])
 def test_other_formats_of_laboratories(tmp_path: Path, name: str, start: bytes, what: str, reader: str) -> None:
     (tmp_path / name).write_bytes(start.ljust(600, b"\0"))
@@ -153,6 +155,16 @@ def test_what_a_whole_nrrd_may_say_and_is_not_read(tmp_path: Path, change: bytes
     kept = [change if line[:4] == change[:4] else line for line in lines]
     (tmp_path / "a.nrrd").write_bytes(b"".join(kept) + b"\n" + VALUES.tobytes("F"))
     assert "fetch it again" not in str(refusal(tmp_path / "a.nrrd"))
+
+
+@pytest.mark.parametrize("said", ["LIST\na.raw\nb.raw", "LIST 2\na.raw\nb.raw", "a%03d.raw 1 3 1"])
+def test_a_nrrd_of_several_files_is_named_so(tmp_path: Path, said: str) -> None:
+    needed("nrrd")
+    (tmp_path / "a.nhdr").write_text("NRRD0004\ntype: float\ndimension: 3\nsizes: 3 4 5\nencoding: raw\n"
+                                     f"endian: little\ndata file: {said}\n")
+    error = refusal(tmp_path / "a.nhdr")
+    assert error.reason == "source-format"
+    assert "allowed one data file" in str(error)
 
 
 def test_a_packed_analyze_image(tmp_path: Path) -> None:

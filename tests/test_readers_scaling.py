@@ -121,6 +121,7 @@ def test_radars_are_scaled(h5py: Any, tmp_path: Path, place: str) -> None:
     ({"ScaleFactor": 0.1, "Offset": 2.0}, "Offset and ScaleFactor"),
     ({"scale_factor": [1.0, 2.0, 3.0]}, "scale_factor"),
     ({"Slope": 0.02}, "Slope"), ({"SCALE FACTOR": 0.1}, "SCALE FACTOR"), ({"gain": np.float32(2)}, "gain"),
+    ({"scale_factor": "0.1", "add_offset": "3"}, "add_offset and scale_factor"), ({"Slope": " 2e-2 "}, "Slope"),
 ])
 @pytest.mark.parametrize("kind", ["h5", "zarr"])
 def test_other_scaling_is_said_when_it_is_compressed(
@@ -175,7 +176,7 @@ def gdal(path: Path, values: Any, *items: tuple[str, int, float], missing: str =
     lines = "".join(f'<Item name="X" sample="{n}" role="{role}">{value}</Item>' for role, n, value in items)
     tags = [(42112, "s", 0, f"<GDALMetadata>{lines}</GDALMetadata>", True)]
     tags += [(42113, "s", 0, missing, True)] if missing else []
-    tifffile.imwrite(path, values, extratags=tags, metadata=None)
+    tifffile.imwrite(path, values, extratags=tags, metadata=None, photometric="rgb" if values.ndim == 3 else None)
     return path
 
 
@@ -187,4 +188,7 @@ def test_tiff_of_gdal_is_scaled(tmp_path: Path) -> None:
     assert found.dtype == np.float32
     assert np.array_equal(found, expected, equal_nan=True)
     same(gdal(tmp_path / "b.tif", values, ("unittype", 0, 1.0)), values, mapped=True)
-    assert refusal(gdal(tmp_path / "c.tif", values, ("scale", 0, 0.5), ("scale", 1, 0.25))).reason == "source-format"
+    colours = np.stack([values, values, values], axis=2)
+    for items in ([("scale", 0, 0.5), ("scale", 1, 0.25), ("scale", 2, 0.5)], [("offset", 1, 3.0)]):  # not of all
+        assert refusal(gdal(tmp_path / "c.tif", colours, *items)).reason == "source-format"
+    same(gdal(tmp_path / "d.tif", colours, *(("scale", n, 0.5) for n in range(3))), (colours * 0.5).astype("f4"))

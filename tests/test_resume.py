@@ -22,7 +22,7 @@ from resume_tools import DATA, LEVELS, MODES, After, Stop
 CASES: dict[str, dict[str, Any]] = {
     "levels": {"plan": LEVELS, "scheme": "least"},
     "scheme chosen": {"plan": LEVELS, "quality": "fast"},
-    "many clusters": {"plan": "R=1 C=12,1,12,12 K=2,1,2,2", "quality": "fast"},
+    "many clusters": {"plan": "R=1 C=4,1,5,5 K=2,1,2,2", "quality": "fast", "search": "fast"},
     "blocks, snr": {"plan": "R=1 grid=y:2,x:2 / R=4 / R=8", "snr": 20.0},
     "snr": {"snr": 20.0, "quality": "fast"},
     "size": {"size": 24000, "organisation": None},

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import tracemalloc
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, pairwise
 from math import ceil
 
 import numpy as np
@@ -19,10 +18,13 @@ from hmkcta.cells import Cells, dense_basis, empty_cells
 from hmkcta.fitting import fit as fitting
 from hmkcta.fitting import projection
 from hmkcta.fitting.fit import EFFORTS, fit_level, left_by
+from hmkcta.fitting.matrix_free import rows_by_sets
 from hmkcta.fitting.memberships import start_candidates
-from hmkcta.fitting.search import OVER_RELAXED, all_products, choose_rows, extend, refit_cores, right_sides
+from hmkcta.fitting.search import OVER_RELAXED, all_products, choose_rows, refit_cores, right_sides
 from hmkcta.fitting.subdivision import CAP, subdivide
-from hmkcta.plan import GRAM_CELLS, OPTIMAL_SUBSETS, LevelSpec, parse_level
+from hmkcta.fitting.swaps import exchange, extend, fill_slot
+from hmkcta.plan import GRAM_CELLS, OPTIMAL_SUBSETS, LevelSpec, Plan, parse_level, parse_plan
+from hmkcta.streaming.budget import with_searches
 from test_special_cases import MODES, shuffled, smooth
 
 F32 = NDArray[np.float32]
@@ -185,38 +187,75 @@ def test_greedy_and_fast_searches_are_reached() -> None:
     [
         ((40, 30), "R=1 C=12,1 K={},1", "greedy"),
         ((40, 30), "R=1,* C=12,1 K={},1", "greedy"),
-        ((48, 44), "R=1 C=40,40 K={}", "fast"),
+        ((48, 44), "R=1 C=9,8 K={}", "fast"),
         ((14, 12, 15), "R=1 C=12,12,12 K={}", "fast"),
     ],
 )
 def test_searches_for_many_clusters_pay(shape: Sequence[int], plan: str, search: str) -> None:
     """Every mixture cluster more is better, and the model is what a search of its own found."""
     tensor = shuffled(smooth(*shape, noise=0.3))
-    assert parse_level(plan.format(3), MODES[: len(shape)]).search == search
-    snrs = [compress(tensor, plan.format(k), threads=1, quality="fast").snr for k in (1, 2, 3)]
+    snrs = [compress(tensor, plan.format(k), threads=1, quality="fast", search=search).snr for k in (1, 2, 3)]
     assert snrs[0] + 0.5 < snrs[1] < snrs[2]
 
 
-def test_a_new_member_changes_nothing_until_it_is_fitted() -> None:
+def test_rows_take_the_best_further_cluster_and_exchange_only_for_better_ones() -> None:
     tensor = shuffled(smooth(12, 9, 10, noise=0.3))
     cells = fit(tensor, "R=2,1,2 C=4,2,2")
-    before = left_by(cells, tensor)
+    left = left_by(cells, tensor)
+    errors = [energy(left)]
     for n in (0, 2):
-        extend(cells, before, n)
-    assert [m.shape[1] for m in cells.members] == [2, 1, 2]
+        extend(cells, left, n)
+        errors.append(energy(left))
     assert cells.spec.mixture == (2, 1, 2)
-    for members in cells.members:
-        assert np.all(np.diff(members.astype(int), axis=1) > 0)  # distinct and ascending
-    assert np.abs(left_by(cells, tensor) - before).max() < 1e-6
+    assert [m.shape[1] for m in cells.members] == [2, 1, 2]
+    for _ in range(3):
+        exchange(cells, left)
+        errors.append(energy(left))
+        for members in cells.members:
+            assert np.all(np.diff(members.astype(int), axis=1) > 0)  # distinct and ascending
+    assert all(after < before for before, after in pairwise(errors))
+    assert np.abs(left_by(cells, tensor) - left).max() < 1e-5
 
 
-def test_the_cluster_to_add_is_found_with_no_projections_in_float64() -> None:
-    tensor = shuffled(smooth(40, 30, 20, noise=0.3))
-    cells = fit(tensor, "R=4,4,4 C=6,6,6")
-    tracemalloc.start()
-    extend(cells, tensor, 0)
-    assert tracemalloc.get_traced_memory()[1] < 1.5 * 4 * cells.spec.cells * 40 * 16
-    tracemalloc.stop()
+def test_an_exchange_finds_the_best_cluster_beside_the_others() -> None:
+    """That of least error by brute force, in the one slot that is looked at last."""
+    tensor = shuffled(smooth(10, 8, 9, noise=0.3))
+    cells = fit(tensor, "R=1,2,2 C=4,2,2 K=2")
+    kept, left = cells.copy(), left_by(cells, tensor)
+    fill_slot(cells, left, 0, 1)
+    blocks, slices = dictionaries(kept, 0), np.asarray(unfold(tensor, 0), np.float64)
+    for i, members in enumerate(kept.members[0].astype(int)):
+        first = np.asarray(slices[i] - blocks[members[0]] @ kept.bases[0][i, 0].reshape(-1), np.float64)
+        least = min(energy(first - block @ np.asarray(np.linalg.lstsq(block, first)[0], np.float64))
+                    for k, block in enumerate(blocks) if k != members[0])
+        assert energy(left[i]) == pytest.approx(least, rel=1e-3)
+
+
+def test_joint_rows_of_one_set_after_another_are_those_of_all() -> None:
+    """The sets kept, as `choose_rows` finds them from H of all cells."""
+    tensor = shuffled(smooth(14, 9, 10, noise=0.3))
+    cells = fit(tensor, "R=2,1,2 C=3,2,2 K=2")
+    cells.bases[0] += 0.1
+    apart, left = cells.copy(), left_by(cells, tensor)
+    rows_by_sets(apart, left, 0, 1.0)
+    b = right_sides(cells, kernels.project_cells(cells, tensor, 0), 0)
+    choose_rows(cells, all_products(cells), b, 0, 2, "fixed")
+    assert energy(left) == pytest.approx(energy(left_by(cells, tensor)), rel=1e-4)
+    assert np.abs(left_by(apart, tensor) - left).max() < 1e-4
+
+
+@pytest.mark.parametrize("plan", ["R=2 C=3,3,3 K=2", "R=2,2,* C=4,3,1 K=2,2,1"])
+def test_the_fast_search_ends_near_the_optimal_one(plan: str) -> None:
+    tensor = shuffled(smooth(24, 20, 22, noise=0.1))
+    optimal, fast = (compress(tensor, plan, search=search, threads=1).snr for search in ("optimal", "fast"))
+    assert fast > optimal - 1
+
+
+def test_memory_decides_between_joint_and_fast_searches() -> None:
+    plan = parse_plan("R=1 C=40,40 K=2", MODES[:2])
+    assert [with_searches(plan, (64, 64), room, None).levels[0].search for room in (2**20, 2**30)] == ["fast", "greedy"]
+    asked = Plan(plan.organisation, (replace(plan.levels[0], asked="fast"),))
+    assert with_searches(asked, (64, 64), 2**30, None) == asked
 
 
 # Subdivision

@@ -12,6 +12,7 @@ import pytest
 import hmkcta
 from hmkcta.arrays import F32
 from hmkcta.search import find
+from hmkcta.search.engine import EXPLORING
 from hmkcta.search.judging import Judge
 
 EIGHT = np.random.default_rng(3).normal(size=(3, 2, 3, 2, 3, 2, 3, 2))
@@ -142,23 +143,34 @@ def saved(model: hmkcta.Model) -> bytes:
         return Path(f"{folder}/model.hmk").read_bytes()
 
 
+class Listener:
+    """Keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.told: list[tuple[str, float]] = []
+        self.found: list[tuple[int, float]] = []
+
+    def __call__(self, stage: str, fraction: float) -> None:
+        self.told.append((stage, fraction))
+
+    def best(self, nbytes: int, snr: float) -> None:
+        self.found.append((nbytes, snr))
+
+
 def test_an_interrupted_search_goes_on_and_makes_the_same_file(light_field: F32, tmp_path: Path) -> None:
     whole = saved(hmkcta.compress(light_field, size=9000))
-    stages: list[str] = []
+    listener = Listener()
 
     def interrupted(stage: str, fraction: float) -> None:
-        stages.append(stage)
-        if stage == "code" and fraction > 0.4:
+        if stage == "search" and fraction > EXPLORING + 0.1:  # a finalist is coded
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt), hmkcta.Journal(tmp_path / "run", resume=True) as journal:
         hmkcta.compress(light_field, size=9000, journal=journal, progress=interrupted)
-    assert "search" in stages
-    stages.clear()
     with hmkcta.Journal(tmp_path / "run", resume=True) as journal:
-        again = hmkcta.compress(light_field, size=9000, journal=journal, progress=lambda stage, _: stages.append(stage))
+        again = hmkcta.compress(light_field, size=9000, journal=journal, progress=listener)
         assert saved(again) == whole
-    assert "search" not in stages
+    assert min(fraction for stage, fraction in listener.told if stage == "search") >= EXPLORING
     assert not (tmp_path / "run").exists()
 
 
@@ -197,3 +209,23 @@ def test_a_search_ends_in_time_with_the_best_so_far(light_field: F32, monkeypatc
     for nonsense in ("soon", 0, -1.0):
         with pytest.raises(hmkcta.HmkctaError, match="seconds above 0"):
             hmkcta.compress(light_field, size=9000, time=nonsense)
+
+
+def test_a_search_tells_how_far_it_is_and_the_best_so_far(light_field: F32) -> None:
+    listener = Listener()
+    model = hmkcta.compress(light_field, size=9000, threads=1, progress=listener)
+    searched = [fraction for stage, fraction in listener.told if stage == "search"]
+    assert len(searched) > 10
+    assert searched == sorted(searched)
+    assert searched[0] < 0.2
+    assert searched[-1] < 1
+    snrs = [snr for _, snr in listener.found]
+    assert snrs == sorted(snrs)
+    assert snrs[-1] == pytest.approx(model.snr, abs=0.3)
+
+
+def test_a_search_that_is_told_to_end_takes_what_it_has(light_field: F32) -> None:
+    asked: list[int] = []
+    short = hmkcta.compress(light_field, size=9000, threads=1, enough=lambda: len(asked) > 2 or bool(asked.append(1)))
+    assert 8500 < short.nbytes <= 9000
+    assert short.snr > 20

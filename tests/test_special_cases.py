@@ -112,7 +112,8 @@ def test_hooi_lies_between_its_bound_and_st_hosvd(shape: Sequence[int], ranks: t
 
 def one_level(tensor: F32, text: str, quality: str = "medium") -> Cells:
     spec = parse_level(text, MODES[: tensor.ndim])
-    return fit_level(tensor, spec, EFFORTS[quality], np.random.default_rng([0, 1, 0]))  # as level 1 of `compress`
+    effort = EFFORTS[quality].at(1, 1, tensor.size, 1)
+    return fit_level(tensor, spec, effort, np.random.default_rng([0, 1, 0]))  # as level 1 of `compress`
 
 
 @pytest.mark.parametrize("text", ["R=3,2,4", "R=2 C=2,2,1", "R=3,2,2 C=1,2,3", "R=2,*,3 C=2,1,2"])

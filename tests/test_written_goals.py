@@ -41,7 +41,7 @@ def test_a_size_is_used_and_kept(exact: Model, share: float) -> None:
 
 def test_half_the_bytes_lose_next_to_nothing(exact: Model) -> None:
     model = compress(waves(), PLAN, quality="fast", threads=1, size=exact.nbytes // 2)
-    assert model.snr > exact.snr - 0.1
+    assert model.snr > exact.snr - 0.15
 
 
 def test_a_file_that_is_small_enough_stays_as_it_is(exact: Model) -> None:

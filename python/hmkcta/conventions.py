@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from .neighbours import by_neighbours
-from .packing import Meant, packing, zarr_attributes
+from .packing import Meant, packing, text_of, zarr_attributes
 from .support.slabs import slabs
 
 #: Libraries whose arrays give numbers as they are stored, with the attributes beside them. Others apply them (netCDF4)
@@ -50,11 +50,20 @@ def unapplied(dataset: Any) -> list[str]:
     def counts(name: str, value: Any) -> bool:
         neutral = _NEUTRAL.get(re.sub(r"[^a-z]", "", name.lower()))
         values = np.ravel(value if value is not None else [])
-        if neutral is None or not values.size or values.dtype.kind not in "iuf":
+        if neutral is None or not values.size:
             return False
+        if values.dtype.kind not in "iuf":  # a number as text is what `packing` passes over
+            return _as_number(text_of(value), neutral) != neutral
         return not (values == neutral).all() and (name not in ("scale_factor", "add_offset") or values.size != 1)
 
     return sorted(str(name) for name, value in dict(dataset.attrs).items() if counts(str(name), value))
+
+
+def _as_number(text: str, otherwise: float) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return otherwise
 
 
 def meant(array: Any) -> Any:

@@ -26,12 +26,13 @@ from .hmkfile import KINDS
 from .journal import Journal, decisive
 from .model import Model
 from .offset import lost_beside_offset
-from .plan import AUTO, SCHEMES, Plan
+from .plan import AUTO, SCHEMES, SEARCHES, Plan
 from .search.engine import Goal
 from .search.find import Estimate, estimate_model, find_model
 from .search.written import coded_for
 from .streaming.budget import check_least_memory
 from .streaming.source import Source, prepare
+from .support import bar
 from .support.cut_short import whole_map
 from .support.executors import thread_count
 from .support.memory import keep_freed_memory
@@ -55,8 +56,10 @@ def compress(
     decode_cost: int = 4096,
     quality: str = "medium",
     time: float | str | None = None,
+    enough: Callable[[], bool] | None = None,
     organisation: str | Sequence[Sequence[str]] | None = None,
     scheme: str | None = None,
+    search: str | None = None,
     transform: str | None = None,
     nan: float | None = None,
     kind: str | None = None,
@@ -82,10 +85,14 @@ def compress(
         quality: ``fast``, ``medium`` or ``thorough``: how long the fit tries.
         time: seconds, or a text such as ``"5min"``, after which a search for a goal takes the best layout found so far;
             that one is then coded to its end. What is found depends on the machine; None: as long as it takes.
+        enough: asked now and then by a search for a goal; once it returns True, the search takes the best layout found
+            so far, as with `time`. For a button that says "stop here".
         organisation: axes merged into modes, ``"light+rgb, view, y+x"``, or their names for each mode, as
             `Plan.organisation` has them; None: the `Plan`'s, chosen, or a mode for each axis.
         scheme: ``most``, ``least``, ``uniform`` or ``auto`` (the best of the three) subdivision of written levels;
             None: as a `Plan` says, ``auto`` of a text.
+        search: for the K clusters of a row in written levels: ``optimal``, ``greedy``, ``fast``, or ``auto`` (the most
+            thorough that a level and `max_memory` allow); None: as a `Plan` says, ``auto`` of a text.
         transform: value transform for high dynamic range, e.g. ``log1p``; None: identity.
         nan: value to put for NaN and infinity; None: refuse them.
         kind: ``svbrdf``, ``lightfield``, ``volume`` or ``generic``, whose roles the axes must have; None: what their
@@ -97,7 +104,9 @@ def compress(
         device: ``cpu``; or ``cuda``, by which the kernels work on an NVIDIA GPU, through CuPy. Where there is none
             that works it is the CPU, with a warning that says what is missing. Files of another device differ, by
             rounding. Or what `backends.find_device` found, which then keeps count of kernel calls.
-        progress: called with a stage's name and the fraction of it done, 0 to 1.
+        progress: called with a stage's name and the fraction of it done, 0 to 1. A method `best` of it is called with
+            the bytes and the SNR in dB of the best file that a search has found so far. None: a bar, if stderr is a
+            terminal or this runs in a notebook.
         journal: keeps what is finished, so that an interrupted call can go on.
 
     Returns:
@@ -119,19 +128,22 @@ def compress(
     ((32, 24), True)
     """
     device = _found(device)
+    expect("enough", enough, Callable | None, "a function that returns whether to end")
     run = replace(_run(quality, decode_cost, seed, threads, progress), device=device.name)
+    run = run if enough is None else replace(run, enough=enough)
     snr, size = the_goal(snr, size)
     time = time_given(time)
     _check_types(array, transform, nan)
     expect("plan", plan, Plan | str | None, "text such as R=4,4,6,6, or a Plan")
     expect("journal", journal, Journal | None, "a Journal")
-    _check_names(scheme, kind)
+    _check_names(scheme, search, kind)
     wanted = wanted_of(snr, size, decode_cost, organisation, max_memory)
-    with _threads(run.threads), whole_map(array):
+    with _threads(run.threads), whole_map(array), bar.shown(progress) as listener:
+        run = replace(run, progress=listener, best=getattr(listener, "best", nobody))
         source, run = _prepared(prepare(array, axes, transform, nan, run.threads), run)
         check_kind(source.axes, kind or source.kind)
         if plan is not None:
-            plan = read_plan(plan, source, wanted, scheme)
+            plan = read_plan(plan, source, wanted, scheme, search)
             if time is not None:
                 raise invalid("time", "time", "a time beside a plan", "no time", "a written plan takes what it takes")
         # Before anything is kept of a run that cannot be.
@@ -149,7 +161,6 @@ def compress(
                 model = fit_plan(FitRequest(source, plan, kind or source.kind, run, wanted.max_memory))
                 if plan.snr is not None or plan.size is not None:
                     model = coded_for(model, source, Goal(plan.size, plan.snr), run)
-                model.made_by = plan
         _check_steady(source)
     _warn_of(model, source, plan.snr if plan else wanted.snr)
     return model
@@ -302,9 +313,11 @@ def _run(quality: str, decode_cost: int, seed: int, threads: int | None, progres
     return Run(EFFORTS[quality], int(seed), thread_count(threads), progress or nobody)
 
 
-def _check_names(scheme: str | None, kind: str | None) -> None:
+def _check_names(scheme: str | None, search: str | None, kind: str | None) -> None:
     if scheme not in (None, *SCHEMES, AUTO):
         raise invalid("unknown-scheme", "scheme", scheme, ", ".join((*SCHEMES, AUTO)))
+    if search not in (None, *SEARCHES, AUTO):
+        raise invalid("unknown-search", "search", search, ", ".join((*SEARCHES, AUTO)))
     if kind is not None and kind not in KINDS:
         raise invalid("unknown-kind", "kind", kind, ", ".join(KINDS))
 

@@ -358,7 +358,8 @@ def decisive(source: Source, plan: Plan | None, **settings: Any) -> dict[str, An
             for axis in source.axes]
     if plan is not None:
         settings |= {"plan": str(plan), "organisation": format_organisation(plan.organisation), "snr": plan.snr,
-                     "size": plan.size, "scheme": [level.scheme for level in plan.levels]}
+                     "size": plan.size, "scheme": [level.scheme for level in plan.levels],
+                     "search": [level.asked for level in plan.levels]}
     return {
         "sha256 of the array": source.fingerprint["sha256"], "shape": list(source.shape), "dtype": source.dtype,
         "axes": axes, "transform": source.transform, "nan": source.nan, **settings,

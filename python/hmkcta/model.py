@@ -376,8 +376,7 @@ class Model:
 def open(path: str | os.PathLike[str], verify: bool = True, limits: Limits = DEFAULT_LIMITS) -> Model:
     """Open a file as a `Model`: it is checked and decoded into memory, and not needed any more then.
 
-    Replace a file by `Model.save`, or by renaming another one: writing into it while it is opened may be found as
-    damage, and cutting it short then ends the process (SIGBUS), as with any map.
+    Replace a file by `Model.save`, or by renaming another one: writing into it while it is opened is found as damage.
 
     Args:
         path: the file.

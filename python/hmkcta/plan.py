@@ -22,6 +22,9 @@ _SPACED = re.compile(r"\s*([=,:])\s*")
 #: Subdivisions of the residual (paper, figure 4); `AUTO` stands for the best of them.
 SCHEMES, AUTO = ("most", "least", "uniform"), "auto"
 
+#: Searches for the cluster subsets of rows, the most thorough first; `AUTO` stands for what a level allows.
+SEARCHES = ("optimal", "greedy", "fast")
+
 #: Beyond this many cluster subsets in a mode the optimal search gives way to the greedy one (docs/design-notes.md).
 OPTIMAL_SUBSETS = 64
 
@@ -44,6 +47,7 @@ class LevelSpec:
         scheme: ``most``, ``least`` or ``uniform`` subdivision of the residual (paper, figure 4), or ``auto``: that of
             the three after which a fast fit of the next level leaves least.
         grid: axes that are cut into equal blocks, with how many; these blocks are the clusters.
+        asked: the search that is asked for, ``optimal``, ``greedy`` or ``fast``; ``auto``: by what the level allows.
 
     Raises:
         HmkctaError: R, C or K is out of range or of another type, they are not one for each mode, or the scheme is
@@ -61,10 +65,13 @@ class LevelSpec:
     mixture: tuple[int, ...]
     scheme: str = AUTO
     grid: tuple[tuple[str, int], ...] = ()
+    asked: str = AUTO
 
     def __post_init__(self) -> None:
         if self.scheme not in (*SCHEMES, AUTO):
             raise invalid("unknown-scheme", "scheme", self.scheme, ", ".join((*SCHEMES, AUTO)))
+        if self.asked not in (*SEARCHES, AUTO):
+            raise invalid("unknown-search", "search", self.asked, ", ".join((*SEARCHES, AUTO)))
         if any(count < 1 for _, count in self.grid):
             raise invalid("clusters-too-small", "grid", _grid_text(self.grid), "1 or more of each axis")
         if not len(self.ranks) == len(self.clusters) == len(self.mixture):
@@ -97,12 +104,33 @@ class LevelSpec:
 
         ``optimal`` looks at all binom(C_n, K_n) sets, ``greedy`` takes one cluster after another in every mode where
         one has more than 64 sets. ``fast`` is for K_n > 1 and more cells than the Gram matrix of their bases has room
-        for.
+        for: rows exchange one cluster at a time.
         """
+        if max(self.mixture) > 1 and self.asked != AUTO:
+            return self.asked
         if max(self.mixture) > 1 and (self.cells > GRAM_CELLS or self.columns > GRAM_COLUMNS):
             return "fast"
+        return self.joint_search
+
+    @property
+    def joint_search(self) -> str:
+        """The search where H fits: ``optimal``, or of many sets ``greedy``."""
         subsets = max(comb(c, k) for c, k in zip(self.clusters, self.mixture, strict=True))
         return "optimal" if subsets <= OPTIMAL_SUBSETS else "greedy"
+
+    @property
+    def search_said(self) -> str:
+        """A sentence on how the clusters of rows are found."""
+        if self.cells == 1:
+            return "one cell, nothing to search"
+        if self.grid:
+            return "the blocks of the grid, nothing to search"
+        if max(self.mixture) == 1:
+            return "each row takes the cluster that explains most of it"
+        return {"optimal": "optimal search: every set of K clusters is tried for every row",
+                "greedy": "greedy search: the best cluster first, then the best beside it",
+                "fast": "fast search: rows exchange one cluster at a time, as H of all cells is too large",
+                }[self.search]
 
     @property
     def cells(self) -> int:
@@ -138,7 +166,7 @@ class LevelSpec:
         clusters = tuple(min(c, max(i, 1)) for c, i in zip(self.clusters, sizes, strict=True))
         mixture = tuple(min(k, c) for k, c in zip(self.mixture, clusters, strict=True))
         ranks = tuple(None if r is None else min(r, max(i, 1)) for r, i in zip(self.ranks, sizes, strict=True))
-        return LevelSpec(ranks, clusters, mixture, self.scheme, self.grid)
+        return replace(self, ranks=ranks, clusters=clusters, mixture=mixture)
 
     def __str__(self) -> str:
         def joined(values: Iterable[int | None]) -> str:

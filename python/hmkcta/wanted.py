@@ -51,10 +51,12 @@ def the_goal(snr: float | None, size: int | str | None) -> tuple[float | None, i
     return None if snr is None else float(snr), None if size is None else int(size)
 
 
-def read_plan(plan: Plan | str, source: Source, wanted: Wanted, scheme: str | None = None) -> Plan:
+def read_plan(
+    plan: Plan | str, source: Source, wanted: Wanted, scheme: str | None = None, search: str | None = None
+) -> Plan:
     """A given plan with what the call says beside it: nothing of that is passed over.
 
-    Without a `scheme` those of a `Plan` count, and ``auto`` for a text.
+    Without a `scheme` or a `search` those of a `Plan` count, and ``auto`` for a text.
 
     Raises:
         HmkctaError: the text is no plan, or the plan says another organisation than the call.
@@ -69,13 +71,15 @@ def read_plan(plan: Plan | str, source: Source, wanted: Wanted, scheme: str | No
     modes = None if wanted.organisation is None else source.organisation(wanted.organisation)
     if isinstance(plan, str):
         read = parse_plan(plan, modes or source.organisation(None), scheme or AUTO)
-        return replace(read, snr=wanted.snr, size=wanted.size)
+        levels = tuple(replace(level, asked=search or AUTO) for level in read.levels)
+        return replace(read, levels=levels, snr=wanted.snr, size=wanted.size)
     own = check_organisation(tuple(map(tuple, plan.organisation)), source.axes)
     if modes not in (None, own):
         raise invalid("organisation", "organisation", repr(wanted.organisation),
                       f"{format_organisation(own)!r}, the plan's", "leave it out beside a Plan")
     levels = plan.levels if scheme is None else [
         level if level.grid else replace(level, scheme=scheme) for level in plan.levels]
+    levels = levels if search is None else [replace(level, asked=search) for level in levels]
     goal = {} if wanted.snr is None and wanted.size is None else {"snr": wanted.snr, "size": wanted.size}
     return replace(plan, organisation=own, levels=tuple(levels), **goal)
 

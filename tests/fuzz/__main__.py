@@ -37,7 +37,7 @@ def one(seed: int, count: int, bundle: Path | None, bounds: Bounds, told: Callab
 @click.option("--count", type=click.IntRange(1), default=200_000, help="Mutants to try.")
 @click.option("--seed", type=int, default=0, help="What they follow from, with --jobs.")
 @click.option("--jobs", type=click.IntRange(1), default=os.cpu_count() or 1, help="Pairs of readers at a time.")
-@click.option("--seconds", type=float, default=1.0, help="What a reader may take for a mutant.")
+@click.option("--seconds", type=float, default=1.0, help="Of the processor, that a reader may take for a mutant.")
 @click.option("--mebibytes", type=float, default=256.0, help="Memory that a reader may take for a mutant.")
 @click.option("--output", type=click.Path(path_type=Path), default=Path("fuzz-output"), help="Folder of findings.")
 @click.option("--python-only", is_flag=True, help="Leave the TypeScript reader out.")

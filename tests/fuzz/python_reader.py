@@ -1,8 +1,9 @@
 """The Python reader as a process: mutants come on standard input, what it says of each goes to standard output.
 
 A mutant is preceded by its length in four bytes; an answer is a line of JSON: `reason` (`ok` if the file is taken),
-`kind`, `escape` (an exception that is none of the project's), `seconds`, `mebibytes` (by how much the largest memory
-of the process grew) and `lines` (lines of the reader that were run for the first time).
+`kind`, `escape` (an exception that is none of the project's), `seconds` (of the processor, as the machine may be at
+other work), `mebibytes` (by how much the largest memory of the process grew) and `lines` (lines of the reader that were
+run for the first time).
 
     python -m fuzz.python_reader MEBIBYTES
 """
@@ -14,7 +15,7 @@ import resource
 import sys
 from contextlib import nullcontext, suppress
 from pathlib import Path
-from time import perf_counter
+from time import process_time
 from types import FrameType
 from typing import Any, BinaryIO
 
@@ -89,7 +90,7 @@ def read(data: bytes) -> str:
 
 def answer(data: bytes, lines: Lines | None) -> dict[str, Any]:
     """What is said of a mutant."""
-    before, begun, said = _peak(), perf_counter(), dict[str, Any](reason="ok", kind="", escape="")
+    before, begun, said = _peak(), process_time(), dict[str, Any](reason="ok", kind="", escape="")
     try:
         with lines or nullcontext():
             read(data)
@@ -98,7 +99,7 @@ def answer(data: bytes, lines: Lines | None) -> dict[str, Any]:
     except BaseException as error:  # what is none of the project's is what is looked for
         said["escape"] = f"{type(error).__name__}: {error}"[:300]
     new = lines.new if lines else 0
-    return {**said, "seconds": perf_counter() - begun, "mebibytes": _peak() - before, "lines": new}
+    return {**said, "seconds": process_time() - begun, "mebibytes": _peak() - before, "lines": new}
 
 
 def _peak() -> float:

@@ -27,7 +27,7 @@ class Answer:
     reason: str  # "ok" if it takes it
     kind: str = ""
     escape: str = ""  # an exception that is none of the project's, or how the process ended
-    seconds: float = 0.0
+    seconds: float = 0.0  # of the processor
     mebibytes: float = 0.0  # by how much its largest memory grew
     lines: int = 0  # of its code that were run for the first time
 

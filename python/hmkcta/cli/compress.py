@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from contextlib import nullcontext
 from dataclasses import asdict
 from math import floor, isinf
 from typing import Any
@@ -18,6 +19,7 @@ from ..hmkfile import check_output, level_sizes
 from ..model import Model
 from .failure import Exit
 from .goal import Goal, beyond_cost, goal_from, goal_options, ordinary_cameras
+from .interrupt import patient
 from .layout import layout_lines, layout_of
 from .notes import notes
 from .options import (
@@ -74,13 +76,14 @@ def compress_command(source: str, output: str, plan: str | None, device: str, re
     if where.missing:
         click.echo(f"hmkcta: {where.fallback}", err=True)
     with (Progress(quiet or as_json) as progress, journal_beside(output, resume, overwrite) as journal,
-          warnings_as_notes() as said):
+          warnings_as_notes() as said, patient(_say_finishing) if plan is None else nullcontext() as patience):
         if resume and not journal.holds_work:
             click.echo(f"hmkcta: there is nothing in {journal.folder} to go on with: it begins anew.", err=True)
         watched = goal.open(source, progress)
         array = watched.array
         model = compress(array, plan, snr=goal.snr, size=goal.size, kind=goal.kind, device=where,
-                         progress=progress, journal=journal, **goal.settings_for(array))
+                         progress=progress, journal=journal, enough=patience and (lambda: patience.asked),
+                         **goal.settings_for(array))
         watched.check(model.metadata.source["sha256"])
         missed = _missed(model, goal, plan, output)
         publish(journal, model, output, overwrite, missed)
@@ -90,6 +93,7 @@ def compress_command(source: str, output: str, plan: str | None, device: str, re
     }
     said += [f"{source} is no longer there: {output} is of what it was"] if watched.gone else []
     said += notes(model, array, planned=plan is not None) + unused(model, goal, plan)
+    said += ["the search was ended early"] if patience is not None and patience.asked else []
     said += beyond_cost(model.decode_cost, goal, plan) + ordinary_cameras(goal, model.metadata.kind)
     if as_json:
         emit({"output": output, **report, "reached": missed is None, "notes": said})
@@ -104,6 +108,10 @@ def compress_command(source: str, output: str, plan: str | None, device: str, re
     for sentence in [] if quiet else said:
         click.echo(f"hmkcta: {sentence}.", err=True)
     _end(missed)
+
+
+def _say_finishing() -> None:
+    click.echo("hmkcta: taking the best that was found so far; once more ends at once.", err=True)
 
 
 def _missed(model: Model, goal: Goal, plan: str | None, output: str) -> str | None:
@@ -163,7 +171,9 @@ def plan_of(model: Model) -> dict[str, Any]:
 def _made_by(model: Model, report: dict[str, Any]) -> list[str]:
     """The words that fit the same plan again; of a model that a goal chose, which none does, what it is."""
     if report["plan"] is not None:
-        return [f"plan: {shlex.join(['--organisation', report['organisation'], '--plan', report['plan']])}"]
+        searches = [] if model.made_by is None else [
+            f"level {number}: {level.search_said}" for number, level in enumerate(model.made_by.levels, start=1)]
+        return [f"plan: {shlex.join(['--organisation', report['organisation'], '--plan', report['plan']])}", *searches]
     return [f"organisation: {report['organisation']}", *(f"layout: {line}" for line in layout_lines(model))]
 
 

@@ -15,7 +15,7 @@ from ..errors import invalid
 from ..fitting.fit import EFFORTS
 from ..hmkfile import KINDS
 from ..labels import labels_of
-from ..plan import AUTO, SCHEMES, Plan, multiply_adds
+from ..plan import AUTO, SCHEMES, SEARCHES, Plan, multiply_adds
 from ..readers import WatchedSource, read_coordinates
 from .options import SOURCE, Assignment, ByteSize, Count, Names, memory_option, nan_option, source_options, together
 from .progress import Progress
@@ -32,6 +32,8 @@ goal_options = together(
     click.option("--organisation", metavar="TEXT", help='Axes into modes: "light+rgb, view, y+x".'),
     click.option("--scheme", type=click.Choice([AUTO, *SCHEMES]), default=AUTO, metavar="NAME",
                  help="Subdivision: auto, most, least, uniform (default auto)."),
+    click.option("--search", type=click.Choice([AUTO, *SEARCHES]), default=AUTO, metavar="NAME",
+                 help="Clusters of rows: auto, optimal, greedy, fast (default auto)."),
     click.option("--axes", type=Names(), metavar="A,B,..", help="Names of the axes: light,view,y,x,rgb, NAME:ROLE."),
     click.option("--coords", type=Assignment(), multiple=True, metavar="AXIS=FILE",
                  help="Directions, positions: .npy, .npz, .csv or .txt."),

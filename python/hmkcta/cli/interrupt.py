@@ -19,6 +19,48 @@ GRACE = 1.0
 ECHO = 0.25
 
 
+class Patience:
+    """What the first Ctrl-C asks for, while somebody would rather finish early than end."""
+
+    def __init__(self) -> None:
+        self.asked = False
+        self.ask: Callable[[], None] = lambda: None
+        self._first: dict[str, float] = {}
+
+    def bears(self, number: int, who: str) -> bool:
+        """Whether a signal is the first Ctrl-C, or an echo of it, for one of those who hear it."""
+        if number != signal.SIGINT:
+            return False
+        first = self._first.setdefault(who, monotonic())
+        return monotonic() - first <= ECHO
+
+
+#: Who is patient now, at most one; state of the process, as signals are.
+_patient: list[Patience] = []
+
+
+@contextmanager
+def patient(told: Callable[[], None]) -> Generator[Patience]:
+    """Take the first Ctrl-C as a wish to finish early, which `asked` says; the second ends as ever.
+
+    Args:
+        told: called when the wish comes.
+    """
+    patience = Patience()
+
+    def ask() -> None:
+        if not patience.asked:
+            patience.asked = True
+            told()
+
+    patience.ask = ask
+    _patient.append(patience)
+    try:
+        yield patience
+    finally:
+        _patient.remove(patience)
+
+
 class Interrupted(KeyboardInterrupt):
     """A signal asked the program to end."""
 
@@ -62,6 +104,9 @@ def interruptible(farewell: Callable[[int], None]) -> Generator[None]:
 
 def _stop(number: int, frame: FrameType | None) -> None:
     del frame
+    if _patient and _patient[-1].bears(number, "main"):
+        _patient[-1].ask()
+        return
     for each in _handled():  # the next one is for the listener, and must not disturb the cleaning up
         signal.signal(each, _again)
     raise Interrupted(number)
@@ -83,7 +128,7 @@ def _listen(heard: socket.socket, numbers: Any, farewell: Callable[[int], None])
         byte = heard.recv(1)
         if not byte:
             return
-        number = byte[0]
+        number = 0 if _patient and _patient[-1].bears(byte[0], "listener") else byte[0]
     began = monotonic()
     while (passed := monotonic() - began) < GRACE:
         heard.settimeout(GRACE - passed)

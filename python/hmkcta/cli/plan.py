@@ -13,7 +13,7 @@ from ..plan import Plan, multiply_adds
 from ..plan_checks import check_plan
 from ..planned_size import header_bytes, level_sizes_of
 from ..search.find import Estimate
-from ..streaming.budget import memory_limit
+from ..streaming.budget import memory_limit, room_beside, with_searches
 from ..streaming.source import Source
 from ..streaming.source import described as describe_source
 from ..support.memory import format_bytes
@@ -47,7 +47,7 @@ def plan_command(source: str, plan: str | None, as_json: bool, quiet: bool, verb
         settings = goal.settings_for(array)
         described = describe_source(array, settings["axes"], settings["transform"])
         if plan is None:
-            beside = {name: value for name, value in settings.items() if name != "scheme"}  # which is of written levels
+            beside = {name: value for name, value in settings.items() if name not in ("scheme", "search")}
             found = estimate(array, snr=goal.snr, size=goal.size, progress=progress, **beside)
             watched.check(None)
             report, text = estimated(found, described, goal), estimate_as_text
@@ -71,9 +71,10 @@ def given_plan(text: str, source: Source, goal: Goal) -> Plan:
     """The plan of --plan, as `compress` reads and refuses it."""
     settings = goal.settings
     wanted = wanted_of(goal.snr, goal.size, settings["decode_cost"], settings["organisation"], settings["max_memory"])
-    plan = read_plan(text, source, wanted, settings["scheme"])
+    plan = read_plan(text, source, wanted, settings["scheme"], settings["search"])
     sizes = mode_sizes(source.axes, plan.organisation)
     check_plan(plan, sizes)
+    plan = with_searches(plan, sizes, room_beside(prod(sizes), settings["max_memory"]), settings["max_memory"])
     memory_limit(plan, sizes, settings["max_memory"])
     return plan
 
@@ -102,7 +103,8 @@ def counted(plan: Plan, source: Source) -> dict[str, Any]:
     Bytes and decode costs are the most there can be: an SNR may be reached by fewer levels.
     """
     sizes = level_sizes_of(plan, source.axes)
-    levels = [{"level": number, "text": str(level), "search": level.search, "nodes": size.nodes,
+    levels = [{"level": number, "text": str(level), "search": level.search,
+               "search_said": level.search_said, "nodes": size.nodes,
                "numbers": size.numbers, "number_bytes": size.number_bytes, "numbers_are_exact": size.exact,
                "estimated_table_bytes": size.table_bytes, "decode_cost": size.decode_cost}
               for number, (level, size) in enumerate(zip(plan.levels, sizes, strict=True), start=1)]
@@ -158,6 +160,8 @@ def plan_as_text(report: dict[str, Any]) -> str:
         f"decode cost   up to {multiply_adds(report['decode_cost'])} an element",
         "",
         table(["level", "nodes", "numbers", "decode cost", "ranks R, clusters C, mixture K"], rows, left=[4]),
+        "",
+        *(f"level {level['level']}: {level['search_said']}" for level in report["levels"]),
         "",
         "To do it:",
         f"  {report['command']}",

@@ -6,10 +6,10 @@ import sys
 import threading
 import time
 from types import TracebackType
-from typing import Any
 
 import click
 
+from ..support.bar import Bar, best_text
 from .output import seconds
 
 #: Seconds between the lines where there is no terminal.
@@ -32,14 +32,14 @@ class Progress:
         self._start = self._called = self._begun = time.monotonic()
         self._now: tuple[str, float] = ("starting", 0.0)
         self._ended = threading.Event()
-        self._bar: Any = None
-        self._task: Any = None
+        self._best = ""
+        self._bar: Bar | None = None
 
     def __enter__(self) -> Progress:
         if self.quiet or sys.stderr is None:  # pyright: ignore[reportUnnecessaryComparison] (None where it is closed)
             return self
         if sys.stderr.isatty():
-            self._open_bar()
+            self._bar = Bar(self._start)
         else:  # from a thread, as native code can be at one step for minutes
             threading.Thread(target=self._say_lines, daemon=True).start()
         return self
@@ -49,7 +49,7 @@ class Progress:
     ) -> None:
         self._ended.set()
         if self._bar is not None:
-            self._bar.stop()
+            self._bar.close()
 
     @property
     def elapsed(self) -> float:
@@ -61,29 +61,21 @@ class Progress:
         now = time.monotonic()
         if stage != self._now[0]:
             self._begun = self._called
-            if self._bar is not None:
-                self._bar.reset(self._task, start=False, total=1.0, description=stage)
-                self._bar.tasks[0].start_time = self._start  # elapsed is of all stages, left of this one
         self.stages[stage] = self.stages.get(stage, 0.0) + now - self._called
         self._called, self._now = now, (stage, fraction)
         if self._bar is not None:
-            self._bar.update(self._task, completed=fraction)
+            self._bar(stage, fraction)
+
+    def best(self, nbytes: int, snr: float) -> None:
+        """Note the best file found so far: its bytes, and its SNR in dB."""
+        self._best = f", best so far {best_text(nbytes, snr)}"
+        if self._bar is not None:
+            self._bar.best(nbytes, snr)
 
     def _say_lines(self) -> None:
         while not self._ended.wait(INTERVAL):
             now = time.monotonic()
-            click.echo(line(*self._now, now - self._start, now - self._begun), err=True)
-
-    def _open_bar(self) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-        from rich.progress import Progress as Bar
-
-        columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TextColumn("elapsed"),
-                   TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
-        self._bar = Bar(*columns, console=Console(stderr=True), transient=True)
-        self._task = self._bar.add_task("starting", total=1.0)
-        self._bar.start()
+            click.echo(line(*self._now, now - self._start, now - self._begun) + self._best, err=True)
 
 
 def line(stage: str, fraction: float, elapsed: float, spent: float) -> str:

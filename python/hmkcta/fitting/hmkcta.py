@@ -16,7 +16,7 @@ from ..model import Model
 from ..packed import LevelQuality, Metadata, PackedLevel, bounds_of
 from ..plan import AUTO, SCHEMES, LevelSpec, Plan
 from ..plan_checks import check_plan
-from ..streaming.budget import is_streamed, memory_limit, room_beside
+from ..streaming.budget import is_streamed, memory_limit, room_beside, with_searches
 from ..streaming.source import Source
 from ..streaming.streamed import Streamed
 from ..support.memory import give_back_freed_memory, memory_budget
@@ -59,7 +59,10 @@ def fit_plan(request: FitRequest) -> Model:
     plan, source = request.plan, request.source
     run = replace(request.run, room=room_beside(prod(source.shape), request.memory))
     request = replace(request, run=run)
-    check_plan(plan, mode_sizes(source.axes, plan.organisation))
+    sizes = mode_sizes(source.axes, plan.organisation)
+    check_plan(plan, sizes)
+    plan = with_searches(plan, sizes, run.journal.settled("room", lambda: run.room or 0, int), request.memory)
+    request = replace(request, plan=plan)
     tree = _begun(request)
     energy = tree.error if plan.snr is not None else 0.0
     rounds, met = run.effort.backfits if len(plan.levels) > 1 else 0, False
@@ -71,8 +74,9 @@ def fit_plan(request: FitRequest) -> Model:
                 break
         labels = grid_labels(spec, source.axes, plan.organisation)
         deepest = number == len(plan.levels) - 1
-        own = replace(run, effort=run.effort.at(number + 1, len(plan.levels)))
-        fit_nodes(tree, [spec] * len(tree.levels[-1]), own, labels, last=deepest and rounds == 0)
+        nodes = len(tree.levels[-1])
+        own = replace(run, effort=run.effort.at(number + 1, len(plan.levels), prod(source.shape), nodes))
+        fit_nodes(tree, [spec] * nodes, own, labels, last=deepest and rounds == 0)
         met = plan.snr is not None and _snr(request, tree, energy) >= plan.snr
         if met:
             break
@@ -81,7 +85,9 @@ def fit_plan(request: FitRequest) -> Model:
     if rounds and len(tree.levels) > 1 and not kept:
         for number in range(rounds):
             backfit(tree, run, last=number == rounds - 1)
-    return _measured(request, tree)
+    model = _measured(request, tree)
+    model.made_by = plan
+    return model
 
 
 def _begun(request: FitRequest) -> Hierarchy:

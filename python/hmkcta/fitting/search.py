@@ -1,7 +1,5 @@
 """Of one mode, with the cores and all other bases given, the best cluster subsets of every row and its rows of the
 bases, by coding in the dictionary that these make; and the best cores of all cells, with all bases given.
-
-`extend` adds clusters by the residual's energy where even H does not fit.
 """
 
 from __future__ import annotations
@@ -136,24 +134,3 @@ def project_model(cells: Cells, other: Cells, n: int) -> F64:
         else:
             y.append(x.sum(axis=0).reshape(cells.sizes[n], -1))
     return np.array(y)
-
-
-def extend(cells: Cells, residual: F32, n: int) -> None:
-    """One more cluster for every row of mode n: the one whose cells see most of the row's residual.
-
-    Its basis rows start at zero, so the model is unchanged and Gauss-Seidel sweeps can only lower the error.
-    """
-    clusters, size, rank = cells.spec.clusters[n], cells.sizes[n], cells.ranks[n]
-    y = kernels.project_cells(cells, residual, n)
-    seen = np.einsum("cir,cir->ci", y, y, dtype=np.float64)  # [PC, I_n], with no copy of y in float64
-    others = tuple(m for m in range(cells.order) if m != n)
-    score = seen.reshape(*cells.spec.clusters, size).sum(axis=others).T  # [I_n, C_n]
-    np.put_along_axis(score, cells.members[n].astype(np.intp), -1.0, axis=1)
-    joined = np.concatenate([cells.members[n], score.argmax(axis=1)[:, None].astype(np.uint16)], axis=1)
-    fresh = np.zeros((size, 1, cells.spec.cells // clusters, rank), np.float32)
-    order = np.argsort(joined, axis=1)
-    cells.bases[n] = np.ascontiguousarray(
-        np.take_along_axis(np.concatenate([cells.bases[n], fresh], axis=1), order[:, :, None, None], axis=1)
-    )
-    cells.members[n] = np.take_along_axis(joined, order, axis=1)
-    cells.spec = replace(cells.spec, mixture=(*cells.spec.mixture[:n], joined.shape[1], *cells.spec.mixture[n + 1 :]))

@@ -9,7 +9,6 @@ share no element (K = 1) their cores are the whole tensor's projections on their
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from functools import partial
 from itertools import count
 from math import gcd, prod
@@ -32,6 +31,7 @@ from ..support.progress import Told, nobody
 from ..support.slabs import slabs
 from .fit import Effort, Labels, fit_level
 from .projection import project_one
+from .reassign import with_all_rows
 from .search import all_products, choose_rows, project_model, right_sides
 
 T = TypeVar("T", np.float32, np.float64)
@@ -211,15 +211,6 @@ def refit_streamed(residual: Streamed, number: int, cells: Cells) -> Cells:
         if not cells.undecomposed[n]:
             solve_rows(residual, number, cells, n, "fixed", [1] * cells.order)
     return cells
-
-
-def with_all_rows(cells: Cells, n: int, size: int, step: int) -> Cells:
-    """The cells with all rows of mode n instead of every step-th: those between are like the one before."""
-    source = np.arange(size) // step
-    sizes = (*cells.sizes[:n], size, *cells.sizes[n + 1 :])
-    members, bases = list(cells.members), list(cells.bases)
-    members[n], bases[n] = members[n][source], bases[n][source]
-    return replace(cells, sizes=sizes, members=members, bases=bases)
 
 
 def completed(residual: Streamed, number: int, cells: Cells) -> Cells:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import zlib
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from .limits import Limits
 from .lookalikes import foreign
@@ -23,6 +23,14 @@ _REFETCH = "fetch the file again"
 # digits of a \u escape one flipped bit changes the case and nothing else. So there is one way to write a header.
 _CONTROL = re.compile(rb"[\x00-\x1f]")
 _UPPER_CASE = re.compile(rb"(?<!\\)(?:\\\\)*\\u[0-9a-fA-F]{0,3}[A-F]")
+
+
+class Held(Protocol):
+    """Bytes of a file, in memory or read part by part."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, part: slice, /) -> memoryview: ...
 
 
 class Section(NamedTuple):
@@ -62,7 +70,7 @@ def header_end(start: bytes, size: int, limits: Limits) -> int:
     return PREFIX_BYTES + length
 
 
-def header_text(view: memoryview, end: int) -> str:
+def header_text(view: Held, end: int) -> str:
     """The text of the header, which ends at `end`."""
     raw = bytes(view[PREFIX_BYTES:end])
     stated = int.from_bytes(view[PREFIX_BYTES - 4 : PREFIX_BYTES], "little")
@@ -97,9 +105,10 @@ def lay_out(begin: int, lengths: Sequence[tuple[str, int]], size: int) -> list[S
     return sections
 
 
-def payload(view: memoryview, section: Section, *, verify: bool = True) -> memoryview:
+def payload(view: Held, section: Section, *, verify: bool = True) -> memoryview:
     """The payload of a section, compared with its checksum."""
-    own, stated = view[section.begin : section.end - CHECKSUM_BYTES], view[section.end - CHECKSUM_BYTES : section.end]
+    whole = view[section.begin : section.end]
+    own, stated = whole[:-CHECKSUM_BYTES], whole[-CHECKSUM_BYTES:]
     if verify:
         _check_sum("section-crc", section.name, own, int.from_bytes(stated, "little"))
     return own

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import mmap
 import os
 import stat
 from collections.abc import Generator
@@ -12,9 +11,10 @@ from typing import Any, NamedTuple
 
 from ..errors import HmkctaError, expect, shown
 from ..packed import Metadata, PackedLevel
+from ..support.memory import check_memory
 from .check import check_largest, check_nodes, check_reach, reach_of
 from .coding import decode_stage, root_places
-from .container import Section, header_end, header_text, lay_out, payload
+from .container import Held, Section, header_end, header_text, lay_out, payload
 from .fields import parse_json
 from .limits import DEFAULT_LIMITS, Limits
 from .lookalikes import START
@@ -49,18 +49,20 @@ def load_open(
 ) -> Loaded:
     """Read a file that is open, and may be closed then, as `load` does; `path` is what it is called in errors."""
     expect("limits", limits, Limits, "hmkcta.Limits")
-    data = _mapped(file, path)
+    data = _FileBytes(file, path)
     try:
-        return loads(data, verify=verify, limits=limits)
+        return _loaded(data, limits, verify=verify)
     except HmkctaError as error:
         error.args = (f"{path}: {error}",)  # `where` is a place in the file; people have several files
         raise
 
 
-def loads(data: bytes | bytearray | memoryview | mmap.mmap, *, verify: bool = True, limits: Limits = DEFAULT_LIMITS
-          ) -> Loaded:
+def loads(data: bytes | bytearray | memoryview, *, verify: bool = True, limits: Limits = DEFAULT_LIMITS) -> Loaded:
     """Read a file whose bytes are in memory. As `load` in all else."""
-    view = memoryview(data).toreadonly()
+    return _loaded(memoryview(data).toreadonly(), limits, verify=verify)
+
+
+def _loaded(view: Held, limits: Limits, *, verify: bool) -> Loaded:
     parsed, _, coords, runs = frame_of(view, limits)
     arrays: dict[int, Any] = {own.axis: own.numbers(payload(view, section, verify=verify))
                               for own, section in zip(parsed.coords, coords, strict=True)}
@@ -69,7 +71,7 @@ def loads(data: bytes | bytearray | memoryview | mmap.mmap, *, verify: bool = Tr
 
 
 def _stages(
-    view: memoryview, parsed: Parsed, runs: list[list[Section]], limits: Limits, *, verify: bool
+    view: Held, parsed: Parsed, runs: list[list[Section]], limits: Limits, *, verify: bool
 ) -> tuple[PackedLevel, ...]:
     places = root_places(parsed.metadata.axes, parsed.metadata.organisation)
     levels: list[PackedLevel] = []
@@ -87,7 +89,7 @@ def _stages(
     return tuple(levels)
 
 
-def frame_of(view: memoryview, limits: Limits = DEFAULT_LIMITS) -> Frame:
+def frame_of(view: Held, limits: Limits = DEFAULT_LIMITS) -> Frame:
     """Check a file's header, and that the file is as long as that says."""
     end = header_end(bytes(view[:START]), len(view), limits)
     parsed = from_json(parse_json(header_text(view, end), "header", limits), len(view), limits)
@@ -102,7 +104,7 @@ def frame_of(view: memoryview, limits: Limits = DEFAULT_LIMITS) -> Frame:
 def level_bytes(path: str | os.PathLike[str]) -> list[int]:
     """Bytes of each level's sections, with those of stages without numbers before it, in a file that `load` accepts."""
     with open_regular(path) as file:
-        frame = frame_of(memoryview(_mapped(file, path)))
+        frame = frame_of(_FileBytes(file, path))
     sizes = [sum(section.end - section.begin for section in own) for own in frame.runs]
     return by_level([stage.bounds.is_cut for stage in frame.parsed.stages], sizes)
 
@@ -146,11 +148,32 @@ def _unblocked(path: str, flags: int) -> int:
     return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
-def _mapped(file: FileIO, path: str | os.PathLike[str]) -> bytes | mmap.mmap:
-    with _as_unreadable(path):
-        size = os.fstat(file.fileno()).st_size
-        # An empty file cannot be mapped.
-        return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) if size else b""
+class _FileBytes:
+    """Bytes of an open file, read when they are asked for.
+
+    They are not mapped: where somebody cuts a mapped file short, the system ends whoever reads it (SIGBUS).
+    """
+
+    def __init__(self, file: FileIO, path: str | os.PathLike[str]) -> None:
+        self._file, self._path = file, path
+        with _as_unreadable(path):
+            self._size = os.fstat(file.fileno()).st_size
+
+    def __len__(self) -> int:
+        return self._size
+
+    def __getitem__(self, part: slice) -> memoryview:
+        start, stop, _ = part.indices(self._size)
+        check_memory(stop - start, f"a section of {self._path}", "take a machine that has more")
+        data, held = memoryview(bytearray(max(0, stop - start))), 0
+        with _as_unreadable(self._path):
+            self._file.seek(start)
+            while held < len(data) and (count := self._file.readinto(data[held:])):
+                held += count
+        if held < len(data):
+            raise fault("truncated", "data", f"the end of the file at byte {start + held}",
+                        f"{self._size} bytes, as there were when it was opened", "fetch the file again")
+        return data.toreadonly()
 
 
 @contextmanager

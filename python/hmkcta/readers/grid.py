@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from ..axes import Axis, name_axes
 from ..errors import invalid, shown
 from ..labels import labels_of, with_axes
-from .series import entries
+from ..support.natural import in_order
+from .series import files_of
 
 #: Behind the size of a grid: all views of one place lie together, as under the lenslets of a camera.
 LENSLETS = "lenslets"
@@ -137,7 +138,7 @@ def named_files(folder: Path, names: str) -> list[Path]:
         HmkctaError: the folder cannot be read.
     """
     pattern = _pattern(names)
-    return [path for path in entries(folder) if pattern.fullmatch(path.name) and path.is_file()]
+    return in_order(path for path in files_of(folder) if pattern.fullmatch(path.name))
 
 
 def unfolded(picture: NDArray[Any], views: Views, where: str) -> NDArray[Any]:

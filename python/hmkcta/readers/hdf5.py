@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -12,6 +13,7 @@ from ..conventions import conversion
 from ..errors import HmkctaError, invalid, sentence
 from ..labels import labelled, labels_of
 from ..support.optional import library
+from .hdf5_chunks import WholeChunks
 from .hdf5_members import members_of
 from .hdf5_outside import check_sources, outside_array
 from .source import Layout, choose, guarded, io_error, map_part, opened
@@ -88,10 +90,11 @@ def _array(h5py: Any, where: str, dataset: Any, unpacker: Unpacker) -> NDArray[A
     if view is None and offset is not None:
         return map_part(Path(dataset.file.filename), Layout(dataset.shape, dataset.dtype), offset, where)
     missing = _missing_filters(h5py, made)
-    if dataset.is_virtual:
-        check_sources(h5py, dataset, where)
+    files = check_sources(h5py, dataset, where) if dataset.is_virtual else {Path(dataset.file.filename)}
+    unpacker.check_widened(where, dataset.size * dataset.dtype.itemsize, sum(path.stat().st_size for path in files))
+    stored = WholeChunks(dataset, where) if dataset.chunks and not missing else dataset
     try:
-        return unpacker.chunks(where, view or dataset, dataset.chunks)
+        return unpacker.chunks(where, replace(view, stored=stored) if view else stored, dataset.chunks)
     except OSError as error:
         if missing:
             raise invalid("hdf5plugin-missing", f"filter of {where}", f"{', '.join(missing)}, which is not installed",

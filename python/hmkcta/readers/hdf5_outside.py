@@ -99,8 +99,8 @@ def _raw_file(own: Path, name: str, where: str) -> Path:
     return found[0]
 
 
-def check_sources(h5py: Any, dataset: Any, where: str, depth: int = DEPTH) -> None:
-    """Refuse a virtual dataset of which a source is not there: its part would read as the fill value.
+def check_sources(h5py: Any, dataset: Any, where: str, depth: int = DEPTH) -> set[Path]:
+    """The files of a virtual dataset; it is refused if a source is not there: its part would read as the fill value.
 
     Raises:
         HmkctaError: a file or a dataset in it is missing, or sources are nested too deeply.
@@ -108,7 +108,7 @@ def check_sources(h5py: Any, dataset: Any, where: str, depth: int = DEPTH) -> No
     if not depth:
         raise io_error("source-format", where, f"virtual datasets of virtual datasets, {DEPTH} deep", "fewer")
     own = Path(dataset.file.filename)
-    wanted = {(source.file_name, source.dset_name) for source in dataset.virtual_sources()}
+    files, wanted = {own}, {(source.file_name, source.dset_name) for source in dataset.virtual_sources()}
     for file_name, name in sorted(wanted):
         if "%b" in file_name + name:  # as many as there are
             continue
@@ -116,15 +116,17 @@ def check_sources(h5py: Any, dataset: Any, where: str, depth: int = DEPTH) -> No
         path = own if file_name == "." else _source_file(own, file_name)
         if path is None:
             raise _missing(where, f"no file {file_name}")
+        files.add(path)
         with opened(path), h5py.File(path, "r") as file:
             source = file.get(name)
             if not isinstance(source, h5py.Dataset):
                 raise _missing(where, f"no dataset {name} in {path}")
             if source.is_virtual:
-                check_sources(h5py, source, f"{path}:{name}", depth - 1)
+                files |= check_sources(h5py, source, f"{path}:{name}", depth - 1)
             elif source.id.get_create_plist().get_external_count():
                 raise io_error("source-format", where, f"{path}:{name}, whose numbers lie in raw files",
                                "sources that hold their numbers", "copy it into its file: h5repack")
+    return files
 
 
 def _source_file(own: Path, name: str) -> Path | None:

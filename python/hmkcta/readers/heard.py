@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 from collections.abc import Callable, Generator
@@ -9,12 +10,15 @@ from contextlib import ExitStack, contextmanager, redirect_stdout
 from io import StringIO
 from tempfile import TemporaryFile
 
+#: The logger of imagecodecs, whose words are printed only where nobody has set up logging.
+_LOGGER = logging.getLogger("imagecodecs")
+
 
 @contextmanager
 def heard() -> Generator[Callable[[], str]]:
     """A function that gives what has been printed in the block.
 
-    Libraries print by Python and by C, for which the process's own outputs are turned away meanwhile.
+    Libraries print by Python and by C, for which the process's own outputs are turned away meanwhile; or they log.
 
     >>> with heard() as said:
     ...     _ = os.write(2, b"IDAT: incorrect data check")
@@ -23,10 +27,15 @@ def heard() -> Generator[Callable[[], str]]:
     'IDAT: incorrect data check'
     """
     printed = StringIO()
+    handler = logging.StreamHandler(printed)
     with TemporaryFile() as file, ExitStack() as back:
         for stream in (sys.stdout, sys.stderr):
             stream.flush()
         back.enter_context(redirect_stdout(printed))
+        _LOGGER.addHandler(handler)
+        back.callback(_LOGGER.removeHandler, handler)
+        _LOGGER.propagate, propagated = False, _LOGGER.propagate
+        back.callback(setattr, _LOGGER, "propagate", propagated)
         for number in (1, 2):
             kept = os.dup(number)
             back.callback(os.close, kept)

@@ -19,6 +19,8 @@ MAGICS = tuple((0, kind + space) for kind in _CHANNELS for space in (b"\n", b"\r
 _WORD = re.compile(rb"(?:\s|#[^\n\r]*[\n\r])*([^\s#]+)")
 _PAM = re.compile(rb"P7\s.*?\bENDHDR[ \t]*\n", re.DOTALL)
 _MOST = 65535
+#: Bytes that a header may take, with all its comments.
+MOST_HEADER = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ def header_of(data: bytes) -> Header:
     words = 2 if kind in (b"P1", b"P4") else 3
     at, found = 2, list[bytes]()
     for _ in range(words):
-        match = _WORD.match(data, at)
+        match = _WORD.match(data, at, MOST_HEADER)
         if match is None:
             raise ValueError("the header ends early")
         found.append(match[1])
@@ -78,7 +80,7 @@ def header_of(data: bytes) -> Header:
 
 
 def _pam_header(data: bytes) -> Header:
-    whole = _PAM.match(data)
+    whole = _PAM.match(data, 0, MOST_HEADER)
     if whole is None:
         raise ValueError("the header ends early")
     lines = [line.split(None, 1) for line in whole[0].splitlines()[1:] if not line.startswith(b"#")]

@@ -17,7 +17,7 @@ from ..packing import Packing, scaled_type
 from ..support.optional import library
 from .not_read import ANALYZE, by_ending
 from .source import Layout, guarded, io_error, map_part, opened, too_short
-from .unpacked import Unpacker
+from .unpacked import NARROW, Unpacker
 
 GZIP = b"\x1f\x8b"
 #: A byte of a gzip file holds no more than so many.
@@ -26,6 +26,8 @@ GZIP_RATIO = 1032
 MAGICS = ((344, b"n+1\0"), (344, b"ni1\0"), (4, b"n+2\0"), (4, b"ni2\0"))
 #: Bytes of the header of version 1, and of Analyze before it, as it says itself in either byte order.
 HEADER = 348
+#: Bytes of the header of version 2.
+HEADER_2 = 540
 _HEADERS = (struct.pack("<i", HEADER), struct.pack(">i", HEADER))
 
 
@@ -37,10 +39,14 @@ def open_nifti(path: Path, unpacker: Unpacker) -> NDArray[Any]:
     """
     nibabel = library("nibabel", "nibabel", "nifti", "NIfTI")
     with guarded(path, "NIfTI file"), _quietly(nibabel):
+        _check_extensions(path)
         image = nibabel.load(str(path))
         if not isinstance(image, nibabel.Nifti1Pair | nibabel.Nifti2Pair | nibabel.Cifti2Image):
             raise ANALYZE.refusal(path)
         numbers = Path(image.file_map["image"].filename)  # another file than the header's for .hdr with .img
+        real = path.resolve()
+        if not numbers.exists() and real != path.absolute():  # the header is a link to where both lie
+            return open_nifti(real, unpacker)
         proxy = image.dataobj
         stored, where = Layout(tuple(map(int, proxy.shape)), np.dtype(proxy.dtype), fortran=True), str(path)
         plain = (float(proxy.slope), float(proxy.inter)) == (1.0, 0.0)
@@ -55,6 +61,37 @@ def open_nifti(path: Path, unpacker: Unpacker) -> NDArray[Any]:
         with (gzip.open if packed else open)(numbers, "rb") as stream:
             stream.seek(int(proxy.offset))
             return unpacker.stream(where, stream.read, stored, None if plain else scaled)
+
+
+def _check_extensions(path: Path) -> None:
+    """Refuse extensions of a header that go beyond it: the library reads each as a whole, whatever its length."""
+    with opened(path) as file:
+        room = max(NARROW, file.seek(0, 2))
+        file.seek(0)
+        packed = file.read(len(GZIP)) == GZIP
+        file.seek(0)
+        stream = gzip.GzipFile(fileobj=file) if packed else file
+        head = stream.read(HEADER_2 + 4)
+        order = "<" if head.startswith((struct.pack("<i", HEADER), struct.pack("<i", HEADER_2))) else ">"
+        second = struct.unpack_from(f"{order}i", head)[0] == HEADER_2
+        at, kind, place = (HEADER_2 + 4, "q", 168) if second else (HEADER + 4, "f", 108)
+        end = int(struct.unpack_from(order + kind, head, place)[0])  # where the numbers begin
+        if end > room:
+            raise io_error("source-damaged", str(path), f"numbers that begin at byte {end}", f"a place up to {room}",
+                           "correct its header")
+        if any(head.startswith(magic, where) for where, magic in MAGICS[1::2]):  # they are in a file of their own
+            end = room
+        left = head[at - 4:at - 3] not in (b"", b"\0")
+        while left and at + 16 <= end:
+            stream.seek(at)
+            said = stream.read(4)
+            if len(said) < 4:
+                return
+            length = int(struct.unpack(f"{order}i", said)[0])
+            if length < 8 or at + length > end:
+                raise io_error("source-damaged", str(path), f"an extension of {length} bytes at byte {at}",
+                               f"one that ends up to byte {end}", "correct its header")
+            at += length
 
 
 @contextmanager
@@ -76,7 +113,8 @@ def open_pair(path: Path, unpacker: Unpacker) -> NDArray[Any]:
     Raises:
         HmkctaError: it is Analyze, or something else; or what `open_nifti` raises.
     """
-    header = next((each for each in (path.with_suffix(".hdr"), path.with_suffix(".HDR")) if each.exists()), path)
+    beside = [each.with_suffix(ending) for each in (path, path.resolve()) for ending in (".hdr", ".HDR")]
+    header = next((each for each in beside if each.exists()), path)
     with opened(header) as file:
         start = file.read(HEADER)
     if any(start.startswith(magic, at) for at, magic in MAGICS):

@@ -76,6 +76,10 @@ NOT_READ = (
     NotRead("xz", "unpack it: unxz", _at(b"\xfd7zXZ\0")),
     NotRead("Zstandard", "unpack it: unzstd", _at(b"\x28\xb5\x2f\xfd")),
     *(NotRead(name, hint, magics, allowed="a picture as PNG, TIFF or EXR") for name, magics, hint in UNREAD_PICTURES),
+    NotRead("a pointer of Git LFS", "fetch what it points to: git lfs pull", _at(b"version https://git-lfs"),
+            allowed="the file itself"),
+    NotRead("a web page", "see in a browser what the server says, and where the file is",
+            _at(b"<!DOCTYPE html", b"<!doctype html", b"<html", b"<HTML"), allowed="the file itself"),
     NotRead("a tar archive", "unpack it: tar -xf", _at(b"ustar", place=257)),
 )
 

@@ -6,6 +6,7 @@ import struct
 import zipfile
 import zlib
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from tokenize import TokenError
 from typing import Any, BinaryIO, cast
@@ -18,6 +19,8 @@ from .source import LISTED, Layout, check_layout, choose, io_error, mapped, open
 from .unpacked import Unpacker
 
 MAGIC = b"\x93NUMPY"
+#: Bytes that a header may take; NumPy takes 10000 of those that it trusts.
+MOST_HEADER = 1 << 16
 ZIP_MAGICS = (b"PK\x03\x04", b"PK\x05\x06")  # an archive, an empty archive
 
 #: What is raised of a damaged archive. RuntimeError: encrypted; NotImplementedError, which is one: an unknown
@@ -61,6 +64,19 @@ def open_npz(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any]
             raise io_error("source-damaged", str(path), error, "a complete .npz archive", "fetch it again") from error
 
 
+@dataclass(frozen=True)
+class _Bounded:
+    """A file of which NumPy, which checks the length of a header once it has read it, reads no more than one takes."""
+
+    file: BinaryIO
+
+    def read(self, count: int) -> bytes:
+        """So many bytes, fewer at the end."""
+        if count > MOST_HEADER:
+            raise ValueError(f"a header of {count} bytes")
+        return self.file.read(count)
+
+
 def _read_layout(file: BinaryIO, where: str) -> Layout:
     """Shape and number type from the header of a `.npy` file, checked."""
     try:
@@ -69,7 +85,7 @@ def _read_layout(file: BinaryIO, where: str) -> Layout:
             raise io_error("source-format", where, f"version {version[0]}.{version[1]} of the .npy format",
                            " or ".join(f"{major}.{minor}" for major, minor in _HEADER_READERS),
                            "load it with what wrote it, and save it with numpy.save")
-        shape, fortran, dtype = _HEADER_READERS[version](file)
+        shape, fortran, dtype = _HEADER_READERS[version](cast("BinaryIO", _Bounded(file)))
     except (ValueError, TypeError, SyntaxError, EOFError, RecursionError, TokenError) as error:
         sentence = str(error).splitlines()[0].rstrip(".") if str(error) else type(error).__name__
         raise io_error("source-damaged", where, sentence, "a complete .npy file", "fetch it again") from error

@@ -61,7 +61,9 @@ def _header(nrrd: Any, file: BinaryIO, path: Path) -> dict[str, Any]:
         raise io_error("source-format", str(path), f"NRRD version {start.getvalue()[4:8].decode('ascii', 'replace')}",
                        f"{VERSIONS[0]} to {VERSIONS[-1]}", "write it anew: unu save -f nrrd")
     seen = set[str]()
-    for name in _names(start):
+    for name, value in _fields(start):
+        if name == "datafile" and value.startswith("LIST"):  # which pynrrd does not always take
+            raise _several(path, value)
         if name in seen:
             raise io_error("source-format", str(path), f"the field {name} twice in its header", "each field once",
                            "take one of the two lines out of it; pynrrd reads it with ALLOW_DUPLICATE_FIELD, and then "
@@ -78,14 +80,15 @@ def _header(nrrd: Any, file: BinaryIO, path: Path) -> dict[str, Any]:
     return header
 
 
-def _names(start: BytesIO) -> Iterator[str]:
-    """Names of the fields as `_plain` writes them."""
+def _fields(start: BytesIO) -> Iterator[tuple[str, str]]:
+    """Names of the fields as `_plain` writes them, and their values."""
     for line in start:
         text = line.decode("ascii", "ignore").rstrip()
         if not text:
             return
         if not text.startswith(("#", "NRRD")):
-            yield _plain(text.partition(":")[0])
+            name, _, value = text.partition(":")
+            yield _plain(name), value.strip()
 
 
 def _plain(name: str) -> str:
@@ -97,10 +100,14 @@ def _data_file(path: Path, said: str) -> Path:
     numbers = path.parent / said
     if not numbers.exists() and (path.resolve().parent / said).exists():  # the header is a link to where both lie
         return path.resolve().parent / said
-    if said.startswith("LIST") or (" " in said and not numbers.exists()):
-        raise io_error("source-format", str(path), f"data file: {said}", "one data file",
-                       "open the data files by a pattern, as raw binary or pictures")
+    if " " in said and not numbers.exists():
+        raise _several(path, said)
     return numbers
+
+
+def _several(path: Path, said: str) -> Exception:
+    return io_error("source-format", str(path), f"data file: {said}", "one data file",
+                    "open the data files by a pattern, as raw binary or pictures")
 
 
 def _numbers(header: Mapping[str, Any], layout: Layout, path: Path, file: BinaryIO, unpacker: Unpacker) -> NDArray[Any]:

@@ -14,7 +14,7 @@ from numpy.typing import DTypeLike, NDArray
 from ..errors import expect, invalid
 from ..goals import memory_given
 from ..support.memory import memory_for
-from ..support.natural import natural
+from ..support.natural import in_order
 from ..support.progress import Progress
 from .formats import FORMATS, PAGES, format_of
 from .grid import Views, arranged, named_files, unfolded, views_given
@@ -183,7 +183,7 @@ def _is_pattern(place: str) -> bool:
 
 
 def _matches(pattern: str) -> list[Path]:
-    found = sorted(_found(pattern), key=natural)
+    found = in_order(_found(pattern))
     if not found:
         raise io_error("unreadable", pattern, "no file that matches", "one or more",
                        "check the folder that the pattern begins with, and what it ends with")

@@ -1,6 +1,6 @@
 """Pictures: y, x, and a channel axis where there are several; numbers as they are in the file, gamma-coded mostly.
 
-Pillow decodes 8 bits a channel, imagecodecs all other depths; what both would change is refused by name.
+Pillow decodes 8 bits a channel, imagecodecs all other depths, and PNG; what both would change is refused by name.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ..labels import with_axes
 from ..support.optional import library
 from . import netpbm
 from .heard import heard
-from .picture_header import FILMED, J2K, JP2, JPEG, JXL, JXL_BOX, PNG, RADIANCE, Header, alpha_of, header_of
+from .picture_header import FILMED, J2K, JP2, JPEG, JXL, JXL_BOX, PNG, RADIANCE, Header, header_of
 from .source import Layout, check_layout, guarded, io_error, opened
 from .unpacked import Unpacker
 
@@ -29,9 +29,9 @@ ENDINGS = (".png", ".jpg", ".jpeg", ".gif", ".webp", ".jp2", ".j2k", ".jxl", ".a
            ".ppm", ".pgm", ".pbm", ".pnm", ".pam", ".pfm", ".hdr")
 OTHER_ENDINGS = (".bmp", ".tga")
 #: Pillow's names of the formats that it is let to take a file for.
-_FORMATS = ("PNG", "JPEG", "GIF", "WEBP", "DDS", "BMP", "TGA")
+_FORMATS = ("JPEG", "GIF", "WEBP", "DDS", "BMP", "TGA")
 #: Its modes whose numbers are those of the file.
-_MODES = ("1", "L", "LA", "RGB", "RGBA", "I;16", "I;16B")
+_MODES = ("1", "L", "LA", "RGB", "RGBA")
 _WHOLE = "if nothing of it is missing, save it as PNG or TIFF"
 
 
@@ -52,11 +52,12 @@ def open_picture(path: Path, unpacker: Unpacker) -> NDArray[Any]:
         if header.decoder == "netpbm":
             picture = netpbm.read_netpbm(path, data)
         elif header.decoder == "pillow":
-            picture = _pixels(pillow, data, header, path, unpacker)
+            picture = _pixels(pillow, data, path, unpacker)
         else:
             codecs = library("imagecodecs", "imagecodecs", "images", f"{header.decoder.upper()} of {header.depth}")
             with heard() as said:
                 picture = np.asarray(getattr(codecs, f"{header.decoder}_decode")(data))
+                picture = _few_bits(picture, header)
                 if "IDAT" in said() and "xtra" not in said():  # a checksum; other words are of tags
                     raise ValueError(said())
         check_layout(Layout(picture.shape, picture.dtype), str(path))
@@ -90,32 +91,30 @@ def _unread(path: Path, what: str) -> Exception:
                     "a single picture in black and white, gray or RGB, with or without alpha", advice)
 
 
-def _pixels(pillow: Any, data: bytes, header: Header, path: Path, unpacker: Unpacker) -> NDArray[Any]:
+def _pixels(pillow: Any, data: bytes, path: Path, unpacker: Unpacker) -> NDArray[Any]:
     pillow.init()  # else it does not know all of these formats
     try:
         with warnings.catch_warnings():
             # Of tags that are not understood, and of pictures above 90 megapixels, which are what somebody may have.
             warnings.simplefilter("ignore")
             with pillow.open(io.BytesIO(data), formats=_FORMATS) as image:
-                if getattr(image, "is_animated", False) and image.format in ("GIF", "WEBP", "PNG"):
+                if getattr(image, "is_animated", False) and image.format in ("GIF", "WEBP"):
                     raise _unread(path, f"an animation of {image.n_frames} pictures")
                 unpacker.check_widened(path, image.width * image.height * len(image.getbands()))
+                clear = "transparency" in image.info or image.mode == "PA"
                 if image.mode in ("P", "PA"):
-                    clear = "transparency" in image.info or image.mode == "PA"
                     image = image.convert("RGBA" if clear else "RGB")
-                    image.info.pop("transparency", None)
+                elif image.mode == "L" and clear:  # a GIF whose palette is gray
+                    image = image.convert("LA")
                 if image.mode not in _MODES:
                     raise _unread(path, f"a picture in {image.mode}")
-                return _numbers(np.asarray(image), header, image.info.get("transparency"))
+                return np.asarray(image)
     except pillow.DecompressionBombError as error:
         raise io_error("source-too-large", str(path), error, "pictures that Pillow opens", "save it as TIFF") from error
 
 
-def _numbers(values: NDArray[Any], header: Header, clear: Any) -> NDArray[Any]:
-    """The numbers of the file: Pillow spreads gray of 2 and 4 bits over 8; and alpha, where one of them is clear."""
-    scale = {"2 bits": 85, "4 bits": 17}.get(header.depth, 1)
-    values = values // np.uint8(scale) if scale > 1 else values
-    if clear is None:
+def _few_bits(values: NDArray[Any], header: Header) -> NDArray[Any]:
+    """The numbers of a PNG file of less than 8 bits, which the library spreads over 8."""
+    if header.decoder != "png" or header.depth not in ("1 bit", "2 bits", "4 bits"):
         return values
-    alpha = alpha_of(values, bool(clear) if values.dtype == bool else clear, 255 // scale)
-    return np.concatenate([values if values.ndim == 3 else values[..., None], alpha[..., None]], axis=2)
+    return values > 0 if header.depth == "1 bit" else values // np.uint8(85 if header.depth == "2 bits" else 17)

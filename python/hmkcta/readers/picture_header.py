@@ -10,7 +10,6 @@ import re
 import struct
 from dataclasses import dataclass
 from math import isfinite, prod
-from typing import Any
 
 from . import netpbm
 
@@ -84,8 +83,8 @@ def _png(data: bytes) -> Header:
     columns, rows, bits, colours = struct.unpack_from(">IIBB", data, 16)
     frames = "an animation" if b"acTL" in data[:data.find(b"IDAT")] else ""
     depth = "8 bits" if colours == 3 else _bits(bits)  # a palette has 8
-    return Header("png" if bits == 16 and (colours or b"tRNS" in data) else "pillow", depth,
-                  rows * columns * (1, 1, 3, 3, 2, 2, 4, 4)[colours & 7] * (2 if bits == 16 else 1), frames)
+    channels = (1, 1, 3, 3, 2, 2, 4, 4)[colours & 7]
+    return Header("png", depth, rows * columns * channels * (2 if bits == 16 else 1), frames)
 
 
 def _jpeg(data: bytes) -> Header:
@@ -240,10 +239,3 @@ def _tga(data: bytes) -> Header:
     few = bits in (15, 16) and data[2] not in (3, 11)  # gray of 16 bits has alpha
     unread = "a TGA of 5 bits a channel" if few or (data[1] and palette in (15, 16)) else ""
     return Header("pillow", "8 bits", unread=unread)
-
-
-def alpha_of(values: Any, clear: Any, most: int) -> Any:
-    """The alpha channel of a picture in which one number, or colour, is transparent."""
-    same = values == clear
-    opaque = ~(same.all(axis=-1) if values.ndim == 3 else same)
-    return opaque if values.dtype == bool else opaque.astype(values.dtype) * values.dtype.type(most)

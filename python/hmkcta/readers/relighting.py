@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..axes import Axis
 from ..errors import invalid
-from .series import entries, led_by, open_series
+from .series import files_of, led_by, open_series
 from .source import io_error, opened
 from .unpacked import Unpacker
 
@@ -21,7 +21,6 @@ ENDING = ".lp"
 MOST = 1 << 24
 #: How far from 1 the length of a unit vector may be, as files write three digits or more of each number.
 UNIT = 0.01
-_BESIDE = "put the pictures into its folder, or correct it"
 
 
 def light_list(path: Path) -> Path | None:
@@ -32,9 +31,9 @@ def light_list(path: Path) -> Path | None:
     """
     if path.suffix.lower() == ENDING and os.path.isfile(path):
         return path
-    found = [each for each in entries(path) if each.suffix.lower() == ENDING] if os.path.isdir(path) else []
+    found = [each for each in files_of(path) if each.suffix.lower() == ENDING] if os.path.isdir(path) else []
     if len(found) > 1:
-        listed = ", ".join(each.name for each in found)
+        listed = ", ".join(sorted(each.name for each in found))
         raise invalid("source-member", f"lists of lights of {path}", listed, "one",
                       f"name one of them, {found[0]}, or the pictures by a pattern")
     return found[0] if found else None
@@ -88,9 +87,10 @@ def _read(path: Path) -> tuple[list[str], NDArray[np.float64]]:
 def _picture(path: Path, name: str) -> Path:
     """The file of a light: beside its list first, as lists are moved and name the folder in which they were made."""
     said = Path(name.replace("\\", "/"))
-    tried = [path.parent / said.name] if said.is_absolute() else [path.parent / said, path.parent / said.name]
-    for each in (*tried, said):
+    beside = path.parent / said.name
+    tried = [beside, said] if said.is_absolute() else [path.parent / said, beside]
+    for each in tried:
         if os.path.isfile(each):
             return each
     raise io_error("unreadable", str(tried[0]), f"no such file, which {path.name} names as {name}", "a picture",
-                   _BESIDE)
+                   "put the pictures into its folder, or correct it")

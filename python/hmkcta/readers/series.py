@@ -15,20 +15,20 @@ from ..errors import invalid
 from ..labels import Labels, labelled, labels_of, with_axes
 from ..support.cut_short import whole_map
 from ..support.memory import drop_pages
-from ..support.natural import natural
+from ..support.natural import in_order
 from .source import Layout, io_error, reading
 from .unpacked import Part, Unpacker, block_parts
 
 
-def entries(folder: Path) -> list[Path]:
-    """What is in a folder in natural order, but for hidden names.
+def files_of(folder: Path) -> list[Path]:
+    """The files of a folder in no order, without hidden ones.
 
     Raises:
         HmkctaError: it cannot be read.
     """
     reading(folder)
     try:
-        return sorted((path for path in folder.iterdir() if not path.name.startswith(".")), key=natural)
+        return [path for path in folder.iterdir() if not path.name.startswith(".") and path.is_file()]
     except OSError as error:
         hint = "check its permissions"
         raise io_error("unreadable", str(folder), error.strerror, "a readable folder", hint,
@@ -41,7 +41,7 @@ def pictures_of(folder: Path, endings: Sequence[str]) -> list[Path]:
     Raises:
         HmkctaError: there is none, or they are of several formats.
     """
-    files = [path for path in entries(folder) if path.suffix.lower() in endings and path.is_file()]
+    files = [path for path in files_of(folder) if path.suffix.lower() in endings]
     found = sorted({path.suffix.lower() for path in files})
     if not found:
         raise io_error("unreadable", str(folder), "a folder without pictures", "a file, or a folder of pictures",
@@ -49,7 +49,7 @@ def pictures_of(folder: Path, endings: Sequence[str]) -> list[Path]:
     if len(found) > 1:
         raise invalid("series-mixed", str(folder), f"files of {', '.join(found)}", "one format",
                       f"choose by a pattern, '{folder}/*{found[0]}'")
-    return files
+    return in_order(files)
 
 
 def open_series(

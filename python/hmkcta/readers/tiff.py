@@ -6,6 +6,8 @@ Axes are those of tifffile's series, but for the samples of planes, which come l
 from __future__ import annotations
 
 import logging
+import re
+import warnings
 from collections.abc import Generator
 from contextlib import contextmanager
 from math import prod
@@ -18,7 +20,7 @@ from numpy.typing import NDArray
 from ..errors import HmkctaError, invalid
 from ..labels import named
 from ..support.optional import library
-from .source import Layout, choose, guarded, io_error, map_part
+from .source import Layout, choose, guarded, io_error, map_part, reading
 from .tiff_scaling import as_meant
 from .unpacked import BLOCK, Part, Unpacker, block_parts
 
@@ -26,6 +28,8 @@ from .unpacked import BLOCK, Part, Unpacker, block_parts
 _NAMES = {"X": "x", "Y": "y", "Z": "z", "T": "t", "C": "channel", "I": "page"}
 #: Values of PhotometricInterpretation, and of Compression.
 _RGB, _PALETTE, _YCC, _JPEG = 2, 3, 6, 7
+#: Planes that OME-TIFF may say to have; a file of as many would have directories of 100 MiB.
+MOST_PLANES = 1 << 20
 MAGICS = ((0, b"II*\0"), (0, b"MM\0*"), (0, b"II+\0"), (0, b"MM\0+"))
 
 
@@ -40,20 +44,42 @@ def open_tiff(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any
     """
     tifffile = library("tifffile", "tifffile", "tiff", "TIFF")
     with guarded(path, "TIFF file"), _strictly(), tifffile.TiffFile(str(path)) as file:
+        _check_planes(file, path)
         series = {str(number): each for number, each in enumerate(file.series)}
         shapes = {number: str(Layout(tuple(each.shape), np.dtype(each.dtype))) for number, each in series.items()}
         chosen = series[choose(str(path), shapes, member)]
         _check_samples(chosen.keyframe, path)
         layout = Layout(tuple(chosen.shape), np.dtype(chosen.dtype))
+        holders = _holders(chosen, path)
         if _has_palette(chosen.keyframe):
             array = _looked_up(chosen, layout, str(path), unpacker)
-        elif chosen.dataoffset is not None:
-            ordered = layout.dtype.newbyteorder(file.byteorder)
-            array = map_part(path, Layout(layout.shape, ordered), int(chosen.dataoffset), str(path))
+        elif len(holders) == 1 and chosen.dataoffset is not None:
+            ordered = layout.dtype.newbyteorder(chosen.keyframe.parent.byteorder)
+            array = map_part(holders.pop(), Layout(layout.shape, ordered), int(chosen.dataoffset), str(path))
         else:
             array = _pages(chosen, layout, str(path), unpacker)
         array = as_meant(array, chosen.keyframe, file.imagej_metadata, str(path), unpacker)
         return _with_axes(array, chosen)
+
+
+def _check_planes(file: Any, path: Path) -> None:
+    """Refuse OME-TIFF that says to have more planes than anything holds: the library sets room aside for each."""
+    pixels = re.findall(r"<(?:\w+:)?Pixels\s[^>]*>", file.ome_metadata or "")
+    planes = sum(prod(int(size) for size in re.findall(r"\bSize[ZCT]\s*=\s*[\"'](\d{1,18})[\"']", each))
+                 for each in pixels)
+    if planes > MOST_PLANES:
+        raise io_error("source-damaged", str(path), f"{planes} planes, by its header", f"up to {MOST_PLANES}",
+                       "correct its OME-XML")
+
+
+def _holders(series: Any, named: Path) -> set[Path]:
+    """The files in which the pages of a series lie, of OME-TIFF perhaps others than the one named."""
+    pages = [page for page in series.pages if page is not None] if series.is_multifile else [series.keyframe]
+    found = {Path(page.parent.filehandle.path) for page in pages}
+    files = {named if path == named.absolute() else path for path in found}
+    for path in files:
+        reading(path)
+    return files
 
 
 def tiff_depth(path: Path) -> str:
@@ -109,7 +135,10 @@ def _looked_up(series: Any, layout: Layout, where: str, unpacker: Unpacker) -> N
 
 @contextmanager
 def _strictly() -> Generator[None]:
-    """Make errors of what the library only logs: pages that are not there, of which it would leave out the rest."""
+    """Make errors of what the library only logs: pages that are not there, of which it would leave out the rest.
+
+    Its warnings are of what it does all the same, such as reading pages of a file that it opens anew.
+    """
     said: list[str] = []
     handler = logging.Handler(logging.ERROR)
     handler.emit = lambda record: said.append(record.getMessage())
@@ -117,7 +146,9 @@ def _strictly() -> Generator[None]:
     logger.addHandler(handler)
     logger.propagate, propagated = False, logger.propagate
     try:
-        yield
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
     finally:
         logger.removeHandler(handler)
         logger.propagate = propagated
@@ -135,7 +166,7 @@ def _pages(series: Any, layout: Layout, where: str, unpacker: Unpacker) -> NDArr
         raise io_error("source-incomplete", where, found, said,
                        "fetch it again, or write the pages that are there as a file of their own")
     paged = layout.shape[len(lead):] == page and prod(lead) == len(pages)
-    unpacker.check_widened(Path(where), layout.nbytes)
+    unpacker.check_widened(where, layout.nbytes, sum(each.stat().st_size for each in _holders(series, Path(where))))
     once = Layout(page, layout.dtype) if paged else layout
     unpacker.check_memory(once, f"a page of {where}", "write it uncompressed: that is mapped")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, cast
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -19,6 +19,8 @@ Convert = Callable[[NDArray[Any]], NDArray[Any]]
 _STRAIGHT, _SIGNED = 0, -32768
 #: Tags in which GDAL keeps its items, as XML, and the number that stands for nothing, as text.
 _GDAL_METADATA, _GDAL_NODATA = 42112, 42113
+#: A scaling that changes nothing.
+_PLAIN = {"scale_factor": 1.0, "add_offset": 0.0}
 
 
 def as_meant(array: NDArray[Any], page: Any, imagej: Mapping[str, Any] | None, where: str, unpacker: Unpacker
@@ -35,7 +37,7 @@ def as_meant(array: NDArray[Any], page: Any, imagej: Mapping[str, Any] | None, w
     Raises:
         HmkctaError: `Io`, reason ``source-format``: a calibration that is no straight line, or differs by channel.
     """
-    attributes = {**_calibration(imagej or {}, where), **_gdal(page.tags, where)}
+    attributes = {**_calibration(imagej or {}, where), **_gdal(page, where)}
     if attributes.get("add_offset") == _SIGNED and attributes.get("scale_factor") == 1 and array.dtype.itemsize == 2:
         return _unpacked(array, np.dtype(np.int16), _signed, where, unpacker)
     packed: Packing | None = packing(attributes, array.dtype)
@@ -63,19 +65,18 @@ def _calibration(imagej: Mapping[str, Any], where: str) -> dict[str, float]:
     return {"scale_factor": float(slope), "add_offset": float(offset)}
 
 
-def _gdal(tags: Any, where: str) -> dict[str, float]:
+def _gdal(page: Any, where: str) -> dict[str, float]:
     """Scale, offset and the number that stands for nothing; of all channels the same."""
     found: dict[str, float] = {}
-    items = tags.valueof(_GDAL_METADATA)
-    roles: dict[str, set[float]] = {"scale": set(), "offset": set()}
-    for item in ElementTree.fromstring(items).iter("Item") if items else ():
-        if item.get("role") in roles and item.text:
-            roles[cast("str", item.get("role"))].add(float(item.text))
-    for role, name in (("scale", "scale_factor"), ("offset", "add_offset")):
-        if len(roles[role]) > 1:
-            raise io_error("source-format", where, f"channels of GDAL's {role} {sorted(roles[role])}", "one for all",
+    items = page.tags.valueof(_GDAL_METADATA)
+    said = [*ElementTree.fromstring(items).iter("Item")] if items else []
+    for role, name, otherwise in (("scale", "scale_factor", 1.0), ("offset", "add_offset", 0.0)):
+        of_channel = {item.get("sample", "0"): float(item.text) for item in said
+                      if item.get("role") == role and item.text}
+        values = {of_channel.get(str(channel), otherwise) for channel in range(page.samplesperpixel)}
+        if len(values) > 1:
+            raise io_error("source-format", where, f"channels of GDAL's {role} {sorted(values)}", "one for all",
                            "apply them: gdal_translate -unscale -ot Float32")
-        if roles[role]:
-            found[name] = roles[role].pop()
-    missing = tags.valueof(_GDAL_NODATA)
-    return found | ({"_FillValue": float(missing.strip("\0 "))} if missing else {})
+        found[name] = values.pop()
+    missing = page.tags.valueof(_GDAL_NODATA)
+    return ({} if found == _PLAIN else found) | ({"_FillValue": float(missing.strip("\0 "))} if missing else {})

@@ -121,16 +121,22 @@ class Unpacker:
         """
         check_memory(2 * layout.nbytes, what, hint, self.limit)
 
-    def check_widened(self, path: Path, nbytes: int) -> None:
+    def check_widened(self, where: Path | str, nbytes: int, held: int | None = None) -> None:
         """Refuse what would take far more than its file, as damaged sizes do, unless so much memory is given.
+
+        Args:
+            where: the file, or what it is called in errors.
+            nbytes: that its numbers would take.
+            held: that are stored of it; None: as many as the file has.
 
         Raises:
             HmkctaError: reason ``source-too-large``.
         """
-        most = max(NARROW, WIDENED * os.stat(path).st_size, self.limit or 0)
+        held = os.stat(where).st_size if held is None else held
+        most = max(NARROW, WIDENED * held, self.limit or 0)
         if nbytes > most:
-            raise io_error("source-too-large", str(path), f"{nbytes / 2**20:.0f} MiB of numbers, by its header",
-                           f"up to {most / 2**20:.0f} MiB for a file of its length",
+            raise io_error("source-too-large", str(where), f"{nbytes / 2**20:.0f} MiB of numbers, by its header",
+                           f"up to {most / 2**20:.0f} MiB for what is stored of it, {held} bytes",
                            f"where that is meant, allow it: --max-memory {-(-nbytes >> 20)}MiB")
 
     def _elements(self, dtype: np.dtype[Any]) -> int:

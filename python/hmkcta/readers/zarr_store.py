@@ -21,7 +21,7 @@ from ..labels import labelled, labels_of
 from ..packing import text_of
 from ..support.optional import library
 from .source import Layout, choose, guarded
-from .unpacked import Unpacker
+from .unpacked import NARROW, Unpacker
 
 #: Files of which every Zarr array or group has one.
 MARKS = ("zarr.json", ".zarray", ".zgroup")
@@ -55,7 +55,18 @@ def open_zarr(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any
             return zarr.open_array(store, path="/".join(word for word in (root, name) if word), mode="r")
 
         name = _chosen(opened_array, names, str(path), member)
-        return _array(opened_array(name), f"{path}:{name}" if name else str(path), unpacker)
+        array, where = opened_array(name), f"{path}:{name}" if name else str(path)
+        layout = Layout(tuple(array.shape), np.dtype(array.dtype))
+        if layout.nbytes > NARROW:  # many files are counted
+            unpacker.check_widened(where, layout.nbytes, _held(path / name))
+        return _array(array, where, unpacker)
+
+
+def _held(path: Path) -> int:
+    """Bytes of all files of an array, or of the archive in which it lies."""
+    if not path.is_dir():
+        return next(each for each in (path, *path.parents) if each.exists()).stat().st_size
+    return sum(os.stat(os.path.join(place, name)).st_size for place, _, names in os.walk(path) for name in names)
 
 
 @contextmanager

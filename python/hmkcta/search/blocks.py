@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise, product
+from itertools import product
 from math import ceil, prod
 from typing import TypeAlias
 
@@ -12,26 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import F32
-from .layout import Layout, Modes
+from .layout import Layout, Modes, Span
 
-Span: TypeAlias = "slice[int, int, None]"
 Slices: TypeAlias = "tuple[Span, ...]"
 
 #: Fewest blocks of a sample: six mislead, twelve do (measured on six sets).
 SAMPLE_BLOCKS = 12
 #: Indices of an axis that a cell of the map of detail spans.
 DETAIL_CELL = 4
-
-
-def cut(size: int, edge: int) -> list[Span]:
-    """Blocks of an axis: as many as an edge asks for, p of m indices from floor(m p / g) on (docs/format.md).
-
-    >>> cut(10, 4)
-    [slice(0, 3, None), slice(3, 6, None), slice(6, 10, None)]
-    """
-    count = -(-size // edge)
-    ends = [size * part // count for part in range(count + 1)]
-    return [slice(first, last) for first, last in pairwise(ends)]
 
 
 def grid_block(shape: Sequence[int], layout: Layout, number: int) -> Slices:
@@ -41,8 +29,7 @@ def grid_block(shape: Sequence[int], layout: Layout, number: int) -> Slices:
     places = np.unravel_index(number, [counts[axis] for axis in order])
     found: dict[int, Span] = {}
     for axis, place in zip(order, places, strict=True):
-        part, size, count = int(place), shape[axis], counts[axis]
-        found[axis] = slice(size * part // count, size * (part + 1) // count)
+        found[axis] = layout.span(shape[axis], axis, int(place))
     return tuple(found[axis] for axis in range(len(shape)))
 
 
@@ -108,7 +95,7 @@ def regions(shape: Sequence[int], layout: Layout, elements: int) -> list[Region]
     >>> [(region.part[0], region.numbers.tolist()) for region in regions((5, 4), layout, 12)]
     [(slice(0, 2, None), [0, 1]), (slice(2, 5, None), [2, 3])]
     """
-    parts = [cut(size, edge) for size, edge in zip(shape, layout.edges, strict=True)]
+    parts = [layout.spans(shape, axis) for axis in range(len(shape))]
     counts, order = layout.blocks(shape), axis_order(layout.modes)
     together, room = [1] * len(parts), elements // prod(map(_longest, parts))
     for axis in reversed(range(len(parts))):  # what lies together in memory first

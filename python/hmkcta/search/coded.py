@@ -15,11 +15,12 @@ from ..arrays import F32
 from ..support.executors import in_order
 from ..support.extension import native
 from ..support.memory import give_back_freed_memory
-from .blocks import Region, Slices, as_tensor, by_shape, cut, grid_block, regions, sample
+from .blocks import Region, Slices, as_tensor, by_shape, grid_block, regions, sample
+from .clusters import Parting
 from .hosvd import BlockBatch, Undecomposed
 from .judging import Choice, choose
 from .kernels import I32, U8, U32, code_blocks
-from .layout import Layout
+from .layout import Layout, Modes
 from .values import Values
 
 #: An array is coded as at least so many parts, that threads share.
@@ -57,18 +58,35 @@ class LayoutCoder:
 
     def __init__(
         self, values: Values, layout: Layout, sets: Sequence[Undecomposed], decode_cost: float, *, threads: int = 1,
-        precise: bool = False, filled: bool = False
+        filled: bool = False, parting: Parting | None = None
     ) -> None:
-        """Nothing is coded yet; `filled`: every block stores something, as only such blocks have a level below."""
+        """Nothing is coded yet.
+
+        Args:
+            values: the array.
+            layout: of its blocks.
+            sets: of modes that blocks may leave undecomposed.
+            decode_cost: bound on the multiply-adds of one element.
+            threads: how many work at once; what comes out does not depend on it.
+            filled: every block stores something, as only such blocks have a level below.
+            parting: whose `values` these are, where rows are in the order of clusters.
+        """
+        self.parting = parting
         self.values, self.layout, self.sets, self.decode_cost = values, layout, tuple(sets), decode_cost
-        self.precise, self.threads, self.filled = precise, threads, filled
+        self.precise, self.threads, self.filled = False, threads, filled
         self.count = prod(layout.blocks(values.shape))
         self._held: list[list[Batch]] | None = None
 
     def code(self, step: float) -> CodedBlocks:
         """All blocks at a step D."""
         step = float(np.float32(step))
+        self._prepare(step)
         return _joined(list(self._coded(step)), self.count, len(self.layout.modes), step)
+
+    def _prepare(self, step: float) -> None:
+        """Let go of HOSVDs that are not precise enough for a step."""
+        if not self.precise and self.values.precise(step):
+            self.precise, self._held = True, None
 
     def _coded(self, step: float) -> Iterator[_Piece]:
         def pieces(batches: Sequence[Batch]) -> list[_Piece]:
@@ -108,31 +126,33 @@ class LayoutCoder:
         return sum(native.count_stage(stage, places) for stage, places in stages)
 
     def sampled(self, step: float, elements: int) -> tuple[float, float]:
-        """Bits of the code of the whole array and its squared error, by about so many elements of it."""
+        """Bits of the code of the whole array and its squared error, by about so many elements of it and all labels."""
+        self._prepare(step)
         shape, size = self.values.shape, max(1, self.values.size // self.count)
-        picked = sample(self.count, size, elements, self.values.detail_of(self.layout))
+        picked = sample(self.count, size, elements, self.values.detail_of(self.layout, step))
         blocks = [grid_block(shape, self.layout, number) for number in picked.tolist()]
         coded = _joined([piece for batch in self._some(blocks) for piece in self._code_batch(*batch, step)],
                         len(blocks), len(self.layout.modes), step)
-        places = _places(blocks, self.layout)
+        places = _places(blocks, self.layout.modes)
         stage = _cells(coded, places["rows"].reshape(len(blocks), -1), last=True)
         share = sum(prod(_lengths_of(block)) for block in blocks) / self.values.size
-        return 8 * native.count_stage(stage, places) / share, coded.error / share
+        labels = 0.0 if self.parting is None else self.parting.label_bits
+        return 8 * native.count_stage(stage, places) / share + labels, coded.error / share
 
     def _some(self, blocks: Sequence[Slices]) -> Iterator[Batch]:
         """Blocks of one shape with their HOSVDs, as many at a time as memory is shared out for."""
         for places in by_shape(blocks).values():
-            together = max(1, self.values.together // self.threads // prod(_lengths_of(blocks[places[0]])))
+            together = max(1, self.values.together // self.threads // prod(_lengths_of(blocks[int(places[0])])))
             for first in range(0, len(places), together):
                 own = places[first : first + together]
-                tensors = as_tensor(np.stack([self.values[blocks[b]] for b in own]), self.layout.modes)
+                tensors = as_tensor(np.stack([self.values[blocks[b]] for b in own.tolist()]), self.layout.modes)
                 yield own, BlockBatch(tensors, precise=self.precise, keeps=True)
 
     def stages(self, *levels: CodedBlocks) -> list[tuple[dict[str, Any], dict[str, Any]]]:
         """What the native coder takes of each stage: a grid where there are several blocks, and levels of blocks."""
-        found, places = list[tuple[dict[str, Any], dict[str, Any]]](), _root(self.values.shape, self.layout)
+        found, places = list[tuple[dict[str, Any], dict[str, Any]]](), self._root()
         if self.count > 1:
-            grid = _grid_stage(self.values.shape, self.layout)
+            grid = self._cut_stage()
             found.append((grid, places))
             places = native.next_stage(grid["shape"], grid["children"], grid["part"], places)
         for level in levels:
@@ -141,6 +161,25 @@ class LayoutCoder:
             if level is not levels[-1]:
                 places = native.next_stage(stage["shape"], stage["children"], stage["part"], places)
         return found
+
+    def _root(self) -> dict[str, Any]:
+        """Where the root lies: the array as it is."""
+        shape, modes = self.values.shape, self.layout.modes
+        if self.parting is not None:
+            shape, modes = self.parting.shape, self.parting.modes
+        return _places([tuple(slice(0, size) for size in shape)], modes)
+
+    def _cut_stage(self) -> dict[str, Any]:
+        """The stage of one node that the grid cuts, or the clusters of rows."""
+        shape, layout, order = self.values.shape, self.layout, len(self.layout.modes)
+        labels = {} if self.parting is None else self.parting.labels
+        parts = [labels[n].astype(np.uint16) if n in labels else grid_parts(shape, layout, n) for n in range(order)]
+        table, counts = np.zeros((1, 3, order), np.uint32), layout.blocks(shape)
+        table[0, 0] = [prod(counts[axis] for axis in mode) for mode in layout.modes]
+        none = [np.zeros(0, np.uint16)] * order
+        return {"last": False, "coded": False, "shape": table.ravel(), "part": parts, "cluster": none,
+                "children": np.array([prod(counts)], np.uint32), "column": [np.zeros(0, np.uint8)] * order,
+                "core": np.zeros(0, np.int32), "basis": [np.zeros(0, np.int32)] * order}
 
 
 def _forced(batch: BlockBatch) -> Undecomposed:
@@ -232,33 +271,13 @@ def _lengths_of(block: Slices) -> list[int]:
     return [part.stop - part.start for part in block]
 
 
-def _places(blocks: Sequence[Slices], layout: Layout) -> dict[str, Any]:
+def _places(blocks: Sequence[Slices], modes: Modes) -> dict[str, Any]:
     """Rows and extents of blocks that are nodes of a stage."""
-    extents = [[[block[axis].stop - block[axis].start for axis in mode] for mode in layout.modes] for block in blocks]
+    extents = [[[block[axis].stop - block[axis].start for axis in mode] for mode in modes] for block in blocks]
     flat = [own for block in extents for own in block]
     return {"rows": np.array([prod(own) for own in flat], np.uint32),
             "extents": np.array([size for own in flat for size in own], np.uint32),
             "ends": np.array([0, *accumulate(map(len, flat))], np.uint32)}
-
-
-def _root(shape: Sequence[int], layout: Layout) -> dict[str, Any]:
-    extents = [shape[axis] for mode in layout.modes for axis in mode]
-    ends = [0, *accumulate(len(mode) for mode in layout.modes)]
-    return {"rows": np.array(layout.sizes(shape), np.uint32), "extents": np.array(extents, np.uint32),
-            "ends": np.array(ends, np.uint32)}
-
-
-def _grid_stage(shape: Sequence[int], layout: Layout) -> dict[str, Any]:
-    """The stage of one node that the grid cuts."""
-    order = len(layout.modes)
-    parts = [grid_parts(shape, layout, n) for n in range(order)]
-    table = np.zeros((1, 3, order), np.uint32)
-    counts = layout.blocks(shape)
-    table[0, 0] = [prod(counts[axis] for axis in mode) for mode in layout.modes]
-    none = [np.zeros(0, np.uint16)] * order
-    return {"last": False, "coded": False, "shape": table.ravel(), "part": parts, "cluster": none,
-            "children": np.array([prod(counts)], np.uint32), "column": [np.zeros(0, np.uint8)] * order,
-            "core": np.zeros(0, np.int32), "basis": [np.zeros(0, np.int32)] * order}
 
 
 def grid_parts(shape: Sequence[int], layout: Layout, mode: int) -> NDArray[np.uint16]:
@@ -266,10 +285,10 @@ def grid_parts(shape: Sequence[int], layout: Layout, mode: int) -> NDArray[np.ui
     part = np.zeros(1, np.int64)
     for axis in layout.modes[mode]:
         own = np.zeros(shape[axis], np.int64)
-        slices: list[slice] = cut(shape[axis], layout.edges[axis])
-        for number, block in enumerate(slices):
+        spans = layout.spans(shape, axis)
+        for number, block in enumerate(spans):
             own[block] = number
-        part = (part[:, None] * len(slices) + own).reshape(-1)
+        part = (part[:, None] * len(spans) + own).reshape(-1)
     return part.astype(np.uint16)
 
 

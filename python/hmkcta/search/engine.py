@@ -7,14 +7,15 @@ goal is met by D alone. `docs/design-notes.md` says what is measured, and what w
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from math import exp, inf, isinf, log, log2, prod, sqrt
-from time import monotonic
 from typing import Any, Protocol, TypeAlias, TypeVar
 
 from ..metrics import snr_db as decibels
 from ..support.executors import in_order
+from ..support.progress import nobody
+from .clusters import Labels, Parting, clusters_of, parted
 from .coded import CodedBlocks, LayoutCoder
 from .judging import Judge, Sample, Verdict
 from .layout import Layout, Modes, first_layouts, neighbours, read_layout
@@ -26,13 +27,19 @@ T = TypeVar("T")
 #: A layout, the step at which it was judged, and the elements of the sample.
 Judged: TypeAlias = "tuple[Layout, float, int]"
 
-#: SNR in dB beyond which float64 is needed to tell what is stored: float32 Gram matrices end at some 65 dB.
-PRECISE_SNR = 50.0
 #: D begins at this share of the root mean square, and is never less than that: it leaves some 110 dB, more than float32
 #: arithmetic and float16 bases keep, and numbers of any block within 32 bits.
 FIRST_STEP, LEAST_STEP = 0.1, 1e-5
 #: Organisations whose J was this many times that of another on each grid where both were judged are not tried again.
 HOPELESS_MODES = 1.5
+#: The share of a search's time that goes by before finalists are coded (0.6 to 0.8 on four sets).
+EXPLORING = 0.7
+#: Layouts are judged at no step below this share of the root mean square: it leaves some 75 dB, where float16 ends.
+EXPLORED_STEP = 3e-4
+#: Rows of a cluster on the mean, at least.
+ROWS_EACH = 4
+#: Layouts are all judged again where the step changed by more than this, as log D.
+FAR_STEP = 1.0
 #: Layouts that are judged before the best of them becomes the bar of the next ones, whatever the threads.
 AT_ONCE = 8
 
@@ -53,6 +60,7 @@ class Effort:
         varied: how many of the best are varied in a round.
         finalists: how many are judged on the larger sample.
         coded: how many are coded.
+        clusters: numbers of clusters that rows of a mode are parted into, for trial.
     """
 
     elements: tuple[int, int]
@@ -60,12 +68,13 @@ class Effort:
     varied: int
     finalists: int
     coded: int
+    clusters: tuple[int, ...] = ()
 
 
 EFFORTS = {
     "fast": Effort((1 << 15, 1 << 17), 2, 1, 6, 1),
-    "medium": Effort((1 << 17, 1 << 19), 6, 3, 12, 4),
-    "thorough": Effort((1 << 18, 1 << 21), 10, 6, 24, 8),
+    "medium": Effort((1 << 17, 1 << 19), 6, 3, 12, 4, (8, 32, 128)),
+    "thorough": Effort((1 << 18, 1 << 21), 10, 6, 24, 8, (4, 8, 16, 32, 64, 128, 256)),
 }
 
 
@@ -127,9 +136,24 @@ class Found:
     above: tuple[CodedBlocks, ...] = ()
 
     @property
+    def modes(self) -> Modes:
+        """The axes of the array by mode."""
+        return self.layout.modes if self.coder.parting is None else self.coder.parting.modes
+
+    @property
     def levels(self) -> tuple[CodedBlocks, ...]:
         """The blocks of every level."""
         return *self.above, self.coded
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """Rows of some modes in clusters: J with the labels, the search of the parted array, its layout, the labels."""
+
+    cost: float
+    search: Search
+    layout: Layout
+    labels: dict[int, Labels]
 
 
 @dataclass(eq=False)
@@ -145,8 +169,10 @@ class Search:
         overhead: bytes of a file besides its code: header and metadata.
         threads: layouts that are judged at a time; the result does not depend on it.
         on_progress: called with a stage's name and the fraction of it that is done.
+        on_best: called with the bytes and the SNR in dB of the best file so far.
         settled: the JSON value that an interrupted search chose under a name, else what the function given chooses.
-        deadline: of `time.monotonic`, after which no further layout is looked at.
+        enough: asked between layouts; True: no further one is looked at.
+        parting: whose `values` these are, where rows are in the order of clusters.
     """
 
     values: Values
@@ -156,35 +182,84 @@ class Search:
     modes: Modes | None = None
     overhead: int = 600
     threads: int = 1
-    on_progress: Callable[[str, float], None] = lambda _stage, _fraction: None
+    on_progress: Callable[[str, float], None] = nobody
+    on_best: Callable[[int, float], None] = nobody
     settled: Settled = lambda _name, choose, read: read(choose())
-    deadline: float = inf
+    enough: Callable[[], bool] = lambda: False
+    parting: Parting | None = None
     judged: dict[Judged, Verdict] = field(init=False, default_factory=dict["Judged", Verdict])
+    done: float = field(init=False, default=0.0)
 
     def __post_init__(self) -> None:
-        precise = (self.goal.snr or 0.0) > PRECISE_SNR
-        self.energy = self.values.energy
-        self.rms = sqrt(self.energy / self.values.size) or 1.0
+        self.energy, self.rms = self.values.energy, self.values.rms
         # Steps beyond which more digits are kept than float32 has, and from which on nothing is.
         self.steps = LEAST_STEP * self.rms, 4 * self.rms * sqrt(self.values.size)
-        self.judge = Judge(self.values, self.decode_cost, threads=self.threads, precise=precise)
+        self.judge = Judge(self.values, self.decode_cost, threads=self.threads)
 
     def run(self) -> Found:
         """The best layout found, coded so that it meets the goal; the closest to it where none does."""
         step, finalists = self.explore()
         coded: list[tuple[Score, int, float]] = []  # with the place of the layout, and its step
         made: dict[int, Found] = {}
-        finalists = self._apart(finalists)
-        for place, layout in enumerate(finalists):
-            self.on_progress("code", place / self.effort.coded)
-            score, step = self._score(layout, step, place, made)
+        finalists = [*self._clustered(finalists[0], step), *((self, layout) for layout in self._apart(finalists))]
+        for place, (search, layout) in enumerate(finalists):
+            self._tell(EXPLORING + (1 - EXPLORING) * place / len(finalists))
+            score, step = search.score(layout, step, place, made)
             coded.append((score, place, step))
             if min(coded)[1] != place:  # only the best is held
                 made.pop(place, None)
-            if monotonic() > self.deadline:
+            elif place in made:
+                self.on_best(made[place].nbytes, made[place].snr)
+            if self.enough():
                 break
         _, place, step = min(coded)
-        return made.get(place) or self.code(finalists[place], step)
+        search, layout = finalists[place]
+        return made.get(place) or search.code(layout, step)
+
+    def _clustered(self, best: Layout, step: float) -> list[tuple[Search, Layout]]:
+        """Clusters of rows in place of blocks along some modes, with the search of them, where their J is less.
+
+        One mode after another is parted, as long as that lowers J; the best are ranked by their code, as finalists are.
+        """
+        if not self.values.in_memory or self.enough():
+            return []
+        bar, labels = self.judge.verdict(best, step, self.effort.elements[0]).cost, dict[int, Labels]()
+        least, tried = bar, list[Trial]()
+        for _ in best.modes:
+            trials = sorted(self._partings(best, step, labels, least), key=lambda trial: trial.cost)
+            tried += trials[: self.effort.coded]
+            if not trials or trials[0].cost >= least:
+                break
+            least, labels = trials[0].cost, trials[0].labels
+        tried = sorted((trial for trial in tried if trial.cost < bar), key=lambda trial: trial.cost)
+        by_code = [(trial.search.coded_cost(trial.layout, step), place)
+                   for place, trial in enumerate(tried[: self.effort.coded])]
+        if not by_code or min(by_code)[0] >= self.coded_cost(best, step):
+            return []
+        found = tried[min(by_code)[1]]
+        return [(found.search, found.layout)]
+
+    def _partings(self, best: Layout, step: float, labels: dict[int, Labels], bar: float) -> list[Trial]:
+        """One mode more parted into clusters, on the grid of a layout or on none."""
+        whole = self.values.read(tuple(slice(0, size) for size in self.values.shape))
+        trials: list[Trial] = []
+        for n, mode in enumerate(best.modes):
+            rows = prod(self.values.shape[axis] for axis in mode)
+            for count in self.effort.clusters:
+                if n in labels or rows < ROWS_EACH * count or self.enough():
+                    continue
+                parting = parted(whole, best.modes, {**labels, n: clusters_of(whole, mode, count)})
+                search = replace(self, values=parting.values, modes=parting.inner, parting=parting)
+                for edges in dict.fromkeys((self.values.shape, best.edges)):
+                    layout = parting.layout(edges)
+                    cost = search.judge.verdict(layout, step, self.effort.elements[0], bar).cost
+                    trials.append(Trial(cost + MODEL.trade * parting.label_bits, search, layout, parting.labels))
+        return trials
+
+    def _tell(self, done: float) -> None:
+        """Tell what fraction of the search is done; it never goes back."""
+        self.done = max(self.done, done)
+        self.on_progress("search", self.done)
 
     def _apart(self, finalists: Sequence[Layout]) -> list[Layout]:
         """The finalists to code: the best, and the best of other octaves of the number of blocks."""
@@ -203,7 +278,7 @@ class Search:
         """The step at which the best layouts meet the goal, and the finalists, best first."""
         def chosen() -> Any:
             step, ranked = self._explore(FIRST_STEP * self.rms)
-            finalists = self._ranked_by_code(ranked[: self.effort.finalists], step)
+            finalists = ranked[:1] if self.enough() else self._ranked_by_code(ranked[: self.effort.finalists], step)
             return [step, [[layout.modes, layout.edges] for layout in finalists]]
 
         return self.settled("explored", chosen, self._read_explored)
@@ -227,7 +302,7 @@ class Search:
         bits, error = self._coder(layout, step).sampled(step, self.effort.elements[1])
         return bits / 8 + self.overhead, decibels(self.energy, error) if self.energy > 0 else inf
 
-    def _score(self, layout: Layout, step: float, place: int, made: dict[int, Found]) -> tuple[Score, float]:
+    def score(self, layout: Layout, step: float, place: int, made: dict[int, Found]) -> tuple[Score, float]:
         """The score of a finalist coded for the goal, and its step; `made` has it where it had to be coded now."""
         def chosen() -> Any:
             found = made[place] = self.meet(layout, step)
@@ -249,12 +324,12 @@ class Search:
         layouts = self._held(first_layouts(self.values.shape, self.modes))
         ranked: list[Layout] = []
         for turn in range(self.effort.rounds):
-            self.on_progress("search", turn / self.effort.rounds)
-            ranked = self._ranked(layouts, step, self.effort.elements[0])
+            ranked = self._ranked(layouts, step, self.effort.elements[0], (turn, turn + 1))
             near = self._step_for(ranked[0], step)
             if abs(log(near / step)) > 0.1 and turn + 1 < self.effort.rounds:
-                # Many layouts need not be judged again at another step: those far behind stay there.
-                step, ranked = near, ranked[: self.effort.finalists]
+                # Many layouts need not be judged again at a step nearby: those far behind stay there.
+                ranked = ranked if abs(log(near / step)) > FAR_STEP else ranked[: self.effort.finalists]
+                step = near
                 ranked = self._ranked(ranked, step, self.effort.elements[0])
             behind = self._behind()
             varied = [other for place, layout in enumerate(ranked[: self.effort.varied])
@@ -262,7 +337,7 @@ class Search:
                       if behind.get(other.modes, 0.0) < HOPELESS_MODES]
             layouts = list(dict.fromkeys([*ranked[: self.effort.finalists], *self._held(varied)]))
             judged = all((layout, step, self.effort.elements[0]) in self.judged for layout in layouts)
-            if judged or monotonic() > self.deadline:
+            if judged or self.enough():
                 break
         return step, self._ranked(layouts, step, self.effort.elements[0])
 
@@ -283,14 +358,17 @@ class Search:
         """The layouts whose blocks memory suffices for."""
         return [layout for layout in layouts if self.values.holds(layout.block(self.values.shape))]
 
-    def _ranked(self, layouts: Iterable[Layout], step: float, elements: int) -> list[Layout]:
-        """Layouts by J at a step, the least first."""
+    def _ranked(self, layouts: Iterable[Layout], step: float, elements: int, turns: tuple[int, int] = (0, 0)
+                ) -> list[Layout]:
+        """Layouts by J at a step, the least first; `turns`: how many rounds are over before and afterwards."""
         todo = [layout for layout in dict.fromkeys(layouts) if (layout, step, elements) not in self.judged]
         known = [found.cost for (_, at, of), found in self.judged.items() if (at, of) == (step, elements)]
         bar = min(known, default=inf)
         for first in range(0, len(todo), AT_ONCE):  # after each few the bar is higher
             own = todo[first : first + AT_ONCE]
-            if bar < inf and monotonic() > self.deadline:  # these are not looked at
+            turn = turns[0] + (turns[1] - turns[0]) * first / len(todo)
+            self._tell(EXPLORING * turn / self.effort.rounds)
+            if bar < inf and self.enough():  # these are not looked at
                 self.judged.update({(layout, step, elements): Verdict(inf, ((),)) for layout in own})
                 continue
             largest = max(prod(layout.block(self.values.shape)) for layout in own)
@@ -306,14 +384,14 @@ class Search:
 
         J is least in everything but D, so its derivative by log D is -2 error / D^2, and J says bits and errors both.
         """
-        sample = self.judge.kept(layout, self.effort.elements[0])
+        sample = self.judge.kept(layout, self.effort.elements[0], step)
 
         def attempt(step: float) -> tuple[float, None]:
             bits, error = self._bits_and_error(sample, step)
             return self._excess(bits / 8 + self.overhead, error), None
 
         slope = -1.0 if self.goal.size is not None else 1.3
-        return meet(attempt, step, 0.05, slope, bounds=self.steps, tries=6).step
+        return meet(attempt, step, 0.05, slope, bounds=(EXPLORED_STEP * self.rms, self.steps[1]), tries=6).step
 
     def _bits_and_error(self, sample: Sample, step: float) -> tuple[float, float]:
         """Bits of the code of a layout and its squared error: J(D) is least in everything else (envelope theorem)."""
@@ -332,16 +410,16 @@ class Search:
     def _coder(self, layout: Layout, step: float) -> LayoutCoder:
         known = self.judged.get((layout, step, self.effort.elements[0]))
         sets = (known or self.judge.verdict(layout, step, self.effort.elements[0])).sets
-        return LayoutCoder(self.values, layout, sets, self.decode_cost, threads=self.threads,
-                           precise=self.judge.precise)
+        return LayoutCoder(self.values, layout, sets, self.decode_cost, threads=self.threads, parting=self.parting)
+
+    def coded_cost(self, layout: Layout, step: float) -> float:
+        """J of what the code takes and leaves of the larger sample; that of a model of the code is 6 to 15 % off."""
+        bits, error = self._coder(layout, step).sampled(step, self.effort.elements[1])
+        return error / step**2 + MODEL.trade * bits
 
     def _ranked_by_code(self, layouts: Sequence[Layout], step: float) -> list[Layout]:
-        """Layouts by what their code takes and leaves of the larger sample; J of a model of it is 6 to 15 % off."""
-        def cost(layout: Layout) -> float:
-            bits, error = self._coder(layout, step).sampled(step, self.effort.elements[1])
-            return error / step**2 + MODEL.trade * bits
-
-        costs = {layout: cost(layout) for layout in layouts}
+        """Layouts by `coded_cost`."""
+        costs = {layout: self.coded_cost(layout, step) for layout in layouts}
         return sorted(layouts, key=lambda layout: (costs[layout], layout))
 
     def code(self, layout: Layout, step: float, coder: LayoutCoder | None = None) -> Found:

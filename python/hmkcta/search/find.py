@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import exp, inf, log, log10
+from math import exp, log, log10
 from time import monotonic, perf_counter
 
 from ..axes import Organisation
@@ -19,7 +19,7 @@ from ..streaming.source import Source
 from ..support.memory import memory_budget
 from ..wanted import Wanted
 from .engine import EFFORTS, Found, Goal, Score, Search
-from .layout import Layout, Modes
+from .layout import Modes
 from .roots import meet
 from .second_level import again, two_levels
 from .stages import stages_of
@@ -69,7 +69,7 @@ def find_model(
     """
     begun = monotonic()
     search = _search(source, wanted, goal, quality, run)
-    search.deadline = inf if seconds is None else begun + seconds
+    search.enough = lambda: run.enough() or (seconds is not None and monotonic() > begun + seconds)
     found = search.run()
     if wanted.ceiling is not None and found.snr > wanted.ceiling:
         goal = Goal(snr=wanted.ceiling)
@@ -83,7 +83,7 @@ def find_model(
     if goal.snr is not None and model.metadata.is_transformed:
         if abs(model.snr - goal.snr) > OVERSHOT_TRANSFORMED / 2:
             model = _met_untransformed(search, found, goal.snr, model_of)
-    elif _ends(model, found, goal):
+    elif _ends(model, found, goal) and found.coder.parting is None:
         _, deeper = _closest(search, two_levels(search, found, goal), goal, model_of)
         model = min(model, deeper, key=lambda made: Score.of(goal, made.nbytes, made.snr))
     if goal.size is not None and model.nbytes > goal.size:
@@ -115,7 +115,7 @@ def estimate_model(source: Source, wanted: Wanted, goal: Goal, *, quality: str, 
     seen = search.judge.verdict(layout, step * 1.01, search.effort.elements[1])
     each = (perf_counter() - begun) / min(search.effort.elements[1], search.values.size)
     coding = each * search.values.size * (1 + ATTEMPTS) * min(search.effort.coded, len(finalists)) / run.threads
-    return Estimate(_organisation(source, layout), layout.blocks(source.shape), seen.sets, round(nbytes), snr,
+    return Estimate(_organisation(source, layout.modes), layout.blocks(source.shape), seen.sets, round(nbytes), snr,
                     explored + coding)
 
 
@@ -123,7 +123,7 @@ def _search(source: Source, wanted: Wanted, goal: Goal, quality: str, run: Run) 
     modes = None if wanted.organisation is None else modes_of(source, source.organisation(wanted.organisation))
     values = _values(source, wanted.max_memory)
     return Search(values, goal, wanted.decode_cost, EFFORTS[quality], modes, HEADER_BYTES, run.threads, run.progress,
-                  run.journal.settled)
+                  run.best, run.journal.settled)
 
 
 def _values(source: Source, memory: int | None) -> Values:
@@ -178,8 +178,8 @@ def _met_untransformed(search: Search, found: Found, snr: float, model_of: Calla
     return meet(attempt, exp(found.snr), OVERSHOT_TRANSFORMED, -1.0).result
 
 
-def _organisation(source: Source, layout: Layout) -> Organisation:
-    return tuple(tuple(source.axes[axis].name for axis in mode) for mode in layout.modes)
+def _organisation(source: Source, modes: Modes) -> Organisation:
+    return tuple(tuple(source.axes[axis].name for axis in mode) for mode in modes)
 
 
 def _model(source: Source, found: Found, kind: str, run: Run) -> Model:
@@ -195,5 +195,5 @@ def _with_metadata(
 ) -> Model:
     stages = stages_of(found.coder, found.levels, source.unit) if stages is None else tuple(stages)
     bounds = [bounds_of(stage, "none" if stage.is_cut else "most") for stage in stages]
-    organisation = _organisation(source, found.layout)
+    organisation = _organisation(source, found.modes)
     return Model(metadata_of(source, organisation, bounds, kind, seed, *(quality or ())), stages)

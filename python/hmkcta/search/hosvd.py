@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import combinations
 from math import prod
+from typing import TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ LONGEST_MODE = 1024
 MOST_UNDECOMPOSED = 2
 
 Undecomposed = tuple[int, ...]
+Real = TypeVar("Real", np.float32, np.float64)
 
 
 class BlockBatch:
@@ -76,11 +78,11 @@ class BlockBatch:
         return np.ascontiguousarray(vectors[:, :, ::-1], np.float32)
 
 
-def mode_product(matrices: F32, tensors: F32, mode: int) -> F32:
+def mode_product(matrices: NDArray[Real], tensors: NDArray[Real], mode: int) -> NDArray[Real]:
     """Each tensor `[blocks, n_1, .., n_N]` times its matrix `[blocks, r, n]` along a mode (paper, equation 1)."""
     blocks, before, after = len(tensors), prod(tensors.shape[1 : mode + 1]), prod(tensors.shape[mode + 2 :])
     shape = (*tensors.shape[: mode + 1], matrices.shape[1], *tensors.shape[mode + 2 :])
     if after == 1:  # the last mode: rows of the tensor against rows of the matrix
-        return (tensors.reshape(blocks, before, -1) @ matrices.swapaxes(1, 2)).reshape(shape)
+        return cast("NDArray[Real]", tensors.reshape(blocks, before, -1) @ matrices.swapaxes(1, 2)).reshape(shape)
     stacked = tensors.reshape(blocks, before, tensors.shape[mode + 1], after)
-    return (matrices[:, None] @ stacked).reshape(shape)
+    return cast("NDArray[Real]", matrices[:, None] @ stacked).reshape(shape)

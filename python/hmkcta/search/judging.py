@@ -60,30 +60,31 @@ class Verdict:
 class Judge:
     """J of layouts of an array, some of them judged at a time."""
 
-    def __init__(self, values: Values, decode_cost: float, *, threads: int = 1, precise: bool = False) -> None:
-        self.values, self.decode_cost, self.threads, self.precise = values, decode_cost, threads, precise
+    def __init__(self, values: Values, decode_cost: float, *, threads: int = 1) -> None:
+        self.values, self.decode_cost, self.threads = values, decode_cost, threads
 
     def verdict(self, layout: Layout, step: float, elements: int, bar: float = inf) -> Verdict:
         """J by a sample of about so many elements; see `Sample.verdict`."""
-        return Sample(self, layout, elements).verdict(step, bar)
+        return Sample(self, layout, elements, step).verdict(step, bar)
 
-    def kept(self, layout: Layout, elements: int) -> Sample:
-        """A sample to judge at several steps."""
-        return Sample(self, layout, elements, keeps=True)
+    def kept(self, layout: Layout, elements: int, step: float) -> Sample:
+        """A sample to judge at several steps about a given one."""
+        return Sample(self, layout, elements, step, keeps=True)
 
 
 class Sample:
     """Blocks that stand for all blocks of a layout, at least twelve: a few scouts, and others."""
 
-    def __init__(self, judge: Judge, layout: Layout, elements: int, *, keeps: bool = False) -> None:
-        """Pick the blocks; `keeps`: their HOSVDs are held, where there is memory for them."""
+    def __init__(self, judge: Judge, layout: Layout, elements: int, step: float, *, keeps: bool = False) -> None:
+        """Pick blocks by their detail at a step D; `keeps`: their HOSVDs are held, where there is memory for them."""
         self.judge, shape = judge, judge.values.shape
+        self.precise = judge.values.precise(step)
         # The longest mode last, where sums along it are fastest; J is the same in any order.
         self.order = sorted(range(len(layout.modes)), key=layout.sizes(layout.block(shape)).__getitem__)
-        self.layout = Layout(tuple(layout.modes[n] for n in self.order), layout.edges)
+        self.layout = Layout(tuple(layout.modes[n] for n in self.order), layout.edges, layout.ends)
         self.largest, count = prod(layout.block(shape)), prod(layout.blocks(shape))
         size = max(1, judge.values.size // count)
-        picked = sample(count, size, elements, judge.values.detail_of(self.layout))
+        picked = sample(count, size, elements, judge.values.detail_of(self.layout, step))
         blocks = [grid_block(shape, self.layout, number) for number in picked.tolist()]
         every = max(1, len(blocks) // SCOUTS)
         self.scouts, self.others = blocks[::every], [block for n, block in enumerate(blocks) if n % every]
@@ -122,7 +123,7 @@ class Sample:
             for first in range(0, len(numbers), together):
                 own = [self.judge.values[blocks[b]] for b in numbers[first : first + together]]
                 tensors = as_tensor(np.stack(own), self.layout.modes)
-                yield BlockBatch(tensors, precise=self.judge.precise, keeps=self.keeps)
+                yield BlockBatch(tensors, precise=self.precise, keeps=self.keeps)
 
 
 class _Seen:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import pairwise, product
 from math import prod
-from typing import Any
+from typing import Any, TypeAlias
 
 #: Axes of at most this many indices are not cut by the first grids, but wholly or not at all (RGB, few views).
 SHORT_AXIS = 9
@@ -18,6 +18,7 @@ SMALLEST_BLOCK = 32
 ALL_ORGANISATIONS = 5
 
 Modes = tuple[tuple[int, ...], ...]
+Span: TypeAlias = "slice[int, int, None]"
 
 
 @dataclass(frozen=True, order=True)
@@ -27,6 +28,7 @@ class Layout:
     Attributes:
         modes: the numbers of the axes that each mode merges, in C order.
         edges: the most indices of a block along each axis; blocks of an axis differ by one at most.
+        ends: where the blocks of each axis begin and end, from 0 to its size; none of an axis that is cut by its edge.
 
     >>> layout = Layout(((0, 2), (1,)), (4, 8, 3))
     >>> layout.blocks((8, 8, 3)), layout.sizes((4, 8, 3))
@@ -35,14 +37,34 @@ class Layout:
 
     modes: Modes
     edges: tuple[int, ...]
+    ends: tuple[tuple[int, ...], ...] = ()
+
+    def span(self, size: int, axis: int, place: int) -> Span:
+        """One block along an axis of this size: p of g goes from floor(size p / g) on (docs/format.md)."""
+        if self.ends and self.ends[axis]:
+            return slice(*self.ends[axis][place : place + 2])
+        count = -(-size // self.edges[axis])
+        return slice(size * place // count, size * (place + 1) // count)
+
+    def spans(self, shape: Sequence[int], axis: int) -> list[Span]:
+        """The blocks along an axis of an array of this shape.
+
+        >>> Layout(((0,),), (4,)).spans((10,), 0)
+        [slice(0, 3, None), slice(3, 6, None), slice(6, 10, None)]
+        """
+        return [self.span(shape[axis], axis, place) for place in range(self.blocks(shape)[axis])]
 
     def blocks(self, shape: Sequence[int]) -> tuple[int, ...]:
         """Number of blocks along each axis of an array of this shape."""
-        return tuple(-(-size // edge) for size, edge in zip(shape, self.edges, strict=True))
+        ends = self.ends or [()] * len(shape)
+        return tuple(len(own) - 1 if own else -(-size // edge)
+                     for size, edge, own in zip(shape, self.edges, ends, strict=True))
 
     def block(self, shape: Sequence[int]) -> tuple[int, ...]:
         """Shape of the largest block of an array of this shape."""
-        return tuple(-(-size // count) for size, count in zip(shape, self.blocks(shape), strict=True))
+        ends = self.ends or [()] * len(shape)
+        return tuple(max(last - first for first, last in pairwise(own)) if own else -(-size // count)
+                     for size, count, own in zip(shape, self.blocks(shape), ends, strict=True))
 
     def sizes(self, block: Sequence[int]) -> tuple[int, ...]:
         """Mode sizes of a block whose axes have these lengths."""

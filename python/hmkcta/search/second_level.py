@@ -36,8 +36,7 @@ def two_levels(search: Search, found: Found, goal: Goal) -> Found:
     """Two levels of the layout of what was found, each with half of the decode cost."""
     layout, cost = found.layout, search.decode_cost // 2
     upper = replace(search, goal=Goal(snr=FIRST_SNR), decode_cost=cost)
-    coder = LayoutCoder(search.values, layout, found.coder.sets, cost, threads=search.threads, precise=True,
-                        filled=True)
+    coder = LayoutCoder(search.values, layout, found.coder.sets, cost, threads=search.threads, filled=True)
     first = upper.meet(layout, found.coded.step, coder)
     residual = _residual(search.values, layout, stages_of(coder, first.levels))
     below = goal if goal.snr is None else Goal(snr=goal.snr - 10 * log10(search.energy / residual.energy))

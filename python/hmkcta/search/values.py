@@ -6,14 +6,14 @@ from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import product
-from math import prod
+from math import prod, sqrt
 from threading import Lock
 from typing import TypeAlias
 
 import numpy as np
 
 from ..arrays import F32, F64
-from .blocks import DETAIL_CELL, Slices, axis_order, cut
+from .blocks import DETAIL_CELL, Slices, axis_order
 from .layout import Layout
 
 #: Values of a part of the array given by slices, float32, in the array's axes.
@@ -28,8 +28,15 @@ KEPT = 0.25
 #: Bytes for each element of blocks that are worked on: values, Gram matrices, cores of a few sets and what is made of
 #: them (measured on the process: 30 to 40).
 WORKING = 40
+#: Squared differences are counted this many times, as a log2 of 1 and them (1 and 4 were compared).
+DETAIL_SCALE = 4.0
 #: Most elements of a block of an array that is read part by part, as samples have twelve of them.
 LARGEST_READ = 1 << 20
+
+
+#: From steps below this share of the root mean square on, which leave about 50 dB, Gram matrices are float64: those of
+#: float32 end at some 65 dB.
+PRECISE_STEP = 0.01
 
 
 @dataclass(eq=False)
@@ -77,6 +84,15 @@ class Values:
         return prod(self.shape)
 
     @property
+    def rms(self) -> float:
+        """Root mean square; 1 of zeros."""
+        return sqrt(self.energy / self.size) or 1.0
+
+    def precise(self, step: float) -> bool:
+        """Whether HOSVDs for a step D have to be found in float64."""
+        return step < PRECISE_STEP * self.rms
+
+    @property
     def in_memory(self) -> bool:
         """Whether parts need not be read from a source."""
         return self.memory is None
@@ -102,11 +118,22 @@ class Values:
                 self._room += self._kept.popitem(last=False)[1].nbytes
         return found
 
-    def detail_of(self, layout: Layout) -> F64:
-        """Detail of every block of a grid, in the order of the nodes; blocks may share cells of the map."""
-        sums = self.detail
-        for axis, (size, edge) in enumerate(zip(self.shape, layout.edges, strict=True)):
-            starts = np.array([part.start // _cell(size) for part in cut(size, edge)])
+    def detail_of(self, layout: Layout, step: float) -> F64:
+        """Detail of every block of a grid at a step D, in the order of the nodes; blocks may share cells of the map.
+
+        What a cell takes is about the logarithm of its differences in units of D: J of blocks correlates with the sum
+        of these by 0.6 to 0.9, with that of the differences by 0.4 to 0.8 (fMRI, multi-light; samples are 3 % off in
+        place of 6).
+        """
+        elements = np.ones(self.detail.shape)
+        for axis, size in enumerate(self.shape):
+            ends = np.minimum(np.arange(1, self.detail.shape[axis] + 1) * _cell(size), size)
+            along = [1] * len(self.shape)
+            along[axis] = len(ends)
+            elements = elements * np.diff(ends, prepend=0).reshape(along)
+        sums = elements * np.log2(1 + DETAIL_SCALE * self.detail / (elements * step * step))
+        for axis, size in enumerate(self.shape):
+            starts = np.array([part.start // _cell(size) for part in layout.spans(self.shape, axis)])
             sums = np.add.reduceat(sums, starts, axis=axis)
         return sums.transpose(axis_order(layout.modes)).reshape(-1)
 

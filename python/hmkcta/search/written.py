@@ -62,7 +62,8 @@ def code_node(
     >>> code.exponents[0].item(), code.bases[0].ravel().tolist(), code.core.item()
     (11, [27, 36], 50)
     """
-    order, core = len(clusters), cores.astype(np.float64)
+    order = len(clusters)
+    core: F64 = cores.astype(np.float64)
     exponents, whole = [np.zeros(0, np.uint8)] * order, [np.zeros(0, np.int32)] * order
     for n, basis in enumerate(bases):
         if basis is None:
@@ -72,8 +73,8 @@ def code_node(
         exponents[n] = np.clip(np.round(np.log2(np.maximum(energies, 1.0))), 0, MOST_EXPONENT).astype(np.uint8)
         scale = np.moveaxis(np.exp2(exponents[n] / 2).reshape(*clusters, -1), n, 0)  # [C_n, .., R_n]
         whole[n], change = _rounded_basis(basis, members[n], scale.reshape(clusters[n], -1, scale.shape[-1]))
-        change = np.moveaxis(change.reshape(*scale.shape, -1), 0, n).reshape(len(core), core.shape[1 + n], -1)
-        core = mode_product(change, core, n)
+        own: F64 = np.moveaxis(change.reshape(*scale.shape, -1), 0, n).reshape(len(core), core.shape[1 + n], -1)
+        core = mode_product(own, core, n)
     return NodeCode(tuple(exponents), tuple(whole), np.asarray(rounded(core / step), np.int32))
 
 
@@ -226,7 +227,9 @@ def _with_quality(model: Model, stages: tuple[PackedLevel, ...], source: Source,
 
     def made(*quality: Any) -> Model:
         own = metadata_of(source, metadata.organisation, metadata.stages, metadata.kind, metadata.seed, *quality)
-        return Model(replace(own, writer=metadata.writer), stages)
+        found = Model(replace(own, writer=metadata.writer), stages)
+        found.made_by = model.made_by
+        return found
 
     coded = made()
     return coded if run is None else made(*measure_both(coded, source.array, nan=source.nan, progress=run.progress))

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from math import prod
 
-from ..plan import LevelSpec, Plan
+from ..plan import AUTO, LevelSpec, Plan
 from ..support.memory import available_memory, check_memory, memory_budget
 
 #: Most elements of a tensor that is fitted in one piece: more elements fit it no better.
@@ -24,6 +25,8 @@ TRIED = 11
 TRIED_APART = 7
 #: Bytes for each byte of the inner products M_n(c, c'), with what is made of them.
 PRODUCTS = 2
+#: Matrices of the size of H while the rows of a mode are solved for.
+GRAMS = 3
 #: Bytes of a node with its tables.
 NODE = 2500
 #: Bytes of a row with its features, where clusters are looked for.
@@ -106,7 +109,10 @@ def tried_bytes(spec: LevelSpec, sizes: Sequence[int]) -> int:
         return 0
     node = 2 * numbers(sizes, spec)
     if max(spec.mixture) > 1:
-        return TRIED * node + (0 if spec.search == "fast" else PRODUCTS * spec.products_bytes)
+        # Where H does not fit it is H of one set of clusters, and what it comes of.
+        products = max(clusters_alone(spec, n).products_bytes for n in range(spec.order)) if spec.search == "fast" \
+            else spec.products_bytes
+        return TRIED * node + PRODUCTS * products
     if spec.disjoint:
         return TRIED_APART * node // spec.cells
     parted = [size for size, count in zip(sizes, spec.clusters, strict=True) if count > 1]
@@ -146,6 +152,31 @@ def _jointly(level: LevelSpec, sizes: Sequence[int], memory: int | None) -> bool
         return level.search != "fast"
     allowed = available_memory() if memory is None else memory
     return allowed is None or PROCESS // 2 + joint_bytes(sizes, level) <= allowed
+
+
+def clusters_alone(spec: LevelSpec, n: int) -> LevelSpec:
+    """The spec with no more clusters in mode n than a row is in."""
+    clusters = tuple(k if m == n else c for m, (c, k) in enumerate(zip(spec.clusters, spec.mixture, strict=True)))
+    return replace(spec, clusters=clusters, grid=())
+
+
+def with_searches(plan: Plan, sizes: Sequence[int], room: int, memory: int | None) -> Plan:
+    """The plan with joint searches in those levels, too, whose H and inner products have room in so many bytes.
+
+    Raises:
+        HmkctaError: a level is asked to be searched jointly, and the memory given, or what is free, has no room for it.
+    """
+    levels = list[LevelSpec]()
+    for number, (level, (own, _, _)) in enumerate(zip(plan.levels, nodes_of(plan, sizes), strict=True), start=1):
+        needed = PRODUCTS * own.products_bytes + GRAMS * 8 * own.columns**2 if max(own.mixture) > 1 else 0
+        if level.asked in (AUTO, "fast"):
+            widened = level.asked == AUTO and own.search == "fast" and needed <= room
+            levels.append(replace(level, asked=own.joint_search) if widened else level)
+        else:
+            what = f"the {level.asked} search of level {number} ({level})"
+            check_memory(PROCESS + needed, what, "raise --max-memory, or leave --search out", memory)
+            levels.append(level)
+    return replace(plan, levels=tuple(levels))
 
 
 def joint_bytes(sizes: Sequence[int], level: LevelSpec, threads: int = 1) -> int:

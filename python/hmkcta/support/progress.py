@@ -6,6 +6,8 @@ from collections.abc import Callable
 
 #: Called with a stage's name and the fraction of it that is done.
 Progress = Callable[[str, float], None]
+#: Called with the bytes of the best file found so far, and its SNR in dB.
+Best = Callable[[int, float], None]
 #: Called with the fraction that is done of whatever it was handed to.
 Told = Callable[[float], None]
 

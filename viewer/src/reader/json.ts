@@ -17,6 +17,8 @@ export type JsonObject = Map<string, Json>;
 /** Beyond any nesting that makes sense; the exact limit is `checkSizes`' matter. */
 const PARSER_DEPTH = 512;
 
+/** A string; white space outside is looked for before anything else, so that of several faults each reader names one. */
+const STRING = /"(?:[^"\\]|\\.)*"/g;
 const NUMBER = /-?(?:0|[1-9][0-9]*)(\.[0-9]+)?([eE][-+]?[0-9]+)?/y;
 const PLAIN = /[^"\\\u0000-\u001f]*/y;
 const LITERALS: [string, Json][] = [["null", null], ["true", true], ["false", false]];
@@ -27,6 +29,9 @@ const ESCAPES: Record<string, string> = {
 
 /** Parse a JSON text. */
 export function parseJson(text: string, where: string): Json {
+  if (text.replace(STRING, "").includes(" ")) {
+    throw fault("json-syntax", where, "white space outside strings", "none");
+  }
   return new Parser(text, where).document();
 }
 

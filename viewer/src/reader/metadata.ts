@@ -127,7 +127,6 @@ function parseAxes(value: Json, where: string, limits: Limits): { axes: Axis[]; 
     const path = `${where}[${n}]`;
     const fields = asObject(item, path, ["name", "size"], ["role", "unit", "coordinates"]);
     const name = asText(fields.name, `${path}.name`);
-    checkAxisName(name, `${path}.name`, axes);
     const axis: Axis = {
       name, size: asInteger(fields.size, `${path}.size`, 1, MAX_U32), coords: null,
       role: fields.role === undefined ? "other" : asOneOf(fields.role, `${path}.role`, ROLES),
@@ -139,6 +138,7 @@ function parseAxes(value: Json, where: string, limits: Limits): { axes: Axis[]; 
     } else if (given !== undefined) {
       axis.coords = parseCoords(given, `${path}.coordinates`, axis.size);
     }
+    checkAxisName(name, `${path}.name`, axes);
     axes.push(axis);
   }
   checkLimit("elements-limit", where, axes.reduce((all, { size }) => all * size, 1), limits.elements);
