@@ -9,8 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+from hmkcta.axes import Axis
 from hmkcta.errors import HmkctaError, Kind
+from hmkcta.labels import labels_of
 from hmkcta.readers import open_array
 from hmkcta.support import memory
 
@@ -43,6 +46,23 @@ def same(uri: str | Path, expected: Any, dtype: Any = None, mapped: bool = False
     assert np.array_equal(array, expected)
     assert array.dtype == (np.asarray(expected).dtype if dtype is None else np.dtype(dtype))
     assert isinstance(array, np.memmap) == mapped
+
+
+def axes_of(array: NDArray[Any]) -> dict[str, Axis]:
+    """Axes of what was opened, by their names."""
+    axes = labels_of(array).axes
+    assert axes is not None
+    return {axis.name: axis for axis in axes}
+
+
+def coords_of(array: NDArray[Any]) -> list[list[Any]]:
+    """Coordinates of all axes of what was opened that have some, in their order."""
+    return [axis.coords.tolist() for axis in axes_of(array).values() if axis.coords is not None]
+
+
+def roles_of(array: NDArray[Any]) -> list[tuple[str, str]]:
+    """Names and roles of all axes of what was opened."""
+    return [(axis.name, axis.role) for axis in axes_of(array).values()]
 
 
 def little_memory(monkeypatch: pytest.MonkeyPatch, available: int) -> None:

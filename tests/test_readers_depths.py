@@ -16,6 +16,7 @@ import pytest
 from numpy.typing import NDArray
 
 from hmkcta.errors import HmkctaError
+from hmkcta.labels import labels_of
 from hmkcta.readers import open_array
 from reader_tools import needed, refusal, same
 
@@ -139,6 +140,53 @@ def test_black_and_white_and_floats_of_netpbm(tmp_path: Path) -> None:
         floats = np.random.default_rng(0).normal(size=shape).astype("f4")
         head = b"P%s\n5 4\n%s1.0\n" % (b"F" if len(shape) > 2 else b"f", b"-" if order == "<" else b"")
         same(put(tmp_path / "a.pfm", head + floats[::-1].astype(f"{order}f4").tobytes()), floats)
+
+
+def radiance(values: NDArray[np.float32], fields: bytes = b"", rle: bool = True) -> bytes:
+    """A Radiance picture whose header has more fields."""
+    head = b"#?RADIANCE\n# of a test\n%sFORMAT=32-bit_rle_rgbe\n\n-Y %d +X %d\n" % (fields, *values.shape[:2])
+    whole: bytes = needed("imagecodecs").rgbe_encode(values, header=rle, rle=rle)  # by runs it writes none without one
+    return head + (whole.split(b"\n\n", 1)[1].split(b"\n", 1)[1] if rle else whole)
+
+
+@pytest.mark.parametrize("rle", [False, True])
+def test_radiance_pictures_are_radiances(tmp_path: Path, rle: bool) -> None:
+    values = np.repeat(np.random.default_rng(0).random((6, 3, 3), np.float32) * np.float32(1000), 3, axis=1)
+    stored = needed("imagecodecs").rgbe_decode(radiance(values, rle=rle))
+    assert np.allclose(stored, values, atol=5)
+    same(put(tmp_path / "a.hdr", radiance(values, rle=rle)), stored)
+    fields = b"EXPOSURE=4.0\nSOFTWARE=ours\nEXPOSURE=0.5\n"  # which multiply
+    same(put(tmp_path / "b.hdr", radiance(values, fields, rle)), stored / 2)
+    assert open_array(f"{tmp_path}/*.hdr").shape == open_array(tmp_path).shape == (2, 6, 9, 3)
+    whole = radiance(values, rle=rle)
+    for data in (whole[:-1], whole + b"\0", whole[:30]):
+        assert refusal(put(tmp_path / "a.hdr", data)).reason == "source-damaged"
+
+
+@pytest.mark.parametrize(("change", "reason", "said"), [
+    ((b"rle_rgbe", b"rle_xyze"), "source-format", "xyze"), ((b"-Y 6 +X", b"+Y 6 +X"), "source-format", "rows"),
+    ((b"-Y 6 +X 9", b"+X 9 -Y 6"), "source-format", "rows"),
+    ((b"FORMAT=32-bit_rle_rgbe\n", b""), "source-format", "no format"),
+    ((b"-Y 6", b"-Y 600000000"), "source-too-large", "MiB"), ((b"# of", b"EXPOSURE=0\n# of"), "source-damaged", "0.0"),
+    ((b"# of", b"EXPOSURE=dark\n# of"), "source-damaged", "dark"),
+])
+def test_radiance_pictures_that_are_refused(tmp_path: Path, change: tuple[bytes, bytes], reason: str, said: str
+                                            ) -> None:
+    whole = radiance(np.ones((6, 9, 3), np.float32))
+    assert change[0] in whole
+    error = refusal(put(tmp_path / "a.hdr", whole.replace(*change)))
+    assert error.reason == reason
+    assert said in str(error)
+
+
+def test_a_scale_of_floats_is_said_not_applied(tmp_path: Path) -> None:
+    floats = np.arange(20, dtype="<f4").reshape(4, 5)
+    for scale, count in ((b"-1.0", 0), (b"-0.003922", 1)):
+        array = open_array(put(tmp_path / "a.pfm", b"Pf\n5 4\n%s\n" % scale + floats[::-1].tobytes()))
+        assert np.array_equal(array, floats)
+        notes = labels_of(array).notes
+        assert len(notes) == count
+        assert all("0.003922" in note for note in notes)
 
 
 @pytest.mark.parametrize(("data", "reason"), [

@@ -34,6 +34,7 @@ LIBRARIES = [
     ("a.tif", b"II*\0", "tifffile", "tifffile-missing", "tiff"),
     ("a.exr", b"\x76\x2f\x31\x01", "OpenEXR", "openexr-missing", "exr"),
     ("a.png", b"\x89PNG\r\n\x1a\n", "PIL.Image", "pillow-missing", "images"),
+    ("a.fits", b"SIMPLE  =                    T", "astropy.io.fits", "astropy-missing", "fits"),
     ("a.zarr", None, "zarr", "zarr-missing", "zarr"),
 ]
 
@@ -76,7 +77,7 @@ def test_a_broken_library_is_told_from_a_missing_one(tmp_path: Path, monkeypatch
 
 def test_no_library_is_loaded_before_its_format_comes() -> None:
     program = ("import sys, hmkcta.readers; print([name for name in ('h5py', 'zarr', 'numcodecs', 'nibabel', 'nrrd', "
-               "'tifffile', 'imagecodecs', 'OpenEXR', 'PIL', 'scipy') if name in sys.modules])")
+               "'tifffile', 'imagecodecs', 'OpenEXR', 'PIL', 'astropy', 'scipy') if name in sys.modules])")
     path = str(Path(hmkcta.__file__).parent.parent)
     done = subprocess.run([sys.executable, "-c", f"import sys; sys.path.insert(0, {path!r}); {program}"],
                           capture_output=True, text=True, check=True, timeout=60)

@@ -91,6 +91,18 @@ def named(array: NDArray[Any], names: tuple[str, ...]) -> NDArray[Any]:
     return labelled(array, Labels(name_axes(array.shape, names)))
 
 
+def with_axes(array: NDArray[Any], axes: Sequence[Axis], notes: Sequence[str] = ()) -> NDArray[Any]:
+    """The array with the axes that its file tells of, and sentences on what of it is not kept.
+
+    Coordinates are left out, and that is said, where they are not finite, or take more of a file than they are worth.
+
+    >>> array = with_axes(np.zeros((2, 3)), [Axis("light", 2, "light", [0, 30], "degrees"), Axis("x", 3, "space")])
+    >>> [(axis.name, axis.unit) for axis in labels_of(array).axes]
+    [('light', 'degrees'), ('x', '')]
+    """
+    return labelled(array, _kept(list(axes), [], notes))
+
+
 def labels_of(array: Any) -> Labels:
     """Labels of an array of xarray, of an open dataset of h5py, Zarr or netCDF, of a `Model`, or of what `open_array`
     gave.
@@ -189,26 +201,33 @@ def _labels(shape: Sequence[int], dimensions: Sequence[_Dimension], others: Iter
     words = ["_".join(re.findall(r"[^+, /=:]+", dimension.name)) for dimension in dimensions]
     if not (all(words) and len(set(words)) == len(words) and "".join(words).isprintable()):
         words = [f"axis{number}" for number in range(len(words))]
-    axes = list(name_axes(shape, words)) if words else []
-    left = list(others)
-    for number, dimension in enumerate(dimensions):
-        if dimension.coords is None:
+    axes = [replace(axis, coords=dimension.coords, unit=dimension.unit if dimension.coords is not None else "")
+            for axis, dimension in zip(name_axes(shape, words) if words else (), dimensions, strict=True)]
+    plain = all(not dimension.name and dimension.coords is None for dimension in dimensions)
+    kept = _kept(axes, [*others], said)
+    return replace(kept, axes=None) if plain else kept
+
+
+def _kept(axes: list[Axis], others: list[str], said: Sequence[str]) -> Labels:
+    """Axes with the coordinates that a file can keep, and sentences on those that it cannot, and on `others`."""
+    notes = [*said]
+    for number, axis in enumerate(axes):
+        if axis.coords is None:
             continue
         try:
-            axes[number] = checked_coords(replace(axes[number], coords=_exact(dimension.coords), unit=dimension.unit))
+            axes[number] = checked_coords(replace(axis, coords=_exact(axis.coords)))
         except (HmkctaError, TypeError):
-            left.append(dimension.name)
-    notes = [*said]
-    size = sum(8 * axis.size for axis in axes if axis.coords is not None)
-    if size > max(LEAST_BYTES, 4 * prod(shape) // SHARE):
+            others.append(axis.name)
+            axes[number] = replace(axis, coords=None, unit="")
+    size = sum(8 * np.size(axis.coords) for axis in axes if axis.coords is not None)
+    if size > max(LEAST_BYTES, 4 * prod(axis.size for axis in axes) // SHARE):
         notes.append(f"coordinates of {', '.join(axis.name for axis in axes if axis.coords is not None)} are not kept: "
                      f"they would take {size} bytes of the file. {_GIVE}")
         axes = [replace(axis, coords=None, unit="") for axis in axes]
-    if left:
-        notes.append(f"coordinates {', '.join(left)} are not kept: they are not a finite number for each index of an "
+    if others:
+        notes.append(f"coordinates {', '.join(others)} are not kept: they are not a finite number for each index of an "
                      f"axis. {_GIVE}")
-    plain = all(not dimension.name and dimension.coords is None for dimension in dimensions)
-    return Labels(None if plain else tuple(axes), tuple(notes))
+    return Labels(tuple(axes), tuple(notes))
 
 
 def _exact(values: Any) -> NDArray[Any]:

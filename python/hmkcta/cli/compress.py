@@ -63,7 +63,7 @@ USED = 0.99
 @together(device_option, resume_option, overwrite_option, json_option, quiet_option, verbose_option)
 def compress_command(source: str, output: str, plan: str | None, device: str, resume: bool, overwrite: bool,
                      as_json: bool, quiet: bool, verbose: bool, **options: Any) -> None:
-    """Compress the array SRC: .npy, HDF5, Zarr, NIfTI, NRRD, TIFF, pictures, raw.
+    """Compress the array SRC: .npy, HDF5, Zarr, NIfTI, VTK, TIFF, pictures, raw, ..
     No goal: 1/100 of its bytes, or 50 dB. Exit code 7: FILE misses the goal.
     """
     goal = goal_from(options)

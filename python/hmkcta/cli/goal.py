@@ -17,7 +17,7 @@ from ..hmkfile import KINDS
 from ..labels import labels_of
 from ..plan import AUTO, SCHEMES, SEARCHES, Plan, multiply_adds
 from ..readers import WatchedSource, read_coordinates
-from .options import Assignment, ByteSize, Count, Names, memory_option, nan_option, source_options, together
+from .options import SOURCE, Assignment, ByteSize, Count, Names, memory_option, nan_option, source_options, together
 from .progress import Progress
 
 goal_options = together(
@@ -45,7 +45,7 @@ goal_options = together(
                  help="Transform values first: log1p[:S], asinh[:S] or sqrt."),
     nan_option,
     click.option("--seed", type=Count(0), default=0, metavar="N",
-                 help="Seed of random starts; the same seed makes the same file (default 0)."),
+                 help="Seed; the same one makes the same file (default 0)."),
     click.option("--threads", type=Count(1), metavar="N", help="Threads, no more than there are cores (default: all)."),
     memory_option,
     source_options,
@@ -93,7 +93,7 @@ def goal_from(options: dict[str, Any]) -> Goal:
     Raises:
         click.UsageError: both --snr and --size.
     """
-    source = {key: options.pop(key) for key in ("member", "shape", "dtype", "order", "offset")}
+    source = {key: options.pop(key) for key in SOURCE}
     along = {key: options.pop(key) for key in ("coords", "unit")}
     goal = Goal(options.pop("snr"), options.pop("size"), options.pop("kind"), options, source, along)
     if goal.snr is not None and goal.size is not None:

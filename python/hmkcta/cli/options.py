@@ -229,14 +229,18 @@ def _remember(key: str) -> Callable[[click.Context, click.Parameter, Any], Any]:
     return callback
 
 
+#: Names of what `source_options` give, which are arguments of `open_array`.
+SOURCE = ("member", "shape", "dtype", "order", "offset", "views", "names")
 source_options = together(
     click.option("--member", metavar="NAME", help="One of several arrays; or FILE.h5:NAME."),
     click.option("--shape", type=Shape(), metavar="N,N,..", help="Shape of raw binary."),
     click.option("--dtype", metavar="TYPE", help="Numbers of raw binary: float32, uint8, >f4, .."),
     click.option("--order", type=click.Choice(["C", "F"]), default="C", metavar="C|F",
-                 help="Raw binary: last axis fastest, or first (default C)."),
+                 help="Raw: last axis fastest, or first (default C)."),
     click.option("--offset", type=Count(0), default=0, metavar="BYTES",
                  help="Bytes before raw binary (default 0)."),
+    click.option("--views", metavar="NxN", help="Views of a light field: 17x17, 14x14:lenslets."),
+    click.option("--names", metavar="TEXT", help="Grid by file names: 'out_{row}_{column}_*'."),
 )
 json_option = click.option("--json", "as_json", is_flag=True, is_eager=True, callback=_remember(JSON),
                            help="One JSON object on stdout; messages on stderr.")

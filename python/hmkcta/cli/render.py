@@ -14,6 +14,7 @@ from ..model import open as open_model
 from ..support.cut_short import whole_map
 from .compared import opened
 from .options import (
+    SOURCE,
     Command,
     Count,
     file_argument,
@@ -60,8 +61,8 @@ FRAMES, FPS = 48, 24.0
 @quiet_option
 @verbose_option
 def render_command(file: str, output: str, scene: str | None, against: str | None, animate: str | None, frames: int,
-                   fps: float, backend: str, overwrite: bool, as_json: bool, quiet: bool, verbose: bool, member: Any,
-                   shape: Any, dtype: Any, order: Any, offset: Any, **given: Any) -> None:
+                   fps: float, backend: str, overwrite: bool, as_json: bool, quiet: bool, verbose: bool,
+                   **given: Any) -> None:
     """Render FILE: a lit surface, a view of a light field, a volume; what it is, it says itself.
 
     A scene is a JSON object with the fields that docs/rendering.md lists.
@@ -73,10 +74,10 @@ def render_command(file: str, output: str, scene: str | None, against: str | Non
     if animate is not None and not film:
         raise invalid("output-format", "output", repr(output), f"a film ({', '.join(FILMS)}) with --animate")
     check_output(output, overwrite)
+    source = {name: given.pop(name) for name in SOURCE}
     described = _scene(scene, given)
     _check_compared(described, against)
     model = open_model(file)
-    source = {"member": member, "shape": shape, "dtype": dtype, "order": order, "offset": offset}
     watched = opened("--against", against, source, quiet or as_json)
     original = None if watched is None else watched.array
     from ..render import Renderer

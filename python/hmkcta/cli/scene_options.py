@@ -85,7 +85,7 @@ _OPTIONS: tuple[tuple[str, str, Mapping[str, Any]], ...] = (
     ("--white", "tone.white", {"type": float, "metavar": "V", "help": "Value shown as white."}),
     ("--curve", "tone.curve", {**_choice("linear", "reinhard", "filmic"), "help": "Tone curve."}),
     ("--split", "compare.level", {"type": Count(0), "metavar": "N",
-                                  "help": "Right half: level N, or 0 for the original (--against)."}),
+                                  "help": "Right half: level N; 0: the original."}),
 )
 _LIGHTS = together(
     click.option("--light", "lights", type=Numbers("AZ,EL"), metavar="AZ,EL", multiple=True,

@@ -10,7 +10,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from ..errors import invalid
-from . import exr, hdf5, nifti, npy, nrrd, picture, tiff, zarr_store
+from . import exr, fits, hdf5, metaimage, nifti, npy, nrrd, picture, reflectance, tensor_file, tiff, vtk, zarr_store
 from .not_read import by_ending, by_start
 from .source import WHOLE, io_error, opened
 from .unpacked import Unpacker
@@ -82,12 +82,18 @@ FORMATS = (
     _single("NIfTI", (".nii.gz",), ((0, nifti.GZIP),), nifti.open_gzip),
     _single("NIfTI", (".hdr", ".img"), (), nifti.open_pair),
     _single("NRRD", (".nrrd", ".nhdr"), ((0, nrrd.MAGIC),), nrrd.open_nrrd),
+    _single("MetaImage", (".mha", ".mhd"), metaimage.MAGICS, metaimage.open_metaimage),
     Format("TIFF", (".tif", ".tiff"), tiff.MAGICS, tiff.open_tiff, pages=True, depth=tiff.tiff_depth),
     Format("EXR", (".exr",), ((0, exr.MAGIC),), exr.open_exr, pages=True),
     _single("pictures", picture.ENDINGS, picture.MAGICS, picture.open_picture, pages=True,
             depth=picture.picture_depth),
     _single("pictures", picture.OTHER_ENDINGS, (), picture.open_picture, pages=True,
             depth=picture.picture_depth),
+    Format("tensor file", (".bsdf", ".pbsdf"), ((0, tensor_file.MAGIC),), tensor_file.open_tensor_file),
+    Format("FITS", (".fits", ".fit", ".fts"), ((0, fits.MAGIC),), fits.open_fits),
+    Format("VTK", (".vti", ".vtr"), vtk.MAGICS, vtk.open_vtk),
+    _single("MERL", (".binary",), (), reflectance.open_merl),
+    _single("UTIA", (".bin",), (), _at_once(reflectance.open_utia)),
 )
 #: Endings of the files of which a folder is a stack.
 PAGES = tuple(ending for each in FORMATS if each.pages for ending in each.endings)

@@ -33,6 +33,7 @@ class Header:
         most: the number that stands for white; 1 is black and white; 0: floats.
         start: where the numbers begin.
         little: whether floats lie with their low byte first.
+        scale: of floats, by the header.
     """
 
     kind: bytes
@@ -40,6 +41,7 @@ class Header:
     most: int
     start: int
     little: bool = False
+    scale: float = 1.0
 
     @property
     def dtype(self) -> np.dtype[Any]:
@@ -70,11 +72,11 @@ def header_of(data: bytes) -> Header:
         found.append(match[1])
         at = match.end()
     if kind in (b"Pf", b"PF"):
-        most, little = 0, float(found[2]) < 0
+        most, little, scale = 0, float(found[2]) < 0, abs(float(found[2]))
     else:
-        most, little = _white(found[2]) if words == 3 else 1, False
+        most, little, scale = _white(found[2]) if words == 3 else 1, False, 1.0
     shape = (int(found[1]), int(found[0]), _CHANNELS[kind])
-    return Header(kind, shape[:2] if shape[2] == 1 else shape, most, at + 1, little)
+    return Header(kind, shape[:2] if shape[2] == 1 else shape, most, at + 1, little, scale)
 
 
 def _pam_header(data: bytes) -> Header:

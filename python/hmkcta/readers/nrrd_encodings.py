@@ -6,7 +6,7 @@ import bz2
 import gzip
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,7 +78,7 @@ def encoded(kind: str, file: BinaryIO, layout: Layout, leading: Leading) -> Read
         raise too_short(leading.where, f"{held} bytes of {kind}", layout)
     if kind in ("text", "hex"):
         file.seek(leading.begin + leading.skip)
-        return _Words(file, layout.dtype).read if kind == "text" else _Hex(file).read
+        return Words(file, layout.dtype).read if kind == "text" else _Hex(file).read
     skip = leading.skip
     if skip == -1:
         skip = _length(_unpacker(kind, file, leading.begin), layout, leading.where) - layout.nbytes
@@ -114,11 +114,19 @@ def _length(read: Read, layout: Layout, where: str) -> int:
     return held
 
 
+class Readable(Protocol):
+    """What gives bytes, one after another."""
+
+    def read(self, count: int, /) -> bytes:
+        """So many; fewer at the end."""
+        ...
+
+
 @dataclass
-class _Words:
+class Words:
     """Numbers written as text, parted by white space."""
 
-    file: BinaryIO
+    file: Readable
     dtype: np.dtype[Any]
     words: list[bytes] = field(default_factory=list[bytes])
     rest: bytes = b""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import glob
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,10 @@ from ..support.memory import memory_for
 from ..support.natural import in_order
 from ..support.progress import Progress
 from .formats import FORMATS, PAGES, format_of
+from .grid import Views, arranged, named_files, unfolded, views_given
 from .raw import open_raw
-from .series import open_series, pictures_of
+from .relighting import light_list, open_lights
+from .series import led_by, open_series, pictures_of
 from .source import io_error
 from .unpacked import Unpacker
 from .zarr_store import is_zarr, open_zarr
@@ -28,18 +31,24 @@ _HOLDERS = tuple(ending for each in FORMATS if each.members for ending in each.e
 
 def open_array(
     uri: str | Path, *, member: str | None = None, shape: Sequence[int] | None = None, dtype: DTypeLike | None = None,
-    order: str = "C", offset: int = 0, max_memory: int | str | None = None, progress: Progress | None = None,
+    order: str = "C", offset: int = 0, views: Sequence[int] | str | None = None, names: str | None = None,
+    max_memory: int | str | None = None, progress: Progress | None = None,
 ) -> NDArray[Any]:
     """Open a file as an array, memory-mapped where possible, else read or unpacked into a temporary file.
 
     Args:
         uri: a file of a format that docs/inputs.md lists, ``file.h5:/group/array`` for one of several arrays; a folder
-            of pictures or a pattern such as ``shots/*.exr``, stacked in natural order; or raw binary.
+            of pictures or a pattern such as ``shots/*.exr``, stacked in natural order; a list of lights, ``.lp``, or
+            its folder; or raw binary.
         member: the array of several, instead of in the uri.
         shape: of raw binary.
         dtype: of raw binary, as NumPy writes it; ``>f4`` is big-endian float32.
         order: of raw binary: "C" (last axis fastest) or "F".
         offset: bytes to skip at the start of raw binary.
+        views: rows and columns of a light field, ``(17, 17)`` or ``"17x17"``: of a folder's pictures in their order, or
+            of one picture that has all views as tiles, or ``"14x14:lenslets"`` under the lenslets of a camera.
+        names: how the files of a folder are called, ``"out_{row}_{column}_*"``: whole numbers in the place of the
+            fields say where each belongs, and the fields name the axes; ``{t:view}`` says what an axis is.
         max_memory: bytes to unpack in, or a text such as ``"200MB"``, half of them for the array itself; None: half of
             what is free.
         progress: called with a stage's name and the fraction of it done, while something is unpacked.
@@ -55,9 +64,13 @@ def open_array(
     ([[1.0, 0.0], [0.0, 1.0]], (1, 2, 2))
     """
     expect("uri", uri, str | os.PathLike, "the path of a file, with :member, or a pattern")
+    grid = Grid(views_given(views), names)
     if shape is not None or dtype is not None or order != "C" or offset:
         if member is not None:
             raise invalid("source-member", f"member of {uri}", repr(member), "none: raw binary is one array")
+        if grid.given:
+            raise invalid("source-views", f"views or names of {uri}", "both they and raw binary", "files of a format",
+                          "reshape what open_array gives, or write each view as .npy")
         _check_input(uri)
         return open_raw(Path(uri), shape, dtype, order, offset)
     if str(uri) == "":  # which would be the folder at hand
@@ -65,16 +78,51 @@ def open_array(
                       "give one; '.' is the folder at hand")
     _check_input(uri)
     with memory_for(str(uri), "take a machine that has more, or write it as .npy or uncompressed: that is mapped"):
-        return _opened(str(uri), member, memory_given(max_memory), progress)
+        return _opened(str(uri), member, grid, Unpacker(memory_given(max_memory), progress))
 
 
-def _opened(uri: str, member: str | None, limit: int | None, progress: Progress | None) -> NDArray[Any]:
+@dataclass(frozen=True)
+class Grid:
+    """How pictures make a grid, as `open_array` has it."""
+
+    views: Views | None
+    names: str | None
+
+    @property
+    def given(self) -> bool:
+        """Whether anything is said."""
+        return self.views is not None or self.names is not None
+
+
+def _opened(uri: str, member: str | None, grid: Grid, unpacker: Unpacker) -> NDArray[Any]:
     place, inner = _split(uri)
-    member, unpacker = member if member is not None else inner, Unpacker(limit, progress)
+    member = member if member is not None else inner
+
+    def opener(path: Path, unpacker: Unpacker) -> NDArray[Any]:
+        return _open(path, member, unpacker)
+
+    if grid.given:
+        return _grid(place, grid, opener, unpacker)
     if _is_pattern(place):
-        return open_series(_matches(place), place, lambda path, unpacker: _open(path, member, unpacker), unpacker,
-                           _depth)
-    return _open(Path(place), member, unpacker)
+        return open_series(_matches(place), place, opener, unpacker, _depth)
+    return opener(Path(place), unpacker)
+
+
+def _grid(place: str, grid: Grid, opener: Callable[[Path, Unpacker], NDArray[Any]], unpacker: Unpacker) -> NDArray[Any]:
+    """A grid of the pictures of a folder, of what a pattern finds, or of one picture that has all views."""
+    folder = Path(place)
+    if _is_pattern(place):
+        paths = _matches(place)
+    elif not os.path.isdir(folder) or is_zarr(folder):
+        picture = opener(folder, unpacker)
+        if grid.names is not None or grid.views is None:
+            raise invalid("source-names", f"names in {place}", "one file", "a folder, or a pattern of several files",
+                          "give --views alone for a picture that has all views")
+        return unfolded(picture, grid.views, place)
+    else:
+        paths = pictures_of(folder, PAGES) if grid.names is None else named_files(folder, grid.names)
+    paths, axes = arranged(paths, place, grid.names, grid.views)
+    return led_by(open_series(paths, place, opener, unpacker, _depth), axes)
 
 
 def _check_input(uri: str | Path) -> None:
@@ -85,17 +133,25 @@ def _check_input(uri: str | Path) -> None:
 
 
 def _open(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any]:
-    """A file, a store, or the pictures of a folder."""
-    if not os.path.isdir(path):
-        return format_of(path).open(path, member, unpacker)
-    if is_zarr(path):
+    """A file, a store, or the pictures of a folder or of a list of lights."""
+    is_folder = os.path.isdir(path)
+    if is_folder and is_zarr(path):
         return open_zarr(path, member, unpacker)
+    lights = light_list(path)
+    if lights is not None:
+        return open_lights(lights, lambda page, unpacker: _file(page, member, unpacker), unpacker, _depth)
+    if not is_folder:
+        return _file(path, member, unpacker)
     return open_series(pictures_of(path, PAGES), str(path), lambda page, unpacker: _open(page, member, unpacker),
                        unpacker, _depth)
 
 
+def _file(path: Path, member: str | None, unpacker: Unpacker) -> NDArray[Any]:
+    return format_of(path).open(path, member, unpacker)
+
+
 def _depth(path: Path) -> str:
-    return "" if os.path.isdir(path) else format_of(path).depth(path)
+    return "" if os.path.isdir(path) or light_list(path) is not None else format_of(path).depth(path)
 
 
 def source_files(uri: str) -> list[Path]:

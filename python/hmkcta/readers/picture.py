@@ -13,19 +13,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..labels import named
+from ..axes import name_axes
+from ..labels import with_axes
 from ..support.optional import library
 from . import netpbm
 from .heard import heard
-from .picture_header import FILMED, J2K, JP2, JPEG, JXL, JXL_BOX, PNG, Header, header_of
+from .picture_header import FILMED, J2K, JP2, JPEG, JXL, JXL_BOX, PNG, RADIANCE, Header, header_of
 from .source import Layout, check_layout, guarded, io_error, opened
 from .unpacked import Unpacker
 
 #: Told by their first bytes; others of Pillow's formats by their ending.
 MAGICS = ((0, PNG), (0, JPEG), (0, b"GIF8"), (8, b"WEBP"), (0, JP2), (0, J2K), (0, JXL), (0, JXL_BOX), (0, b"DDS "),
-          *FILMED, *netpbm.MAGICS)
+          *FILMED, *netpbm.MAGICS, *((0, magic) for magic in RADIANCE))
 ENDINGS = (".png", ".jpg", ".jpeg", ".gif", ".webp", ".jp2", ".j2k", ".jxl", ".avif", ".heic", ".dds",
-           ".ppm", ".pgm", ".pbm", ".pnm", ".pam", ".pfm")
+           ".ppm", ".pgm", ".pbm", ".pnm", ".pam", ".pfm", ".hdr")
 OTHER_ENDINGS = (".bmp", ".tga")
 #: Pillow's names of the formats that it is let to take a file for.
 _FORMATS = ("JPEG", "GIF", "WEBP", "DDS", "BMP", "TGA")
@@ -62,7 +63,10 @@ def open_picture(path: Path, unpacker: Unpacker) -> NDArray[Any]:
         check_layout(Layout(picture.shape, picture.dtype), str(path))
         if picture.ndim not in (2, 3):
             raise _unread(path, f"{len(picture)} pictures in one file")
-        return named(picture, ("y", "x", "rgb" if picture.shape[-1] in (3, 4) else "channel")[:picture.ndim])
+        if header.exposure != 1:
+            picture = picture / np.float32(header.exposure)
+        names = ("y", "x", "rgb" if picture.shape[-1] in (3, 4) else "channel")[:picture.ndim]
+        return with_axes(picture, name_axes(picture.shape, names), header.notes)
 
 
 def picture_depth(path: Path) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import struct
 from dataclasses import dataclass
+from math import isfinite, prod
 
 from . import netpbm
 
@@ -16,6 +17,8 @@ PNG = b"\x89PNG\r\n\x1a\n"
 JPEG = b"\xff\xd8\xff"
 JP2, J2K = b"\0\0\0\x0cjP  \r\n\x87\n", b"\xff\x4f\xff\x51"
 JXL, JXL_BOX = b"\xff\x0a", b"\0\0\0\x0cJXL \r\n\x87\n"
+RADIANCE = (b"#?RADIANCE", b"#?RGBE")
+_RADIANCE_SIZE = re.compile(rb"-Y\s+([0-9]{1,9})\s+\+X\s+([0-9]{1,9})[ \t]*\n")
 #: Pictures coded as films are: AVIF, which is read, and HEIF.
 _BRANDS = (b"avif", b"avis", b"mif1", b"msf1", b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx")
 FILMED = tuple((4, b"ftyp" + brand) for brand in _BRANDS)
@@ -36,12 +39,16 @@ class Header:
         depth: bits of a number, or another word for it; pictures of a stack have the same.
         nbytes: bytes that its numbers take, about, where imagecodecs decodes them.
         unread: what it is that is not decoded here; empty: it is.
+        exposure: what radiances were multiplied with before they were stored.
+        notes: sentences on what of it is not applied.
     """
 
     decoder: str
     depth: str
     nbytes: int = 0
     unread: str = ""
+    exposure: float = 1.0
+    notes: tuple[str, ...] = ()
 
 
 def header_of(data: bytes, ending: str) -> Header:
@@ -54,14 +61,17 @@ def header_of(data: bytes, ending: str) -> Header:
         ValueError, IndexError, struct.error: it is damaged.
     """
     for magic, read in ((PNG, _png), (JPEG, _jpeg), (JP2, _jpeg2k), (J2K, _jpeg2k), (JXL, _jxl), (JXL_BOX, _jxl),
-                        (b"DDS ", _dds), (b"BM", _bmp)):
+                        (b"DDS ", _dds), (b"BM", _bmp), *((magic, _radiance) for magic in RADIANCE)):
         if data.startswith(magic):
             return read(data)
     if any(data.startswith(magic, at) for at, magic in FILMED):
         return _filmed(data)
     if any(data.startswith(magic, at) for at, magic in netpbm.MAGICS):
         found = netpbm.header_of(data)
-        return Header("netpbm", f"0 to {found.most}" if found.most else "floats")
+        note = (f"the scale {found.scale:g} in its header is not applied, as some writers use it for display alone. "
+                "Next: multiply by it, if it is meant")
+        return Header("netpbm", f"0 to {found.most}" if found.most else "floats",
+                      notes=() if found.scale == 1 else (note,))
     return _tga(data) if ending == ".tga" else Header("pillow", "8 bits")
 
 
@@ -206,6 +216,22 @@ def _bmp(data: bytes) -> Header:
         masks = struct.unpack_from("<3I", data, 54)
         unread = "" if all(mask.bit_count() == 8 for mask in masks) else "a BMP of other than 8 bits a channel"
     return Header("pillow", "1 bit" if bits == 1 else "8 bits", unread=unread)
+
+
+def _radiance(data: bytes) -> Header:
+    """Lines of text say how radiances are stored; the last one how large the picture is (Radiance, picture format)."""
+    lines = data[:data.index(b"\n\n")].split(b"\n")
+    fields = [line.partition(b"=") for line in lines if not line.startswith(b"#")]
+    exposure = prod(float(value) for name, _, value in fields if name == b"EXPOSURE")
+    kind = next((value.strip() for name, _, value in fields if name == b"FORMAT"), b"")
+    size = _RADIANCE_SIZE.match(data, data.index(b"\n\n") + 2)
+    unread = "" if kind == b"32-bit_rle_rgbe" else f"Radiance HDR of {kind.decode('ascii', 'replace') or 'no format'}"
+    if size is None and not unread:
+        unread = "Radiance HDR whose rows do not come from the top, left to right"
+    if not (isfinite(exposure) and exposure > 0):
+        raise ValueError(f"an exposure of {exposure}")
+    rows, columns = (int(size[1]), int(size[2])) if size else (0, 0)
+    return Header("rgbe", "floats", 12 * rows * columns, unread, exposure)
 
 
 def _tga(data: bytes) -> Header:

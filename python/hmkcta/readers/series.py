@@ -10,14 +10,29 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..axes import name_axes
+from ..axes import Axis, name_axes
 from ..errors import invalid
-from ..labels import Labels, labelled, labels_of
+from ..labels import Labels, labelled, labels_of, with_axes
 from ..support.cut_short import whole_map
 from ..support.memory import drop_pages
 from ..support.natural import in_order
 from .source import Layout, io_error, reading
 from .unpacked import Part, Unpacker, block_parts
+
+
+def files_of(folder: Path) -> list[Path]:
+    """The files of a folder in no order, without hidden ones.
+
+    Raises:
+        HmkctaError: it cannot be read.
+    """
+    reading(folder)
+    try:
+        return [path for path in folder.iterdir() if not path.name.startswith(".") and path.is_file()]
+    except OSError as error:
+        hint = "check its permissions"
+        raise io_error("unreadable", str(folder), error.strerror, "a readable folder", hint,
+                       told=f"cannot be read: {error.strerror}") from error
 
 
 def pictures_of(folder: Path, endings: Sequence[str]) -> list[Path]:
@@ -26,14 +41,7 @@ def pictures_of(folder: Path, endings: Sequence[str]) -> list[Path]:
     Raises:
         HmkctaError: there is none, or they are of several formats.
     """
-    reading(folder)
-    try:
-        files = [path for path in folder.iterdir() if path.suffix.lower() in endings and path.is_file()
-                 and not path.name.startswith(".")]
-    except OSError as error:
-        hint = "check its permissions"
-        raise io_error("unreadable", str(folder), error.strerror, "a readable folder", hint,
-                       told=f"cannot be read: {error.strerror}") from error
+    files = [path for path in files_of(folder) if path.suffix.lower() in endings]
     found = sorted({path.suffix.lower() for path in files})
     if not found:
         raise io_error("unreadable", str(folder), "a folder without pictures", "a file, or a folder of pictures",
@@ -75,6 +83,18 @@ def open_series(
 
     stack = unpacker.array(where, layout, block_parts(layout.shape, (1, *first.shape), 1), read)
     return labelled(stack, _stacked(labels_of(first), layout.shape))
+
+
+def led_by(stack: NDArray[Any], leading: Sequence[Axis]) -> NDArray[Any]:
+    """A stack with other axes in place of its first one, which has as many files as they have indices together.
+
+    Raises:
+        HmkctaError: one of them is called as an axis of the files is.
+    """
+    own = labels_of(stack)
+    axes = [*leading, *(own.axes or name_axes(stack.shape))[1:]]
+    name_axes([axis.size for axis in axes], [axis.name for axis in axes])  # which differ
+    return with_axes(stack.reshape([axis.size for axis in axes]), axes, own.notes)
 
 
 def _stacked(labels: Labels, shape: tuple[int, ...]) -> Labels:
