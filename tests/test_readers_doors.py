@@ -284,7 +284,7 @@ class Labelled:
         self.values, self.dims = values, dims
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> Any:
-        return np.array(self.values, dtype, copy=copy)
+        return np.array(self.values, dtype)
 
 
 @pytest.mark.parametrize(("dims", "axes", "names"), [
