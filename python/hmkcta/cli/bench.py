@@ -9,6 +9,7 @@ import click
 
 from .options import CONTEXT, Command, ExamplesFirst, json_option, verbose_option
 from .output import emit, table
+from .param_type import ParamType
 
 if TYPE_CHECKING:
     from ..render.device import Device
@@ -24,7 +25,7 @@ EXAMPLES = (
 SIZES, SOFTWARE_SIZES = ((1280, 720), (1920, 1080)), ((256, 256),)
 
 
-class Resolution(click.ParamType[tuple[int, int]]):
+class Resolution(ParamType[tuple[int, int]]):
     """Width and height of a frame.
 
     >>> Resolution().convert("1280x720", None, None)

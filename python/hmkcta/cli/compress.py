@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict
 from math import floor, isinf
 from typing import Any
@@ -19,7 +19,7 @@ from ..hmkfile import check_output, level_sizes
 from ..model import Model
 from .failure import Exit
 from .goal import Goal, beyond_cost, goal_from, goal_options, ordinary_cameras
-from .interrupt import patient
+from .interrupt import Patience, patient
 from .layout import layout_lines, layout_of
 from .notes import notes
 from .options import (
@@ -76,7 +76,7 @@ def compress_command(source: str, output: str, plan: str | None, device: str, re
     if where.missing:
         click.echo(f"hmkcta: {where.fallback}", err=True)
     with (Progress(quiet or as_json) as progress, journal_beside(output, resume, overwrite) as journal,
-          warnings_as_notes() as said, patient(_say_finishing) if plan is None else nullcontext() as patience):
+          warnings_as_notes() as said, _finishing_early(progress, plan) as patience):
         if resume and not journal.holds_work:
             click.echo(f"hmkcta: there is nothing in {journal.folder} to go on with: it begins anew.", err=True)
         watched = goal.open(source, progress)
@@ -110,8 +110,12 @@ def compress_command(source: str, output: str, plan: str | None, device: str, re
     _end(missed)
 
 
-def _say_finishing() -> None:
-    click.echo("hmkcta: taking the best that was found so far; once more ends at once.", err=True)
+def _finishing_early(progress: Progress, plan: str | None) -> AbstractContextManager[Patience | None]:
+    """The first Ctrl-C of a search, once it has begun, is a wish to take the best found so far."""
+    said = "hmkcta: taking the best that was found so far; once more ends at once."
+    if plan is not None:
+        return nullcontext()
+    return patient(lambda: click.echo(said, err=True), lambda: "search" in progress.stages)
 
 
 def _missed(model: Model, goal: Goal, plan: str | None, output: str) -> str | None:

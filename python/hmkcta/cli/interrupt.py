@@ -22,17 +22,24 @@ ECHO = 0.25
 class Patience:
     """What the first Ctrl-C asks for, while somebody would rather finish early than end."""
 
-    def __init__(self) -> None:
+    def __init__(self, told: Callable[[], None], begun: Callable[[], bool]) -> None:
         self.asked = False
-        self.ask: Callable[[], None] = lambda: None
+        self._told, self._begun = told, begun
         self._first: dict[str, float] = {}
 
     def bears(self, number: int, who: str) -> bool:
         """Whether a signal is the first Ctrl-C, or an echo of it, for one of those who hear it."""
-        if number != signal.SIGINT:
+        if number != signal.SIGINT or not (self._first or self._begun()):
             return False
         first = self._first.setdefault(who, monotonic())
         return monotonic() - first <= ECHO
+
+
+    def ask(self) -> None:
+        """Note the wish."""
+        if not self.asked:
+            self.asked = True
+            self._told()
 
 
 #: Who is patient now, at most one; state of the process, as signals are.
@@ -40,20 +47,14 @@ _patient: list[Patience] = []
 
 
 @contextmanager
-def patient(told: Callable[[], None]) -> Generator[Patience]:
+def patient(told: Callable[[], None], begun: Callable[[], bool]) -> Generator[Patience]:
     """Take the first Ctrl-C as a wish to finish early, which `asked` says; the second ends as ever.
 
     Args:
         told: called when the wish comes.
+        begun: whether there is anything yet to finish early; else the first Ctrl-C ends.
     """
-    patience = Patience()
-
-    def ask() -> None:
-        if not patience.asked:
-            patience.asked = True
-            told()
-
-    patience.ask = ask
+    patience = Patience(told, begun)
     _patient.append(patience)
     try:
         yield patience

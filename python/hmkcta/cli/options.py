@@ -14,6 +14,7 @@ import click
 from ..errors import HmkctaError, invalid
 from ..goals import BYTES_ALLOWED, TIME_ALLOWED, read_bytes, time_given
 from .output import JSON
+from .param_type import ParamType
 
 #: Key of `click.Context.meta` that is true with -v.
 VERBOSE = "hmkcta.verbose"
@@ -24,7 +25,7 @@ CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 110}
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-class ByteSize(click.ParamType[int]):
+class ByteSize(ParamType[int]):
     """Bytes, with or without a unit.
 
     >>> ByteSize().convert("20MiB", None, None), ByteSize().convert("1.5 kB", None, None)
@@ -45,7 +46,7 @@ class ByteSize(click.ParamType[int]):
         return round(number)
 
 
-class Duration(click.ParamType[float]):
+class Duration(ParamType[float]):
     """Seconds, with or without a unit.
 
     >>> Duration().convert("2min", None, None)
@@ -91,7 +92,7 @@ class OutputFile(File):
         return super().convert(value, param, ctx)
 
 
-class Shape(click.ParamType[tuple[int, ...]]):
+class Shape(ParamType[tuple[int, ...]]):
     """Sizes parted by commas or x.
 
     >>> Shape().convert("64,64,3", None, None)
@@ -108,7 +109,7 @@ class Shape(click.ParamType[tuple[int, ...]]):
         return tuple(int(word) for word in words)
 
 
-class Names(click.ParamType[list[str]]):
+class Names(ParamType[list[str]]):
     """Names parted by commas.
 
     >>> Names().convert("light, view,y,x", None, None)
@@ -123,7 +124,7 @@ class Names(click.ParamType[list[str]]):
         return [word.strip() for word in str(value).split(",")]
 
 
-class Assignment(click.ParamType[tuple[str, str]]):
+class Assignment(ParamType[tuple[str, str]]):
     """A name and what it gets: ``NAME=VALUE``.
 
     >>> Assignment().convert("light=directions.npy", None, None)
@@ -140,7 +141,7 @@ class Assignment(click.ParamType[tuple[str, str]]):
         return name.strip(), given
 
 
-class Fill(click.ParamType[float]):
+class Fill(ParamType[float]):
     """What to do with NaN and infinity: ``fill=VALUE``.
 
     >>> Fill().convert("fill=-1", None, None)

@@ -10,9 +10,10 @@ import click
 
 from ..axes import Axis
 from .options import Count, Function, Shape, together
+from .param_type import ParamType
 
 
-class Numbers(click.ParamType[tuple[float, ...]]):
+class Numbers(ParamType[tuple[float, ...]]):
     """Numbers parted by commas, as many as `names` says.
 
     >>> Numbers("AZ,EL").convert("60,45", None, None)
@@ -34,7 +35,7 @@ class Numbers(click.ParamType[tuple[float, ...]]):
         return numbers
 
 
-class Place(click.ParamType[tuple[str, int]]):
+class Place(ParamType[tuple[str, int]]):
     """An axis and an index, ``NAME=INDEX``.
 
     >>> Place().convert("time=3", None, None)
