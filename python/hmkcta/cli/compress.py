@@ -59,7 +59,7 @@ USED = 0.99
 @click.option("-o", "--output", required=True, type=OutputFile(), metavar="FILE", help="File to write.")
 @goal_options
 @click.option("--time", type=Duration(), metavar="TIME",
-              help="Search about as long at most, 90s or 5min; what is found by then is taken.")
+              help="Search about as long at most: 90s, 5min.")
 @together(device_option, resume_option, overwrite_option, json_option, quiet_option, verbose_option)
 def compress_command(source: str, output: str, plan: str | None, device: str, resume: bool, overwrite: bool,
                      as_json: bool, quiet: bool, verbose: bool, **options: Any) -> None:

@@ -61,7 +61,7 @@ def fit_plan(request: FitRequest) -> Model:
     request = replace(request, run=run)
     sizes = mode_sizes(source.axes, plan.organisation)
     check_plan(plan, sizes)
-    plan = with_searches(plan, sizes, run.journal.settled("room", lambda: run.room or 0, int), request.memory)
+    plan = with_searches(plan, sizes, run.journal.settled("limit-of-nodes", lambda: run.room or 0, int), request.memory)
     request = replace(request, plan=plan)
     tree = _begun(request)
     energy = tree.error if plan.snr is not None else 0.0

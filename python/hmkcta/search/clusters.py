@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..arrays import F32
 from ..fitting.subspaces import subspace_clusters
-from .blocks import axis_order
+from .blocks import Slices, axis_order
 from .layout import Layout, Modes
 from .values import Values
 
@@ -69,27 +69,40 @@ def _axes(modes: Modes, labels: dict[int, Labels]) -> list[tuple[int, ...]]:
     return [own for n, mode in enumerate(modes) for own in ([mode] if n in labels else [(axis,) for axis in mode])]
 
 
-def parted(values: F32, modes: Modes, labels: dict[int, Labels]) -> Parting:
+def parted(values: F32, modes: Modes, labels: dict[int, Labels], energy: float) -> Parting:
     """The array with the rows of each labelled mode in the order of their labels, rows of one label as they were.
 
+    Nothing is copied but what is read. `energy`: the sum of its squares.
+
     >>> rows = np.arange(8, dtype=np.float32).reshape(4, 2)
-    >>> found = parted(rows, ((0,), (1,)), {0: np.array([1, 0, 1, 0])})
+    >>> found = parted(rows, ((0,), (1,)), {0: np.array([1, 0, 1, 0])}, 140.0)
     >>> found.values.read((slice(None), slice(0, 1))).ravel().tolist(), found.ends
     ([2.0, 6.0, 0.0, 4.0], ((0, 2, 4), ()))
     """
     axes = _axes(modes, labels)
-    tensor = values.transpose(axis_order(modes)).reshape([prod(values.shape[axis] for axis in own) for own in axes])
+    shape = tuple(prod(values.shape[axis] for axis in own) for own in axes)
     ends: list[tuple[int, ...]] = [()] * len(axes)
+    orders: dict[int, Labels] = {}
     inner: list[tuple[int, ...]] = []
     at = 0
     for n, mode in enumerate(modes):
         if n in labels:
-            tensor = tensor.take(np.argsort(labels[n], kind="stable"), axis=at)
+            orders[at] = np.argsort(labels[n], kind="stable")
             ends[at] = (0, *np.cumsum(np.bincount(labels[n])).tolist())
         count = 1 if n in labels else len(mode)
         inner.append(tuple(range(at, at + count)))
         at += count
-    ordered = Values.of_array(np.ascontiguousarray(tensor))
+
+    def read(part: Slices) -> F32:
+        """Rows of parted modes are looked up in each of their axes."""
+        indices: list[NDArray[np.intp]] = []
+        for number, (own, span) in enumerate(zip(axes, part, strict=True)):
+            rows = orders[number][span] if number in orders else np.arange(shape[number])[span]
+            along = [-1 if other == number else 1 for other in range(len(axes))]
+            indices += [index.reshape(along) for index in np.unravel_index(rows, [values.shape[axis] for axis in own])]
+        return values.transpose(axis_order(modes))[tuple(indices)]
+
+    ordered = Values(shape, read, known=energy)
     return Parting(values.shape, modes, labels, ordered, tuple(inner), tuple(ends))
 
 
@@ -99,6 +112,9 @@ def clusters_of(values: F32, mode: tuple[int, ...], clusters: int) -> Labels:
     The same array has the same labels: restarts are drawn from a fixed seed.
     """
     others = [axis for axis in range(values.ndim) if axis not in mode]
-    rows = values.transpose([*mode, *others]).reshape(prod(values.shape[axis] for axis in mode), -1)
-    some = np.linspace(0, rows.shape[1] - 1, min(FEATURES, rows.shape[1])).astype(np.intp)
-    return subspace_clusters(np.ascontiguousarray(rows[:, some]), clusters, DIMENSION, np.random.default_rng(0), 1)
+    sizes = [values.shape[axis] for axis in others]
+    columns = prod(sizes)
+    some = np.unravel_index(np.linspace(0, columns - 1, min(FEATURES, columns)).astype(np.intp), sizes)
+    rows = values.transpose([*mode, *others])[(*[slice(None)] * len(mode), *some)]
+    rows = np.ascontiguousarray(rows).reshape(prod(values.shape[axis] for axis in mode), -1)
+    return subspace_clusters(rows, clusters, DIMENSION, np.random.default_rng(0), 1)

@@ -248,7 +248,7 @@ class Search:
             for count in self.effort.clusters:
                 if n in labels or rows < ROWS_EACH * count or self.enough():
                     continue
-                parting = parted(whole, best.modes, {**labels, n: clusters_of(whole, mode, count)})
+                parting = parted(whole, best.modes, {**labels, n: clusters_of(whole, mode, count)}, self.energy)
                 search = replace(self, values=parting.values, modes=parting.inner, parting=parting)
                 for edges in dict.fromkeys((self.values.shape, best.edges)):
                     layout = parting.layout(edges)

@@ -47,6 +47,7 @@ class Values:
         shape: of the array.
         read: gives parts of it.
         memory: bytes to work in; None: the array is in memory, with room for as much again several times.
+        known: sum of squares of an array of which no more is asked: it is not looked at, and has no detail.
 
     Attributes:
         energy: sum of squares, in float64.
@@ -57,6 +58,7 @@ class Values:
     shape: tuple[int, ...]
     read: ReadPart
     memory: int | None = None
+    known: float | None = None
     energy: float = field(init=False)
     detail: F64 = field(init=False)
     together: int = field(init=False)
@@ -65,7 +67,10 @@ class Values:
     _lock: Lock = field(init=False, default_factory=Lock)
 
     def __post_init__(self) -> None:
-        self.energy, self.detail = _scanned(self.shape, self.read)
+        if self.known is None:
+            self.energy, self.detail = _scanned(self.shape, self.read)
+        else:
+            self.energy, self.detail = self.known, np.zeros([-(-size // _cell(size)) for size in self.shape])
         self.together = TOGETHER if self.memory is None else min(TOGETHER, self.memory // (2 * WORKING))
         self._room = KEPT * (self.memory or 0)
 
