@@ -235,18 +235,17 @@ def test_a_link_keeps_pointing_where_it_does(source: Path, tmp_path: Path) -> No
 
 @pytest.mark.parametrize(("name", "content"), [
     ("run.json", "[]"), ("run.json", "{"), ("run.json", None), ("explored.json", '{"levels"'),
-    ("explored.json", '{"levels": 3}'), ("explored.json", "[0.1, [[3, 4]]]"), ("coded-0.json", "[]"),
+    ("explored.json", '{"levels": 3}'), ("explored.json", "[0.1, [[3, 4]]]"), ("coded-*.json", "[]"),
     ("explored.json", "\udcff"),
 ])
 def test_a_journal_that_makes_no_sense(name: str, content: str | None, source: Path, tmp_path: Path) -> None:
     folder = tmp_path / "a.hmk.partial"
     with pytest.raises(KeyboardInterrupt), hmkcta.Journal(folder) as journal:
         hmkcta.compress(np.load(source), snr=20.0, quality="fast", journal=journal, progress=stop_at_measuring)
-    kept = {path.name for path in folder.iterdir()}
-    assert {"run.json", "explored.json", "coded-0.json"} <= kept
-    (folder / name).unlink()
+    (path,) = folder.glob(name)
+    path.unlink()
     if content is not None:
-        (folder / name).write_text(content, errors="surrogateescape")
+        path.write_text(content, errors="surrogateescape")
     words = ("compress", source, "-o", tmp_path / "a.hmk", "--snr", 20, "--quality", "fast")
     assert "begin again with --overwrite" in refused(*words, "--resume", code=4)
     run(*words, "--overwrite")

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from math import exp, inf, isinf, log, log2, prod, sqrt
 from typing import Any, Protocol, TypeAlias, TypeVar
+from zlib import crc32
 
 from ..metrics import snr_db as decibels
 from ..support.executors import in_order
@@ -312,7 +313,8 @@ class Search:
             nbytes, snr, own = value
             return Score.of(self.goal, int(nbytes), inf if snr is None else float(snr)), self._read_step(own)
 
-        return self.settled(f"coded-{place}", chosen, read)
+        # By the layout: which ones are coded hangs on when a search was told to end.
+        return self.settled(f"coded-{crc32(repr(layout).encode()):08x}", chosen, read)
 
     def again(self, found: Found, goal: Goal) -> Found:
         """The same layout for another goal."""
