@@ -132,11 +132,11 @@ class Values:
         """
         elements: F64 = np.ones(self.detail.shape)
         for axis, size in enumerate(self.shape):
-            ends = np.minimum(np.arange(1, self.detail.shape[axis] + 1) * _cell(size), size)
+            starts = list(range(0, size, _cell(size)))
+            lengths = [end - start for start, end in zip(starts, [*starts[1:], size], strict=True)]
             along = [1] * len(self.shape)
-            along[axis] = len(ends)
-            lengths: F64 = np.diff(ends, prepend=0).astype(np.float64)
-            elements = elements * lengths.reshape(along)
+            along[axis] = len(lengths)
+            elements = elements * np.array(lengths, np.float64).reshape(along)
         sums = elements * np.log2(1 + DETAIL_SCALE * self.detail / (elements * step * step))
         for axis, size in enumerate(self.shape):
             starts = np.array([part.start // _cell(size) for part in layout.spans(self.shape, axis)])
