@@ -107,7 +107,7 @@ def test_all_kernels_are_called_on_the_device(gpu: StandIn, monkeypatch: pytest.
             return original(*given)
 
         monkeypatch.setattr(batched, name, counted)
-    for plan in (TWO_LEVELS, "R=1 C=12,1,12,12 K=2,1,2,2"):
+    for plan in (TWO_LEVELS, "R=1 C=12,1,12,12 K=2,1,2,2", "R=1 C=2,1,2,2"):
         fitted(plan, "cuda")
     assert called == set(names)
 

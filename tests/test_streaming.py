@@ -188,7 +188,7 @@ def test_long_undecomposed_modes_are_fitted_on_a_part(
     outside = fitted(cloth, monkeypatch, cloth.values.size // 5, plan, organisation=organisation)
     assert held
     assert max(held) <= cloth.values.size // 5
-    assert outside.snr > inside.snr - 0.1
+    assert outside.snr > inside.snr - 0.3  # memberships are searched on the part, too: 0.25 dB
 
 
 def test_what_memory_cannot_hold_is_refused_before_the_work(cloth: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -210,15 +210,15 @@ def test_automatic_subdivision_of_a_streamed_tensor(cloth: Any, monkeypatch: pyt
 
 
 def test_a_flat_level_of_many_cells_is_fitted_in_place(cloth: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Beyond the cells whose Gram matrix fits there are only sweeps over a residual in memory."""
-    monkeypatch.setattr("hmkcta.plan.GRAM_CELLS", 30)
+    """By the fast search there are only sweeps over a residual in memory."""
     flat = "R=1,1,2,2 C=2,2,3,3 K=2"
-    inside = fitted(cloth, monkeypatch, cloth.values.size, flat)
-    outside = fitted(cloth, monkeypatch, cloth.values.size // 3, flat)
+    inside = fitted(cloth, monkeypatch, cloth.values.size, flat, search="fast")
+    outside = fitted(cloth, monkeypatch, cloth.values.size // 3, flat, search="fast")
     assert outside.snr == pytest.approx(inside.snr, abs=0.02)
     monkeypatch.setattr(budget, "FLAT", 50)
     with pytest.raises(HmkctaError, match="36 cells"):
-        fitted(cloth, monkeypatch, cloth.values.size // 3, flat, max_memory=budget.PROCESS + 2_100_000)
+        fitted(cloth, monkeypatch, cloth.values.size // 3, flat, search="fast",
+               max_memory=budget.PROCESS + 2_100_000)
 
 
 def test_many_cells_that_share_no_element_want_no_products_of_bases() -> None:

@@ -78,7 +78,7 @@ def read_layout(shape: Sequence[int], modes: Sequence[Sequence[Any]], edges: Seq
         TypeError, ValueError: they describe none.
 
     >>> read_layout((8, 8, 3), [[0, 2], [1]], [4, 8, 3])
-    Layout(modes=((0, 2), (1,)), edges=(4, 8, 3))
+    Layout(modes=((0, 2), (1,)), edges=(4, 8, 3), ends=())
     """
     found = Layout(tuple(tuple(mode) for mode in modes), tuple(edges))
     if sorted(axis for mode in found.modes for axis in mode) != list(range(len(shape))):
