@@ -34,7 +34,6 @@ class Patience:
         first = self._first.setdefault(who, monotonic())
         return monotonic() - first <= ECHO
 
-
     def ask(self) -> None:
         """Note the wish."""
         if not self.asked:

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cache, partial
 from math import exp, inf, isinf, log, log2, prod, sqrt
 from typing import Any, Protocol, TypeAlias, TypeVar
 from zlib import crc32
 
+from ..arrays import F32
 from ..metrics import snr_db as decibels
 from ..support.executors import in_order
 from ..support.progress import nobody
@@ -226,8 +227,16 @@ class Search:
             return []
         bar, labels = self.judge.verdict(best, step, self.effort.elements[0]).cost, dict[int, Labels]()
         least, tried = bar, list[Trial]()
+        whole = self.values.read(tuple(slice(0, size) for size in self.values.shape))
+
+        @cache
+        def clusters(n: int, count: int) -> Labels:
+            """The same whatever other modes are parted."""
+            return clusters_of(whole, best.modes[n], count)
+
         for _ in best.modes:
-            trials = sorted(self._partings(best, step, labels, least), key=lambda trial: trial.cost)
+            partings = self._partings(best, step, labels, least, whole, clusters)
+            trials = sorted(partings, key=lambda trial: trial.cost)
             tried += trials[: self.effort.coded]
             if not trials or trials[0].cost >= least:
                 break
@@ -240,16 +249,16 @@ class Search:
         found = tried[min(by_code)[1]]
         return [(found.search, found.layout)]
 
-    def _partings(self, best: Layout, step: float, labels: dict[int, Labels], bar: float) -> list[Trial]:
+    def _partings(self, best: Layout, step: float, labels: dict[int, Labels], bar: float, whole: F32,
+                  clusters: Callable[[int, int], Labels]) -> list[Trial]:
         """One mode more parted into clusters, on the grid of a layout or on none."""
-        whole = self.values.read(tuple(slice(0, size) for size in self.values.shape))
         trials: list[Trial] = []
         for n, mode in enumerate(best.modes):
             rows = prod(self.values.shape[axis] for axis in mode)
             for count in self.effort.clusters:
                 if n in labels or rows < ROWS_EACH * count or self.enough():
                     continue
-                parting = parted(whole, best.modes, {**labels, n: clusters_of(whole, mode, count)}, self.energy)
+                parting = parted(whole, best.modes, {**labels, n: clusters(n, count)}, self.energy)
                 search = replace(self, values=parting.values, modes=parting.inner, parting=parting)
                 for edges in dict.fromkeys((self.values.shape, best.edges)):
                     layout = parting.layout(edges)

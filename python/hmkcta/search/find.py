@@ -12,6 +12,7 @@ from ..errors import invalid
 from ..filesize import metadata_of
 from ..fitting.run import Run
 from ..measure import measure_both
+from ..metrics import noise_at
 from ..model import Model
 from ..packed import LevelQuality, PackedLevel, bounds_of
 from ..streaming.budget import PROCESS
@@ -149,24 +150,19 @@ def _short_of(model: Model, goal: Goal, found: Found) -> Goal | None:
         over = model.nbytes - found.nbytes  # of the header
         return None if model.nbytes <= goal.size else Goal(size=max(1, goal.size - over))
     assert goal.snr is not None, "a goal has one of the two"
-    left = _share(goal.snr) - _rounding(model, found)
+    left = noise_at(goal.snr) - _rounding(model, found)
     met = model.snr >= goal.snr - 0.005 or model.metadata.is_transformed
     return None if met or left <= 0 else Goal(snr=-10 * log10(left))
 
 
-def _share(snr: float) -> float:
-    """The share of the energy that an error of this SNR in dB has."""
-    return 10 ** (-snr / 10)
-
-
 def _rounding(model: Model, found: Found) -> float:
     """The share that rounding stored numbers to float16 adds to the error of whole numbers times steps."""
-    return max(0.0, _share(model.snr) - _share(found.snr))
+    return max(0.0, noise_at(model.snr) - noise_at(found.snr))
 
 
 def _ends(model: Model, found: Found, goal: Goal) -> bool:
     """Whether it is the rounding to float16 that a goal, or more of it, cannot be had for."""
-    return _rounding(model, found) > _share(found.snr) and (goal.snr is None or model.snr < goal.snr)
+    return _rounding(model, found) > noise_at(found.snr) and (goal.snr is None or model.snr < goal.snr)
 
 
 def _met_untransformed(search: Search, found: Found, snr: float, model_of: Callable[[Found], Model]) -> Model:

@@ -20,6 +20,7 @@ from ..filesize import metadata_of
 from ..fitting.run import Run
 from ..hmkfile import root_places
 from ..measure import measure_both
+from ..metrics import noise_at
 from ..model import Model
 from ..packed import PackedLevel
 from ..streaming.source import Source
@@ -196,11 +197,6 @@ def coded_for(model: Model, source: Source, goal: Goal, run: Run) -> Model:
     return _with_quality(model, found.result.stages, source, run) if by_size else found.result
 
 
-def _share(snr: float) -> float:
-    """The share of the energy that an error of this SNR in dB has."""
-    return 10 ** (-snr / 10)
-
-
 def _excess(coded: Model, fitted: Model, goal: Goal) -> float:
     """How far above the goal a file is, as a logarithm: by its bytes, or by what rounding adds to the fit's error.
 
@@ -209,15 +205,15 @@ def _excess(coded: Model, fitted: Model, goal: Goal) -> float:
     if goal.size is not None:
         return log(coded.nbytes / goal.size)
     assert goal.snr is not None, "a goal has one of the two"
-    added, allowed = _share(coded.snr) - _share(fitted.snr), _share(goal.snr) - _share(fitted.snr)
+    added, allowed = noise_at(coded.snr) - noise_at(fitted.snr), noise_at(goal.snr) - noise_at(fitted.snr)
     return log(max(added, _LEAST * allowed) / allowed) if allowed > 0 else float(added > 0)
 
 
 def _tolerance(goal: Goal, fitted: Model) -> float:
     """How far below the goal what rounding adds may be for an SNR that is overshot by no more than `OVERSHOT` dB."""
     assert goal.snr is not None, "a goal has one of the two"
-    allowed = _share(goal.snr) - _share(fitted.snr)
-    share = (_share(goal.snr) - _share(goal.snr + OVERSHOT)) / allowed if allowed > 0 else 1.0
+    allowed = noise_at(goal.snr) - noise_at(fitted.snr)
+    share = (noise_at(goal.snr) - noise_at(goal.snr + OVERSHOT)) / allowed if allowed > 0 else 1.0
     return -log(max(1 - share, _LEAST))
 
 
